@@ -1,0 +1,1 @@
+"""Floor 0: the nouns; speech, beats, blocks, motion and data sets."""

@@ -1,0 +1,199 @@
+"""Onsets of the sound, and the beats that speech and motion are cut at (RG 4.2.1).
+
+Onsets are found with a look-ahead of `LOOK_AHEAD` seconds and beats with one of d_max + d_min more; nothing needs the
+loudest moment of the recording, so a stream gets what a file gets. The rule that the paper prints, which needs the
+whole recording, is kept as the option "paper".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.errors import InputError
+from data_module.silence import FRAME, silent_frames
+from data_module.types import Array, BeatFlag, Beats, Samples, Speech
+
+RULES = ("bounded", "paper")
+LOOK_AHEAD = 0.25
+"""Seconds of sound after an onset that `detect_onsets` needs to be sure of it."""
+
+_HOP = 0.01
+_WINDOW = 0.128
+_BANDS = 128
+_LAG = 3
+_FAINTEST = 1e-6  # of mel power: what white noise of -80 dBFS has
+_AROUND = 0.1
+_PEAK = 0.03
+_RISE = 1.2
+_AUDIBLE = (-0.02, 0.08)
+_PIECE = 4000
+_EPS = 1e-9
+
+
+@dataclass(frozen=True)
+class BeatSettings:
+    """How beats are placed. Seconds; every interval between beats lies in [d_min, d_max].
+
+    merge: onsets closer than this count as one. rule: "bounded" (SPEC decision 2) or "paper" (RG 4.2.1, guarded).
+    """
+
+    d_min: float = 0.2
+    d_max: float = 0.5
+    merge: float = 0.05
+    rule: str = "bounded"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.d_min < np.inf or not self.d_max < np.inf:
+            raise InputError("d_min", f"is {self.d_min}, which is no interval between beats", "give 0.2, for example")
+        if self.d_max < 2 * self.d_min - _EPS:
+            raise InputError("d_max", f"is {self.d_max}, less than twice d_min ({self.d_min})",
+                             "an interval that is too long must be divisible into two that are not too short")
+        if not self.merge >= 0:
+            raise InputError("merge", f"is {self.merge}", "give 0 or more seconds")
+        if self.rule not in RULES:
+            raise InputError("rule", f"is {self.rule!r}", f"choose from {', '.join(RULES)}")
+
+
+def detect_onsets(samples: Samples, sample_rate: int, merge: float = 0.05) -> Array:
+    """Onsets of the sound in seconds, rising, [n].
+
+    A peak of librosa's onset strength (the mean rise of the log-mel bands over 30 ms) that stands 1.2 dB above its
+    surroundings of 0.1 s on both sides and is louder than the running noise floor. Decibels make the threshold
+    independent of the gain, so nothing is scaled by the file's maximum. Of onsets closer than `merge` seconds the
+    first stays.
+    """
+    strength = onset_strength(samples, sample_rate)
+    peaks = _peaks(strength, round(_PEAK / _HOP), round(_AROUND / _HOP))
+    # A window of the spectrum sees a rise half a window early; of the plateau that `_LAG` makes, the first is the peak.
+    times = peaks * _HOP + (_WINDOW / 2 // _HOP - (_LAG - 1)) * _HOP
+    audible = ~silent_frames(samples, sample_rate)
+    before = np.concatenate([[0], np.cumsum(audible)])
+    first, last = (np.clip(np.round((times + shift) / FRAME).astype(int), 0, len(audible)) for shift in _AUDIBLE)
+    return merged(times[before[last] > before[first]], merge)
+
+
+def merged(times: Array, closest: float) -> Array:
+    """Rising times with every one dropped that is closer than `closest` to the last one kept."""
+    kept: list[float] = []
+    for time in np.asarray(times, dtype=np.float64):
+        if not kept or time - kept[-1] >= closest - _EPS:
+            kept.append(float(time))
+    return np.array(kept)
+
+
+def onset_strength(samples: Samples, sample_rate: int) -> Array:
+    """librosa's onset strength in dB every 10 ms, [F]; value f belongs to the spectrum centred on f / 100 s."""
+    import librosa
+
+    hop = round(_HOP * sample_rate)
+    window = 2 * round(_WINDOW * sample_rate / 2)
+    bands = librosa.filters.mel(sr=sample_rate, n_fft=window, n_mels=_BANDS, fmax=sample_rate / 2)
+    frames = len(samples) // hop + 1
+    padded = np.concatenate([np.zeros(window // 2 + _LAG * hop, np.float32), samples,
+                             np.zeros(window // 2 + hop, np.float32)])
+    strength = np.empty(frames)
+    for start in range(0, frames, _PIECE):  # an hour's spectrogram would not fit
+        stop = min(start + _PIECE, frames)
+        piece = padded[start * hop:(stop + _LAG - 1) * hop + window]
+        spectrum = librosa.stft(piece, n_fft=window, hop_length=hop, center=False)
+        power = bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
+        decibels = 10.0 * np.log10(np.maximum(power, _FAINTEST))
+        rise = librosa.onset.onset_strength(S=decibels, sr=sample_rate, lag=_LAG, center=False)
+        strength[start:stop] = rise[_LAG:_LAG + stop - start]
+    # The spectra before the first one hold padding only: a recording that begins in sound has no onset there.
+    strength[:_LAG] = 0.0
+    # Single precision leaves ties open; rounding closes them the same way in every piece.
+    return np.round(strength, 3)
+
+
+def _peaks(strength: Array, reach: int, around: int) -> NDArray[np.int64]:
+    """Frames that are the highest within `reach` frames and `_RISE` above the mean within `around` frames."""
+    count = len(strength)
+    padded = np.pad(strength, reach, constant_values=-np.inf)
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
+    total = np.concatenate([[0.0], np.cumsum(strength)])
+    low = np.maximum(np.arange(count) - around, 0)
+    high = np.minimum(np.arange(count) + around + 1, count)
+    mean = (total[high] - total[low]) / (high - low)
+    return np.flatnonzero((strength >= highest) & (strength >= mean + _RISE))
+
+
+def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
+              settings: BeatSettings) -> tuple[float, BeatFlag]:
+    """The beat that follows `beat` by the bounded rule of SPEC decision 2, and why it stands there.
+
+    onsets, loud: rising seconds of the onsets and of the frames louder than the noise. end: the end of the recording,
+    None while it is not known. Only what lies before beat + d_max + d_min is looked at; `end` must be told when it
+    lies there.
+    """
+    low, high = beat + settings.d_min, beat + settings.d_max
+    horizon = high + settings.d_min
+    if end is not None and end >= horizon:
+        end = None
+    near = onsets[np.searchsorted(onsets, low - _EPS):np.searchsorted(onsets, horizon)]
+    for onset in near[near <= high + _EPS]:
+        if end is None or end - onset >= settings.d_min - _EPS:
+            return float(onset), BeatFlag.ONSET
+    if end is not None and end <= high + _EPS:
+        return end, BeatFlag.BOUNDARY
+    # Leave room for what comes next: an onset (even one that the end will rule out: it cannot be known yet), the end.
+    ahead = [float(onset) for onset in near[near > high + _EPS][:1]] + ([end] if end is not None else [])
+    latest = max(low, min([high, *(time - settings.d_min for time in ahead)]))
+    first = int(np.searchsorted(loud, low - _EPS))
+    if first < len(loud) and loud[first] <= latest + _EPS:
+        return float(np.clip(loud[first], low, latest)), BeatFlag.LOUD_PSEUDO
+    return latest, BeatFlag.EVEN_PSEUDO
+
+
+def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings | None = None) -> Beats:
+    """Beats from onsets: a pure function of rising seconds (RG 4.2.1; `next_beat` and `_paper_beats` tell the rules).
+
+    onsets: [n]; loud: [m] the times of the frames louder than the noise. 0 and `duration` are beats. Every interval
+    lies in [d_min, d_max], unless the whole recording is shorter than d_min.
+    """
+    settings = settings or BeatSettings()
+    onsets = merged(onsets, settings.merge)
+    loud = np.asarray(loud, dtype=np.float64)
+    if settings.rule == "paper":
+        beats = _paper_beats(onsets, loud, duration, settings)
+    else:
+        beats = [(0.0, BeatFlag.BOUNDARY)]
+        while beats[-1][0] < duration:
+            beats.append(next_beat(beats[-1][0], onsets, loud, duration, settings))
+    return Beats(np.array([time for time, _ in beats]), np.array([flag for _, flag in beats], dtype=np.int8))
+
+
+def _paper_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings) -> list[tuple[float, BeatFlag]]:
+    """RG 4.2.1 with its holes closed: a pseudo-beat keeps d_min to both neighbours and both sides are filled again."""
+    beats = [(0.0, BeatFlag.BOUNDARY)]
+    for onset in onsets:
+        if onset - beats[-1][0] >= settings.d_min - _EPS and duration - onset >= settings.d_min - _EPS:
+            beats.append((float(onset), BeatFlag.ONSET))
+    beats.append((duration, BeatFlag.BOUNDARY))
+    done = beats[:1]
+    todo = beats[:0:-1]  # a stack: the next beat to reach is its last
+    while todo:
+        start, stop = done[-1][0], todo[-1][0]
+        gap = stop - start
+        if gap <= settings.d_max + _EPS:
+            done.append(todo.pop())
+            continue
+        first = int(np.searchsorted(loud, start + settings.d_min - _EPS))
+        if first < len(loud) and loud[first] <= stop - settings.d_min + _EPS:
+            time = float(np.clip(loud[first], start + settings.d_min, stop - settings.d_min))
+            todo.append((time, BeatFlag.LOUD_PSEUDO))
+            continue
+        pieces = int(np.ceil(gap / settings.d_max - _EPS))
+        done += [(start + gap * piece / pieces, BeatFlag.EVEN_PSEUDO) for piece in range(1, pieces)]
+    return done
+
+
+def find_beats(speech: Speech, settings: BeatSettings | None = None) -> Beats:
+    """The beats of a recording: its onsets, pseudo-beats between them, its start and its end (RG 4.2.1)."""
+    settings = settings or BeatSettings()
+    onsets = detect_onsets(speech.samples, speech.sample_rate, settings.merge)
+    loud = np.flatnonzero(~silent_frames(speech.samples, speech.sample_rate)) * FRAME
+    return place_beats(onsets, loud, speech.duration, settings)

@@ -1,0 +1,272 @@
+"""BVH, read and written: the animation format that every tool opens.
+
+In the file angles are degrees; lengths are the file's own unit (centimetres in what we write). In memory everything
+is radians and metres.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_module import rotation, skeletons
+from data_module.errors import InputError
+from data_module.files import write_text
+from data_module.types import Array, Motion, Skeleton
+
+_AXES = {"Xrotation": "X", "Yrotation": "Y", "Zrotation": "Z"}
+_PLACES = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
+_WRITTEN_ORDER = "ZXY"
+CENTIMETRES = 0.01
+
+
+class BvhWarning(UserWarning):
+    """A file contradicts itself, and reading went on with what the caller told."""
+
+
+@dataclass(frozen=True)
+class _Header:
+    skeleton: Skeleton
+    channels: tuple[tuple[str, ...], ...]
+    frames: int
+    fps: float
+
+
+class _Tokens:
+    """The words of the header, with a clear error where one is missing or wrong."""
+
+    def __init__(self, text: str, path: str) -> None:
+        self._words, self._at, self.path = text.split(), 0, path
+
+    def peek(self) -> str:
+        return self._words[self._at] if self._at < len(self._words) else ""
+
+    def take(self, expected: str | None = None) -> str:
+        word = self.peek()
+        if not word or (expected is not None and word.lower() != expected.lower()):
+            wanted = f"'{expected}'" if expected else "more"
+            raise InputError(self.path, f"is not a BVH file ({wanted} expected, found '{word or 'the end'}')",
+                             "export it again")
+        self._at += 1
+        return word
+
+    def number(self) -> float:
+        word = self.take()
+        try:
+            value = float(word)
+        except ValueError:
+            raise InputError(self.path, f"has '{word}' where a number belongs", "export it again") from None
+        if not np.isfinite(value):
+            raise InputError(self.path, f"has '{word}' where a finite number belongs", "export it again")
+        return value
+
+
+def _parse_header(text: str, path: str) -> _Header:
+    tokens = _Tokens(text, path)
+    tokens.take("HIERARCHY")
+    names: list[str] = []
+    parents: list[int] = []
+    offsets: list[list[float]] = []
+    channels: list[tuple[str, ...]] = []
+    tips: dict[int, Array] = {}
+    stack: list[int] = []
+    tokens.take("ROOT")
+    pending: str | None = tokens.take()
+    while pending is not None or stack:
+        if pending is not None:
+            tokens.take("{")
+            names.append(pending)
+            parents.append(stack[-1] if stack else -1)
+            stack.append(len(names) - 1)
+            tokens.take("OFFSET")
+            offsets.append([tokens.number() for _ in range(3)])
+            own: list[str] = []
+            if tokens.peek().upper() == "CHANNELS":
+                tokens.take()
+                own = [tokens.take() for _ in range(int(tokens.number()))]
+                unknown = [c for c in own if c not in _AXES and c not in _PLACES]
+                if unknown:
+                    raise InputError(path, f"has unknown channels {', '.join(unknown)}", "export it again")
+            channels.append(tuple(own))
+            pending = None
+            continue
+        word = tokens.take()
+        if word == "}":
+            stack.pop()
+        elif word.upper() == "JOINT":
+            pending = tokens.take()
+        elif word.upper() == "END":
+            tokens.take("Site")
+            tokens.take("{")
+            tokens.take("OFFSET")
+            tips[stack[-1]] = np.array([tokens.number() for _ in range(3)])
+            tokens.take("}")
+        else:
+            raise InputError(path, f"is not a BVH file ('{word}' in its hierarchy)", "export it again")
+    tokens.take("MOTION")
+    tokens.take("Frames:")
+    frames = int(tokens.number())
+    tokens.take("Frame")
+    tokens.take("Time:")
+    frame_time = tokens.number()
+    if frame_time < 1e-6:
+        raise InputError(path, "has a frame time that is not positive", "export it again or give the frame rate")
+    try:
+        skeleton = Skeleton(tuple(names), tuple(parents), np.array(offsets), tips)
+    except ValueError as error:
+        raise InputError(path, f"has a broken skeleton ({error})", "export it again") from None
+    return _Header(skeleton, tuple(channels), frames, _frame_rate(frame_time))
+
+
+def _frame_rate(frame_time: float) -> float:
+    """Frames per second; a frame time written with few digits (0.033333) means the whole rate next to it (30).
+
+    The margin is less than what parts 30 from 29.97; without it an hour of motion would drift by frames.
+    """
+    fps = 1.0 / frame_time
+    whole = round(fps)
+    return float(whole) if abs(fps - whole) < 3e-4 * fps else fps
+
+
+def _rows(body: str, width: int, path: str) -> Array:
+    try:
+        values = np.loadtxt(io.StringIO(body), dtype=np.float64, ndmin=2) if body.strip() else np.zeros((0, width))
+    except ValueError:
+        raise InputError(path, "has a motion row that is not all numbers or not as long as the others",
+                         "export it again") from None
+    if values.shape[1] != width or len(values) == 0:
+        raise InputError(path, f"has {len(values)} motion rows of {values.shape[1]} values where its skeleton needs "
+                         f"{width}", "export it again")
+    if not np.isfinite(values).all():
+        raise InputError(path, "has motion values that are not numbers", "export it again")
+    return values
+
+
+def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: float | None = None) -> Motion:
+    """Read a BVH file: any channel order, any joint names.
+
+    fps: the frame rate, when the header's is known to be wrong. A header whose frame count is not that of the rows
+    is an InputError without it, and a `BvhWarning` with it.
+    unit: metres per unit of the file; guessed from hips to head when not told (centimetres for a skeleton without).
+    Positions of joints other than the root are read as constant offsets (their mean), which is what rigs mean by them.
+    """
+    where = str(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig", errors="strict")
+    except UnicodeDecodeError:
+        raise InputError(where, "is not a BVH file (not text)", "give a .bvh file") from None
+    except FileNotFoundError:
+        raise InputError(where, "does not exist", "check the path") from None
+    except OSError as error:
+        wrong = "is a folder" if Path(path).is_dir() else f"cannot be read ({error.strerror})"
+        raise InputError(where, wrong, "give a .bvh file") from None
+    at = text.find("Frame Time:")
+    if at < 0:
+        raise InputError(where, "is not a BVH file (no 'Frame Time:')", "give a .bvh file")
+    end = text.find("\n", at)
+    header = _parse_header(text[:end if end >= 0 else len(text)], where)
+    rows = _rows(text[end:] if end >= 0 else "", sum(map(len, header.channels)), where)
+    if len(rows) != header.frames:
+        said = (f"its header says {header.frames} frames at {header.fps:g} fps but {len(rows)} rows follow "
+                f"({len(rows) * header.fps / max(header.frames, 1):.4g} fps would keep the header's duration)")
+        if fps is None:
+            raise InputError(where, said, "give the frame rate")
+        warnings.warn(f"{where}: {said}; read at {fps:g} fps", BvhWarning, stacklevel=2)
+    motion = _assemble(header, rows, fps or header.fps)
+    if unit is None:
+        try:
+            unit = skeletons.guess_unit(header.skeleton, skeletons.find_table(header.skeleton.names))
+        except InputError:
+            unit = CENTIMETRES
+    return skeletons.scaled(motion, unit)
+
+
+def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
+    skeleton = header.skeleton
+    rotations = np.zeros((len(rows), len(skeleton), 4))
+    rotations[..., 0] = 1.0
+    offsets = skeleton.offsets.copy()
+    root = np.tile(offsets[0], (len(rows), 1))
+    column = 0
+    for joint, own in enumerate(header.channels):
+        order, angles = "", []
+        for channel in own:
+            values = rows[:, column]
+            column += 1
+            if channel in _AXES:
+                order += _AXES[channel]
+                angles.append(np.radians(values))
+            elif joint == 0:
+                root[:, _PLACES[channel]] = values
+            else:
+                offsets[joint, _PLACES[channel]] = values.mean()
+        if order:
+            rotations[:, joint] = _compose(np.stack(angles, axis=-1), order)
+    offsets[0] = 0.0
+    fixed = Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.end_sites)
+    return Motion(fixed, rotation.continuous(rotations), root, fps)
+
+
+def _compose(angles: Array, order: str) -> Array:
+    """[T, C] radians about the axes of `order`, the first outermost; any number of axes, repeated ones too."""
+    if len(order) == 3 and len(set(order)) == 3:
+        return rotation.from_euler(angles, order)
+    out = np.zeros((len(angles), 4))
+    out[:, 0] = 1.0
+    for axis, angle in zip(order, angles.T, strict=True):
+        turn = np.zeros((len(angles), 4))
+        turn[:, 0], turn[:, 1 + "XYZ".index(axis)] = np.cos(angle / 2), np.sin(angle / 2)
+        out = rotation.multiply(out, turn)
+    return out
+
+
+def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
+    """Write a motion as BVH in centimetres, rotations in the order ZXY, written whole or not at all."""
+    write_text(path, bvh_text(motion))
+
+
+def bvh_text(motion: Motion) -> str:
+    """The BVH file of a motion, as text."""
+    skeleton = motion.skeleton
+    children: list[list[int]] = [[] for _ in skeleton.names]
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            children[parent].append(joint)
+    order: list[int] = []
+    lines = ["HIERARCHY"]
+    _write_joint(skeleton, 0, children, 0, lines, order)
+    lines += ["MOTION", f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.fps:.10f}"]
+    # Unwrapped angles keep curves smooth in tools that interpolate the channels one by one.
+    angles = np.degrees(np.unwrap(rotation.to_euler(motion.rotations, _WRITTEN_ORDER), axis=0))
+    root = motion.root_positions / CENTIMETRES
+    values = np.concatenate([root, angles[:, order].reshape(len(motion), -1)], axis=1)
+    body = io.StringIO()
+    np.savetxt(body, values + 0.0, fmt="%.6f")
+    return "\n".join(lines) + "\n" + body.getvalue()
+
+
+def _write_joint(skeleton: Skeleton, joint: int, children: Sequence[Sequence[int]], depth: int, lines: list[str],
+                 order: list[int]) -> None:
+    pad = "  " * depth
+    order.append(joint)
+    lines.append(f"{pad}{'JOINT' if depth else 'ROOT'} {skeleton.names[joint]}")
+    lines.append(pad + "{")
+    lines.append(f"{pad}  OFFSET {_triple(skeleton.offsets[joint])}")
+    places = "6 Xposition Yposition Zposition" if depth == 0 else "3"
+    lines.append(f"{pad}  CHANNELS {places} " + " ".join(f"{axis}rotation" for axis in _WRITTEN_ORDER))
+    for child in children[joint]:
+        _write_joint(skeleton, child, children, depth + 1, lines, order)
+    if not children[joint]:
+        tip = skeleton.end_sites.get(joint, np.zeros(3))
+        lines += [f"{pad}  End Site", pad + "  {", f"{pad}    OFFSET {_triple(tip)}", pad + "  }"]
+    lines.append(pad + "}")
+
+
+def _triple(metres: Array) -> str:
+    return " ".join(f"{value:.6f}" for value in np.asarray(metres) / CENTIMETRES + 0.0)

@@ -1,0 +1,54 @@
+"""Forward kinematics: from local rotations to where the joints are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data_module import rotation
+from data_module.types import Array, Motion, Skeleton
+
+
+def global_rotations(skeleton: Skeleton, rotations: Array) -> Array:
+    """Local [..., J, 4] to world rotations [..., J, 4]."""
+    world = np.empty_like(rotations)
+    for joint, parent in enumerate(skeleton.parents):
+        local = rotations[..., joint, :]
+        world[..., joint, :] = local if parent < 0 else rotation.multiply(world[..., parent, :], local)
+    return world
+
+
+def local_rotations(skeleton: Skeleton, world: Array) -> Array:
+    """The inverse of `global_rotations`."""
+    local = np.empty_like(world)
+    for joint, parent in enumerate(skeleton.parents):
+        own = world[..., joint, :]
+        local[..., joint, :] = own if parent < 0 else rotation.multiply(rotation.conjugate(world[..., parent, :]), own)
+    return local
+
+
+def joint_positions(skeleton: Skeleton, rotations: Array, root_positions: Array | None = None) -> Array:
+    """Positions [..., J, 3] in metres for local rotations [..., J, 4]; the root is at the origin when not told."""
+    world = global_rotations(skeleton, rotations)
+    positions = np.zeros((*rotations.shape[:-1], 3))
+    if root_positions is not None:
+        positions[..., 0, :] = root_positions
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            bone = rotation.rotate(world[..., parent, :], skeleton.offsets[joint])
+            positions[..., joint, :] = positions[..., parent, :] + bone
+    return positions
+
+
+def positions_of(motion: Motion) -> Array:
+    """Joint positions of a motion, [T, J, 3] metres."""
+    return joint_positions(motion.skeleton, motion.rotations, motion.root_positions)
+
+
+def resample(motion: Motion, fps: float) -> Motion:
+    """The same motion at another frame rate: spherical interpolation of rotations, linear of the root."""
+    if fps == motion.fps:
+        return motion
+    count = max(1, int(np.floor((len(motion) - 1) * fps / motion.fps + 1e-9)) + 1)
+    where = np.arange(count, dtype=np.float64) * motion.fps / fps
+    root = np.stack([np.interp(where, np.arange(len(motion)), column) for column in motion.root_positions.T], axis=-1)
+    return Motion(motion.skeleton, rotation.interpolate(motion.rotations, where), root, fps, motion.absent)

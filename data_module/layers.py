@@ -1,0 +1,75 @@
+"""Layers that the sibling models share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+SLOPE = 0.2
+"""Negative slope of every LeakyReLU."""
+
+
+def convolutions(widths: Sequence[int], kernel: int = 3, *, norm: bool = True, last_linear: bool = False
+                 ) -> nn.Sequential:
+    """1-D convolutions of the same length, widths[0] channels in, widths[-1] out, over [B, D, T].
+
+    Each is followed by batch normalisation (when `norm`) and LeakyReLU; the last one by neither when `last_linear`.
+    """
+    layers: list[nn.Module] = []
+    for index, (a, b) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+        layers.append(nn.Conv1d(a, b, kernel, padding=kernel // 2))
+        if last_linear and index == len(widths) - 2:
+            break
+        if norm:
+            layers.append(nn.BatchNorm1d(b))
+        layers.append(nn.LeakyReLU(SLOPE))
+    return nn.Sequential(*layers)
+
+
+class BlockLinear(nn.Module):
+    """One fully connected layer on three consecutive blocks, giving K rows: [..., 3K, D] to [..., K, width].
+
+    E_A of the paper (RG 5.2, Eq. 17): the rows of the block before, the block itself and the block after.
+    """
+
+    def __init__(self, frames: int, width_in: int, width: int) -> None:
+        super().__init__()
+        self.frames, self.width = frames, width
+        self.linear = nn.Linear(3 * frames * width_in, frames * width)
+
+    def forward(self, windows: Tensor) -> Tensor:
+        """[..., 3K, D] to [..., K, width]."""
+        return self.linear(windows.flatten(-2)).unflatten(-1, (self.frames, self.width))
+
+
+def repeat_frames(vector: Tensor, frames: int) -> Tensor:
+    """[..., D] to [..., K, D]: the same vector on every frame of a block."""
+    return vector.unsqueeze(-2).expand(*vector.shape[:-1], frames, vector.shape[-1])
+
+
+def parameter_count(module: nn.Module) -> int:
+    """The number of trained values."""
+    return sum(p.numel() for p in module.parameters())
+
+
+def freeze(module: nn.Module) -> nn.Module:
+    """Evaluation mode, and no gradient for its own weights (gradients still pass through to its inputs)."""
+    module.eval()
+    for parameter in module.parameters():
+        parameter.requires_grad_(False)
+    return module
+
+
+def masked_mean(values: Tensor, mask: Tensor | None) -> Tensor:
+    """Mean of values [..., D] over the entries that `mask` (broadcastable, 0 or 1) keeps."""
+    if mask is None:
+        return values.mean()
+    weights = mask.to(values.dtype).expand_as(values)
+    return (values * weights).sum() / weights.sum().clamp_min(1.0)
+
+
+def finite(loss: dict[str, Tensor]) -> bool:
+    """True when every term is a number."""
+    return all(bool(torch.isfinite(term)) for term in loss.values())

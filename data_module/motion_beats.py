@@ -1,0 +1,84 @@
+"""Motion beats: when the acting arms brake hardest, or stand still (SPEC decisions 8 and 11).
+
+They are found at the motion's own frame rate, between frames: a tenth of a second, the scale of synchrony, is two
+frames at 20 fps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module import kinematics, skeletons
+from data_module.errors import InputError
+from data_module.types import Array, Motion
+
+MODES = ("A", "B")
+ACTING = ("RightHand", "RightForeArm", "LeftHand", "LeftForeArm")
+"""Joints whose speeds are summed (skeleton joints: the wrist and the elbow)."""
+SMOOTHING = 0.05
+"""Seconds: the standard deviation of the Gaussian that velocity is smoothed with."""
+SPACING = 0.1
+"""Seconds: of two motion beats closer than this the stronger one stays."""
+
+_DEPTH = 0.5
+_STILL = 0.1
+_GENTLE = 0.5
+_BEFORE = 0.3
+
+
+def acting_speed(positions: Array, fps: float) -> Array:
+    """Summed speed of joints in m/s, smoothed by `SMOOTHING`, [T], from their positions [T, n, 3] in metres."""
+    from scipy.ndimage import gaussian_filter1d
+
+    if len(positions) < 2:
+        return np.zeros(len(positions))
+    # Smoothing the velocity, not the speed: a norm has a corner at 0, and noise would never average out of it.
+    velocity = gaussian_filter1d(np.gradient(positions, 1.0 / fps, axis=0), SMOOTHING * fps, axis=0, mode="nearest")
+    return np.linalg.norm(velocity, axis=-1).sum(axis=-1)
+
+
+def acting_positions(motion: Motion) -> Array:
+    """Positions of `ACTING` in the character's facing frame, [T, 4, 3] metres, for any upper body."""
+    faced = skeletons.facing(motion)
+    table = skeletons.find_table(motion.skeleton.names)
+    return kinematics.positions_of(faced)[:, [table[name] for name in ACTING]]
+
+
+def motion_beats(motion: Motion, mode: str = "A") -> Array:
+    """Motion beats in seconds, rising, [n].
+
+    Mode A: the strongest decelerations, minima of d/dt of `acting_speed` deeper than half its standard deviation.
+    Mode B: minima of `acting_speed` itself, as deep as half its standard deviation below their surroundings. Both
+    leave out stretches where the arms hardly move, and both place a beat between frames by a parabola.
+    """
+    if mode not in MODES:
+        raise InputError("motion beats", f"mode {mode!r} is unknown", f"choose from {', '.join(MODES)}")
+    return beats_of_speed(acting_speed(acting_positions(motion), motion.fps), motion.fps, mode)
+
+
+def beats_of_speed(speed: Array, fps: float, mode: str = "A") -> Array:
+    """`motion_beats` from a summed speed [T] in m/s, for callers that have their own joints."""
+    from scipy.ndimage import maximum_filter1d
+    from scipy.signal import find_peaks
+
+    if len(speed) < 3:
+        return np.zeros(0)
+    acceleration = np.gradient(speed, 1.0 / fps)
+    curve = -acceleration if mode == "A" else -speed
+    spacing = max(1, round(SPACING * fps))
+    depth = _DEPTH * float(np.std(curve))
+    limits = {"height": max(depth, _GENTLE)} if mode == "A" else {"prominence": max(depth, _STILL / 2)}
+    peaks = find_peaks(curve, distance=spacing, **limits)[0]
+    # A beat ends a movement: within the last moments the arms must have moved.
+    span = max(1, round(_BEFORE * fps))
+    fastest = maximum_filter1d(speed, span + 1, origin=span // 2, mode="nearest")
+    return _between_frames(curve, peaks[fastest[peaks] > _STILL]) / fps
+
+
+def _between_frames(curve: Array, peaks: NDArray[np.int64]) -> Array:
+    """Where the parabola through each peak and its two neighbours is highest, in frames."""
+    left, middle, right = curve[peaks - 1], curve[peaks], curve[peaks + 1]
+    bend = left - 2.0 * middle + right
+    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1.0), 0.0)
+    return peaks + np.clip(shift, -0.5, 0.5)

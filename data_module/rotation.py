@@ -1,0 +1,151 @@
+"""Rotations in numpy: quaternions (w first), exponential maps and Euler angles.
+
+The heavy lifting is `scipy.spatial.transform.Rotation`; this file adds what motion needs: continuity over time,
+the removal of yaw, and interpolation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_module.types import Array
+
+_EPS = 1e-12
+
+
+def _scipy(quaternions: Array) -> tuple[Rotation, tuple[int, ...]]:
+    q = np.asarray(quaternions, dtype=np.float64)
+    return Rotation.from_quat(q.reshape(-1, 4), scalar_first=True), q.shape[:-1]
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Hamilton product of [..., 4] quaternions: the rotation b, then a."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a, dtype=np.float64), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b, dtype=np.float64), -1, 0)
+    return np.stack([
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    ], axis=-1)
+
+
+def conjugate(q: Array) -> Array:
+    """The inverse of unit quaternions [..., 4]."""
+    return np.asarray(q, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Turn vectors [..., 3] by unit quaternions [..., 4] (the leading shapes broadcast)."""
+    w, u = q[..., :1], q[..., 1:]
+    t = 2.0 * np.cross(u, v)
+    return v + w * t + np.cross(u, t)
+
+
+def normalise(q: Array) -> Array:
+    """Unit quaternions; a zero becomes the identity."""
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    identity = np.zeros_like(q)
+    identity[..., 0] = 1.0
+    return np.where(length > _EPS, q / np.maximum(length, _EPS), identity)
+
+
+def continuous(q: Array) -> Array:
+    """Choose the sign of each quaternion along axis 0 so that neighbours lie on the same half sphere. [T, ..., 4]."""
+    dots = np.sum(q[1:] * q[:-1], axis=-1)
+    signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
+    return np.concatenate([q[:1], q[1:] * signs[..., None]])
+
+
+def from_euler(angles: Array, order: str) -> Array:
+    """[..., 3] radians about the axes of `order` (such as "ZXY", the first written is the outermost) to [..., 4]."""
+    a = np.asarray(angles, dtype=np.float64)
+    return Rotation.from_euler(order.upper(), a.reshape(-1, 3)).as_quat(scalar_first=True).reshape(*a.shape[:-1], 4)
+
+
+def to_euler(q: Array, order: str) -> Array:
+    """[..., 4] to [..., 3] radians about the axes of `order`; the inverse of `from_euler` as a rotation."""
+    r, shape = _scipy(q)
+    with np.errstate(all="ignore"):
+        return r.as_euler(order.upper(), suppress_warnings=True).reshape(*shape, 3)
+
+
+def from_exponential_map(v: Array) -> Array:
+    """Exponential map [..., 3] (axis times angle, radians, any number of turns) to [..., 4]."""
+    a = np.asarray(v, dtype=np.float64)
+    return Rotation.from_rotvec(a.reshape(-1, 3)).as_quat(scalar_first=True).reshape(*a.shape[:-1], 4)
+
+
+def to_exponential_map(q: Array) -> Array:
+    """[..., 4] to the exponential map [..., 3] of the shorter way round (angle at most pi)."""
+    r, shape = _scipy(q)
+    return r.as_rotvec().reshape(*shape, 3)
+
+
+def unroll(v: Array) -> Array:
+    """Exponential maps [T, ..., 3] freed of jumps of 2 pi along time.
+
+    The same rotation is axis times (angle + 2 pi n) for every n; for each frame the one nearest the frame before is
+    taken. Where a rotation is the identity its axis is undefined, and that of the frame before is kept.
+    """
+    out = np.array(v, dtype=np.float64)
+    turn = 2.0 * np.pi
+    for t in range(1, len(out)):
+        angle = np.linalg.norm(out[t], axis=-1, keepdims=True)
+        before = out[t - 1]
+        before_angle = np.linalg.norm(before, axis=-1, keepdims=True)
+        axis = np.where(angle > 1e-9, out[t] / np.maximum(angle, _EPS),
+                        before / np.maximum(before_angle, _EPS))
+        along = np.sum(before * axis, axis=-1, keepdims=True)
+        out[t] = axis * (angle + turn * np.round((along - angle) / turn))
+    return out
+
+
+def yaw_of(q: Array, axis: int = 1) -> Array:
+    """The twist of [..., 4] about a coordinate axis (Y when not told), as unit quaternions [..., 4]."""
+    twist = np.zeros_like(q)
+    twist[..., 0] = q[..., 0]
+    twist[..., 1 + axis] = q[..., 1 + axis]
+    return normalise(twist)
+
+
+def remove_yaw(q: Array) -> Array:
+    """The swing of [..., 4]: what is left when the turn about the vertical axis is taken off from outside."""
+    # q = yaw * rest with yaw the twist of q about Y; then the twist of `rest` about Y is the identity.
+    return multiply(conjugate(yaw_of(q)), q)
+
+
+def between(a: Array, b: Array) -> Array:
+    """The shortest rotation that turns the direction a [3] onto the direction b [3], [4]."""
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    cosine = float(np.clip(a @ b, -1.0, 1.0))
+    if cosine < -1.0 + 1e-9:
+        normal = np.cross(a, [1.0, 0.0, 0.0] if abs(a[0]) < 0.9 else [0.0, 1.0, 0.0])
+        return np.concatenate([[0.0], normal / np.linalg.norm(normal)])
+    return normalise(np.concatenate([[1.0 + cosine], np.cross(a, b)]))
+
+
+def angle_between(a: Array, b: Array) -> Array:
+    """Angle in radians, [...], between rotations [..., 4]."""
+    relative = multiply(conjugate(a), b)
+    return 2.0 * np.arctan2(np.linalg.norm(relative[..., 1:], axis=-1), np.abs(relative[..., 0]))
+
+
+def interpolate(q: Array, positions: Array) -> Array:
+    """Spherical interpolation of [T, ..., 4] at fractional frame positions [M], clamped to the ends: [M, ..., 4]."""
+    x = np.clip(np.asarray(positions, dtype=np.float64), 0, len(q) - 1)
+    low = np.minimum(x.astype(int), max(len(q) - 2, 0))
+    high = np.minimum(low + 1, len(q) - 1)
+    share = (x - low).reshape(-1, *[1] * (q.ndim - 1))
+    a, b = q[low], q[high]
+    cosine = np.sum(a * b, axis=-1, keepdims=True)
+    b = np.where(cosine < 0, -b, b)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    sine = np.sin(angle)
+    # Two nearly equal rotations: the chord is the arc, and 0 / 0 is avoided.
+    near = sine < 1e-6
+    safe = np.where(near, 1.0, sine)
+    wa = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
+    wb = np.where(near, share, np.sin(share * angle) / safe)
+    return normalise(wa * a + wb * b)

@@ -1,0 +1,98 @@
+"""Where nobody speaks: frame levels against a running noise floor.
+
+Nothing here looks further than `LOOK_AHEAD` seconds ahead, and nothing needs the loudest part of the recording, so a
+stream gets the same answer as a file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.types import Array, Samples, Speech
+
+FRAME = 0.01
+"""Seconds of a frame; frame f covers [f, f + 1) x FRAME."""
+MEMORY = 10.0
+"""Seconds of the past that the noise floor is estimated from (SPEC decision 2)."""
+MARGIN = 6.0
+"""Decibels above the floor where sound begins to count: steady noise stays below, quiet speech rises above."""
+QUIETEST = -60.0
+"""dBFS: what is fainter counts as silence whatever the floor."""
+SHORTEST_PAUSE = 0.35
+"""Seconds: a shorter gap belongs to the speech around it (a stop consonant's closure lasts up to 0.2 s)."""
+LOOK_AHEAD = SHORTEST_PAUSE + 0.05
+
+_STEP = 10
+_PERCENTILE = 0.1
+_START, _START_CAP = 1.0, -45.0
+_BLIP = 2
+_NEARLY_ALL = 0.9
+_FAINTEST = -120.0
+
+
+def frame_levels(samples: Samples, sample_rate: int) -> Array:
+    """RMS of each frame in dBFS (a full-scale sine is -3), [F]; the last frame may be short."""
+    size = max(1, round(FRAME * sample_rate))
+    whole = len(samples) // size
+    power = np.empty(-(-len(samples) // size))
+    # einsum accumulates in double without a double copy of an hour of sound
+    frames = samples[:whole * size].reshape(whole, size)
+    power[:whole] = np.einsum("fs,fs->f", frames, frames, dtype=np.float64, casting="safe") / size
+    if whole < len(power):
+        power[whole] = np.mean(samples[whole * size:].astype(np.float64) ** 2)
+    return 10.0 * np.log10(np.maximum(power, 10.0 ** (_FAINTEST / 10.0)))
+
+
+def noise_floor(levels: Array) -> Array:
+    """The running noise floor in dBFS for each frame, [F]: a low percentile of the past `MEMORY` seconds.
+
+    Levels are first averaged over steps of 0.1 s, which makes steady noise steady. In the first second there is
+    hardly a past, so a floor above an ordinary room is not believed yet.
+    """
+    steps = -(-len(levels) // _STEP)
+    padded = np.concatenate([levels, np.repeat(levels[-1:], steps * _STEP - len(levels))])
+    means = padded.reshape(steps, _STEP).mean(axis=1)
+    span = round(MEMORY / (FRAME * _STEP))
+    past = np.concatenate([np.full(span - 1, np.inf), means])
+    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(past, span), axis=1)
+    known = np.minimum(np.arange(1, steps + 1), span)
+    floor = ordered[np.arange(steps), (_PERCENTILE * (known - 1)).astype(int)]
+    beginning = np.arange(steps) * _STEP * FRAME < _START
+    floor[beginning] = np.minimum(floor[beginning], _START_CAP)
+    return np.repeat(floor, _STEP)[:len(levels)]
+
+
+def silent_frames(samples: Samples, sample_rate: int) -> NDArray[np.bool_]:
+    """True for each frame of `FRAME` seconds that is no louder than the noise, [F]."""
+    levels = frame_levels(samples, sample_rate)
+    return levels <= np.maximum(noise_floor(levels) + MARGIN, QUIETEST)
+
+
+def pauses(silent: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Of the silent frames those in a pause of `SHORTEST_PAUSE` or longer, [F]; the world outside is silent.
+
+    A blip of one or two loud frames (a click, a lip) does not end a pause.
+    """
+    edge = round(SHORTEST_PAUSE / FRAME)
+    state = np.concatenate([np.ones(edge, bool), silent, np.ones(edge, bool)])
+    for value, longest in ((False, _BLIP), (True, edge - 1)):
+        starts = np.flatnonzero(np.diff(state, prepend=not state[0]))
+        ends = np.append(starts[1:], len(state))
+        for start, end in zip(starts, ends, strict=True):
+            if state[start] == value and end - start <= longest:
+                state[start:end] = not value
+    return state[edge:-edge]
+
+
+def silent_blocks(speech: Speech, edges: Array) -> NDArray[np.bool_]:
+    """True for each block between neighbouring `edges` [N + 1] seconds that lies in a pause, [N].
+
+    Nearly all (0.9) of its frames must belong to a pause.
+    """
+    quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
+    before = np.concatenate([[0], np.cumsum(quiet)])
+    # A frame belongs to the block that its middle lies in.
+    first = np.clip(np.ceil(np.asarray(edges) / FRAME - 0.5).astype(int), 0, len(quiet))
+    count = np.diff(first)
+    return (count > 0) & (np.diff(before[first]) >= _NEARLY_ALL * count)

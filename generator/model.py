@@ -1,0 +1,243 @@
+"""The generator G: Gumbel-quantised MLP encoder and LSTM decoder, block by block (RG 5.2, Eq. 5 to 8 and 15)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
+from generator import losses
+from generator.position import positional_block
+
+State = tuple[Tensor, Tensor]
+"""Hidden and cell state of the decoder, [layers, B, width] each."""
+
+
+@dataclass(frozen=True)
+class GeneratorConfig:
+    """Sizes and weights of the generator; the defaults are the paper's where it gives them."""
+
+    motion_features: int = 128
+    """d_m~, width of E_M."""
+    audio_features: int = 128
+    """d_a~, width of E_A."""
+    style_width: int = 32
+    """d_z."""
+    position_width: int = 32
+    """d_P; 0 leaves the positional block out (Table 7)."""
+    position_direction: str = "forward"
+    hidden: int = 512
+    """Width of the MLP encoder."""
+    groups: int = 64
+    """H."""
+    classes: int = 128
+    """C."""
+    group_width: int = 8
+    """Width of the vector behind each class of each group."""
+    lstm_width: int = 1024
+    lstm_layers: int = 2
+    temperature_start: float = 2.0
+    temperature_end: float = 0.5
+    """The Gumbel temperature falls geometrically from one to the other over the run."""
+    residual: bool = True
+    """Predict the difference to the last pose of the block before, which keeps the seams closed."""
+    own_past_from: float = 0.0
+    own_past_until: float = 0.5
+    """Between these shares of the run the probability of being fed its own past block rises from 0 to 1."""
+    reconstruction: float = 1.0
+    perceptual: float = 0.5
+    lexeme: float = 0.2
+    style: float = 1.0
+    velocity: float = 0.0
+    """Weight of the squared error of frame differences; off in the paper."""
+    swaps: int = 1
+    """N_J, permutations of the other inputs for the lexeme loss."""
+    swap_share: float = 1.0
+    """Share of the batch's blocks that each permutation takes."""
+    style_rate: float = 1e-2
+    """Learning rate of the style codes: each gets one gradient per epoch, so the common rate would leave them put."""
+
+
+class StyleCodes(nn.Module):
+    """One learnable style code per training block (RG 5.3); row 0 is the zero code of inserted silent blocks."""
+
+    def __init__(self, blocks: int, width: int) -> None:
+        super().__init__()
+        self.table = nn.Embedding(blocks + 1, width, padding_idx=0, sparse=True)
+        with torch.no_grad():
+            nn.init.normal_(self.table.weight, std=0.3)
+            self.table.weight[0] = 0.0
+
+    def forward(self, index: Tensor) -> Tensor:
+        """Codes [..., width] of block indices [...] (1 for the first block, 0 for none)."""
+        return self.table(index)
+
+
+class GumbelCodes(nn.Module):
+    """H groups of C classes: a straight-through Gumbel-softmax choice in each, read as a vector (RG 5.2)."""
+
+    def __init__(self, width: int, groups: int, classes: int, group_width: int) -> None:
+        super().__init__()
+        self.groups, self.classes = groups, classes
+        self.logits = nn.Linear(width, groups * classes)
+        self.vectors = nn.Parameter(torch.randn(groups, classes, group_width) / group_width**0.5)
+
+    def forward(self, hidden: Tensor, temperature: float) -> tuple[Tensor, Tensor]:
+        """Hidden [..., width] to (codebook vector [..., H * group_width], one-hot choice [..., H, C]).
+
+        In training the choice is sampled and its gradient is that of the soft one; in evaluation it is the arg max.
+        """
+        logits = self.logits(hidden).unflatten(-1, (self.groups, self.classes))
+        if self.training:
+            choice = functional.gumbel_softmax(logits, tau=temperature, hard=True)
+        else:
+            choice = functional.one_hot(logits.argmax(-1), self.classes).to(logits.dtype)
+        return torch.einsum("...hc,hcw->...hw", choice, self.vectors).flatten(-2), choice
+
+
+class Generator(nn.Module):
+    """G, E_M, E_A and the style codes. Motion is in the lexicon's normalised features, [B, K, D_m]."""
+
+    position: Tensor
+
+    def __init__(self, config: GeneratorConfig, frames: int, motion_width: int, audio_width: int, lexeme_width: int,
+                 style_blocks: int = 0) -> None:
+        super().__init__()
+        c = self.config = config
+        self.frames = frames
+        self.encode_motion = convolutions((motion_width, *[c.motion_features] * 3), norm=False)
+        self.encode_audio = BlockLinear(frames, audio_width, c.audio_features)
+        position = positional_block(frames, c.position_width, direction=c.position_direction) \
+            if c.position_width else torch.zeros(frames, 0)
+        self.register_buffer("position", position, persistent=False)
+        width = c.motion_features + c.audio_features + lexeme_width + c.style_width + c.position_width
+        self.mlp = nn.Sequential(nn.Linear(width, c.hidden), nn.LeakyReLU(SLOPE),
+                                 nn.Linear(c.hidden, c.hidden), nn.LeakyReLU(SLOPE))
+        self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
+        self.lstm = nn.LSTM(c.groups * c.group_width, c.lstm_width, c.lstm_layers, batch_first=True)
+        self.to_motion = nn.Linear(c.lstm_width, motion_width)
+        self.start = nn.Sequential(nn.Linear(motion_width + lexeme_width, c.hidden), nn.LeakyReLU(SLOPE),
+                                   nn.Linear(c.hidden, 2 * c.lstm_layers * c.lstm_width))
+        self.styles = StyleCodes(style_blocks, c.style_width) if style_blocks else None
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses` (RG Eq. 9)."""
+        c = self.config
+        return {"reconstruction": c.reconstruction, "perceptual": c.perceptual, "lexeme": c.lexeme, "style": c.style,
+                "velocity": c.velocity}
+
+    def sparse_parameters(self) -> Iterator[tuple[nn.Parameter, float]]:
+        """The parameters that want SparseAdam, each with its learning rate."""
+        if self.styles is not None:
+            yield self.styles.table.weight, self.config.style_rate
+
+    def first_state(self, pose: Tensor, lexeme: Tensor) -> State:
+        """The decoder's state before the first block, from the seed pose [B, D_m] and the first lexeme [B, D_s]."""
+        c = self.config
+        both = self.start(torch.cat([pose, lexeme], dim=-1))
+        hidden, cell = both.unflatten(-1, (2, c.lstm_layers, c.lstm_width)).permute(1, 2, 0, 3)
+        return torch.tanh(hidden).contiguous(), cell.contiguous()
+
+    def step(self, past: Tensor, audio: Tensor, lexeme: Tensor, style: Tensor, state: State, temperature: float = 1.0
+             ) -> tuple[Tensor, State, Tensor]:
+        """One block (RG Eq. 15).
+
+        past: [B, K, D_m] the block before; audio: [B, K, audio_features] (`encode_audio` of the three-block window);
+        lexeme: [B, D_s]; style: [B, d_z]. Gives the block [B, K, D_m], the state, and the choice [B, K, H, C].
+        """
+        rows = torch.cat([
+            self.encode_motion(past.transpose(1, 2)).transpose(1, 2),
+            audio,
+            repeat_frames(lexeme, self.frames),
+            repeat_frames(style, self.frames),
+            self.position.expand(len(past), -1, -1),
+        ], dim=-1)
+        vectors, choice = self.codes(self.mlp(rows), temperature)
+        hidden, state = self.lstm(vectors, state)
+        motion = self.to_motion(hidden)
+        if self.config.residual:
+            motion = motion + past[:, -1:]
+        return motion, state, choice
+
+    def roll_out(self, seed: Tensor, motion: Tensor | None, audio: Tensor, lexeme: Tensor, style: Tensor,
+                 own_past: float = 1.0, temperature: float = 1.0) -> tuple[Tensor, Tensor]:
+        """Blocks 1..N one after the other, the decoder's state carried across.
+
+        seed: [B, K, D_m] the block before the first; motion: [B, N, K, D_m] the truth (needed when own_past < 1);
+        audio: [B, N, 3K, d] windows; lexeme: [B, N, D_s]; style: [B, N, d_z].
+        With probability `own_past` a block sees what was generated, else the truth. Gives [B, N, K, D_m] and the
+        code choices [B, N, K, H, C].
+        """
+        heard = self.encode_audio(audio)
+        state = self.first_state(seed[:, -1], lexeme[:, 0])
+        past, made, choices = seed, [], []
+        for i in range(lexeme.shape[1]):
+            block, state, choice = self.step(past, heard[:, i], lexeme[:, i], style[:, i], state, temperature)
+            made.append(block)
+            choices.append(choice)
+            past = block
+            if own_past < 1.0 and motion is not None:
+                own = torch.rand(len(seed), 1, 1, device=seed.device) < own_past
+                past = torch.where(own, block, motion[:, i])
+        return torch.stack(made, 1), torch.stack(choices, 1)
+
+    def own_past_probability(self, progress: float) -> float:
+        """0 before `own_past_from` of the run, 1 after `own_past_until`, linear between."""
+        c = self.config
+        span = max(c.own_past_until - c.own_past_from, 1e-9)
+        return min(max((progress - c.own_past_from) / span, 0.0), 1.0)
+
+    def temperature(self, progress: float) -> float:
+        """Geometric from `temperature_start` to `temperature_end`."""
+        c = self.config
+        return float(c.temperature_start * (c.temperature_end / c.temperature_start) ** progress)
+
+    def losses(self, batch: dict[str, Tensor], progress: float, encoder: losses.Encoder) -> dict[str, Tensor]:
+        """The four losses of RG Eq. 9 on windows of N blocks after a seed block.
+
+        batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], lexeme [B, N + 1, D_s], style [B, N + 1] block
+        numbers (0 for inserted silence), mask [B, D_m] present joints, valid [B, N + 1] (0 where a short recording was
+        filled up). encoder: the lexicon's frozen E.
+        """
+        if self.styles is None:
+            raise ValueError("a generator without style codes cannot be trained")
+        motion, audio, lexemes = batch["motion"], batch["audio"][:, 1:], batch["lexeme"][:, 1:]
+        numbers = batch["style"][:, 1:]
+        style = self.styles(numbers)
+        temperature = self.temperature(progress)
+        made, _ = self.roll_out(motion[:, 0], motion[:, 1:], audio, lexemes, style,
+                                self.own_past_probability(progress), temperature)
+        valid = batch["valid"][:, 1:]
+        mask = batch["mask"][:, None, None] * valid[:, :, None, None]
+        kept = valid > 0
+        before = torch.cat([motion[:, :1, -1], made[:, :-1, -1]], 1)[:, :, None]
+        before_true = motion[:, :-1, -1][:, :, None]
+        velocity = torch.diff(torch.cat([before, made], 2), dim=2) \
+            - torch.diff(torch.cat([before_true, motion[:, 1:]], 2), dim=2)
+        return {
+            "reconstruction": losses.reconstruction(made, motion[:, 1:], mask),
+            "perceptual": losses.perceptual(made[kept], motion[:, 1:][kept], encoder),
+            "lexeme": self._lexeme_loss(motion, audio, lexemes, style, temperature, encoder),
+            "style": losses.style_divergence(style[(numbers > 0) & kept]),
+            "velocity": losses.reconstruction(velocity, torch.zeros_like(velocity), mask),
+        }
+
+    def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,
+                     encoder: losses.Encoder) -> Tensor:
+        """RG Eq. 12 and 13: the past, audio and style of random blocks j of the batch under the lexemes of blocks i."""
+        past, heard = motion[:, :-1].flatten(0, 1), audio.flatten(0, 1)
+        wanted, styles = lexemes.flatten(0, 1), style.flatten(0, 1)
+        count = max(1, round(len(past) * self.config.swap_share))
+        total = motion.new_zeros(())
+        for _ in range(self.config.swaps):
+            i = torch.randperm(len(past), device=past.device)[:count]
+            j = torch.randperm(len(past), device=past.device)[:count]
+            state = self.first_state(past[j, -1], wanted[i])
+            made, _, _ = self.step(past[j], self.encode_audio(heard[j]), wanted[i], styles[j], state, temperature)
+            total = total + losses.lexeme(made, wanted[i], encoder)
+        return total / max(self.config.swaps, 1)

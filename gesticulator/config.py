@@ -1,0 +1,241 @@
+"""One tree of the parts' settings, and the presets, which are Python values."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, cast
+
+from data_module.beats import BeatSettings
+from data_module.blocks import BlockSettings
+from data_module.errors import InputError
+from generator.model import GeneratorConfig
+from gesticulator.fit import FitSettings
+from interpreters.lstm import LstmConfig
+from interpreters.statistical import StatisticalConfig
+from interpreters.style import StyleConfig
+from lexicon.autoencoder import LexiconConfig
+
+
+@dataclass(frozen=True)
+class FrontEndConfig:
+    """Which audio front end, and its size."""
+
+    name: str = "mel"
+    bands: int = 80
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """How motion is brought to numbers."""
+
+    least_deviation: float = 0.05
+    """Radians: a dimension that varies less is scaled by this instead, so stillness is not blown up to noise."""
+    smoothing: float = 0.05
+    """Seconds, the standard deviation of the Gaussian over the finished motion: one frame at 20 fps, cut off at two
+    frames either side (kernel size 5, RG 7.1.2)."""
+
+
+@dataclass(frozen=True)
+class SilenceConfig:
+    """The silent period hint and the silent augmentation (RG 6.4.1)."""
+
+    hint: bool = True
+    """Teach the lexeme interpreter the silent lexeme nearest to a silent block's own."""
+    augmentation: float = 0.05
+    """Share of inserted silent blocks in the generator's training set; 0 turns it off."""
+    longest_insert: int = 10
+    mask: bool = True
+    """At inference let silent blocks choose among silent lexemes only."""
+
+
+@dataclass(frozen=True)
+class Schedules:
+    """How long each stage is trained."""
+
+    lexicon: FitSettings
+    generator: FitSettings
+    interpreter: FitSettings
+    style: FitSettings
+
+
+@dataclass(frozen=True)
+class SelectionConfig:
+    """How a lexeme is chosen from an interpreter's scores when the command does not say."""
+
+    temperature: float = 0.0
+    """0 takes the best (the paper); above, one is drawn from softmax(scores / temperature)."""
+    top: int = 0
+    """Draw among the best `top` only; 0 for all."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that shapes a bundle."""
+
+    name: str
+    schedules: Schedules
+    rhythm: BlockSettings = field(default_factory=BlockSettings)
+    front_end: FrontEndConfig = field(default_factory=FrontEndConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    lexicon: LexiconConfig = field(default_factory=LexiconConfig)
+    generator: GeneratorConfig = field(default_factory=GeneratorConfig)
+    interpreter: LstmConfig = field(default_factory=LstmConfig)
+    statistical: StatisticalConfig = field(default_factory=StatisticalConfig)
+    style: StyleConfig = field(default_factory=StyleConfig)
+    silence: SilenceConfig = field(default_factory=SilenceConfig)
+    selection: SelectionConfig = field(default_factory=SelectionConfig)
+    window: int = 8
+    """Generated blocks in a training window: 4 s at 8 blocks of 0.5 s (RG 7.1.2)."""
+    seed: int = 1
+
+
+T = TypeVar("T")
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """A dataclass tree as plain values."""
+    return dataclasses.asdict(config)
+
+
+def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
+    """The inverse of `to_dict`; InputError names a setting that is unknown or lacking."""
+    if not dataclasses.is_dataclass(cls):
+        raise TypeError(f"{cls} is not a dataclass")
+    hints = typing.get_type_hints(cls)
+    known = {f.name for f in dataclasses.fields(cls)}
+    unknown = sorted(set(data) - known)
+    if unknown:
+        raise InputError("settings", f"unknown: {', '.join(unknown)}", "use a matching version of gesticulator")
+    values: dict[str, Any] = {}
+    for name, value in data.items():
+        hint = hints[name]
+        if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
+            value = from_dict(cast(type, hint), value)
+        elif isinstance(value, list):
+            value = tuple(value)
+        values[name] = value
+    try:
+        return cls(**values)
+    except TypeError as error:
+        raise InputError("settings", str(error), "use a matching version of gesticulator") from None
+
+
+def with_settings(config: Config, settings: Sequence[str]) -> Config:
+    """A copy with `path=value` settings applied, such as `generator.lstm_width=320` or `rhythm.beats.d_max=1.0`.
+
+    Values are JSON; InputError names a path that does not exist or a value of another type.
+    """
+    for setting in settings:
+        path, mark, text = setting.partition("=")
+        if not mark:
+            raise InputError(setting, "is not a setting", "write path=value, for example generator.lstm_width=320")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        config = _replaced(config, path.split("."), value, setting)
+    return config
+
+
+def _replaced(node: Any, path: list[str], value: Any, setting: str) -> Any:
+    names = {f.name for f in dataclasses.fields(node)}
+    if path[0] not in names:
+        raise InputError(setting, f"there is no setting '{path[0]}'", f"known here: {', '.join(sorted(names))}")
+    old = getattr(node, path[0])
+    if len(path) > 1:
+        if not dataclasses.is_dataclass(old):
+            raise InputError(setting, f"'{path[0]}' holds no further settings", "shorten the path")
+        return dataclasses.replace(node, **{path[0]: _replaced(old, path[1:], value, setting)})
+    if isinstance(old, tuple) and isinstance(value, list):
+        value = tuple(value)
+    if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if dataclasses.is_dataclass(old) or type(old) is not type(value):
+        raise InputError(setting, f"expects a value like {old!r}", "write path=value")
+    return dataclasses.replace(node, **{path[0]: value})
+
+
+def digest(*parts: Any) -> str:
+    """A short hash of plain values, the key of a cached stage."""
+    text = json.dumps(parts, sort_keys=True, default=to_dict)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def paper_trinity() -> Config:
+    """Rhythmic Gesticulator's numbers for Trinity (RG 7.1.2), for a GPU.
+
+    400 windows of 8 blocks a step, 7,000 generator steps of 3.7 TFLOP (forward and backward, LSTM 2 x 1024, 8,192
+    logits a frame): 26 PFLOP, a quarter of an hour at 30 TFLOP/s, days on two CPU cores. 600 epochs of 4,700 windows.
+    """
+    return Config(
+        name="paper-trinity",
+        schedules=Schedules(lexicon=FitSettings(steps=12_000, batch=3000), generator=FitSettings(steps=7_000, batch=400),
+                            interpreter=FitSettings(steps=7_000, batch=500),
+                            style=FitSettings(steps=7_000, batch=500)),
+        rhythm=BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.5), fps=20.0),
+    )
+
+
+def paper_chinese() -> Config:
+    """As `paper_trinity`, with the intervals of the Chinese data set: [0.3, 0.6] s, K = 12."""
+    return dataclasses.replace(paper_trinity(), name="paper-chinese",
+                               rhythm=BlockSettings(beats=BeatSettings(d_min=0.3, d_max=0.6), fps=20.0))
+
+
+def default() -> Config:
+    """The shipped bundle, for two CPU cores: smaller than `paper_trinity`, with fewer steps to match.
+
+    Size: 32 mel bands for 80; lexicon convolutions 32, 64, 96, 128 wide; E_M 48 and E_A 32 wide; MLP 192; 16 groups
+    of 32 classes; LSTM 2 x 192; interpreters 192 and 128 wide; batches of 64 windows. Training to match: a cosine fall
+    of a higher rate, since there are 25 epochs and not 600, and for the same reason 5e-2 for the style codes; a
+    quarter of the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
+    Cost: lexicon 3,000 steps of 8 GFLOP, generator 2,600 of 40, interpreters 2,500 of 8 and 6: about 160 TFLOP; an
+    hour on two cores.
+    """
+    return Config(
+        name="default",
+        schedules=Schedules(
+            lexicon=FitSettings(steps=3_000, batch=512, rate=1e-3, schedule="cosine"),
+            generator=FitSettings(steps=2_600, batch=64, rate=2e-3, schedule="cosine"),
+            interpreter=FitSettings(steps=2_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01)),
+        front_end=FrontEndConfig(bands=32),
+        lexicon=LexiconConfig(widths=(32, 64, 96, 128)),
+        generator=GeneratorConfig(motion_features=48, audio_features=32, hidden=192, groups=16, classes=32,
+                                  lstm_width=192, own_past_until=0.4, swap_share=0.25, style_rate=5e-2),
+        interpreter=LstmConfig(audio_features=32, width=192, dropout=0.2),
+        style=StyleConfig(audio_features=32, width=128),
+    )
+
+
+def tiny() -> Config:
+    """Everything at toy width, for tests and a first look: a minute on one core."""
+    return Config(
+        name="tiny",
+        schedules=Schedules(
+            lexicon=FitSettings(steps=200, batch=64, rate=2e-3, schedule="cosine"),
+            generator=FitSettings(steps=120, batch=8, rate=3e-3, schedule="cosine"),
+            interpreter=FitSettings(steps=80, batch=8, rate=3e-3, schedule="cosine"),
+            style=FitSettings(steps=60, batch=8, rate=3e-3, schedule="cosine")),
+        front_end=FrontEndConfig(bands=16),
+        lexicon=LexiconConfig(size=12, code_width=32, widths=(16, 24, 32, 32), revive_below=0.2),
+        generator=GeneratorConfig(motion_features=16, audio_features=8, style_width=8, position_width=8, hidden=48,
+                                  groups=4, classes=8, lstm_width=48, lstm_layers=1, style_rate=5e-2, swap_share=0.25),
+        interpreter=LstmConfig(audio_features=8, width=48),
+        style=StyleConfig(audio_features=8, width=32),
+    )
+
+
+PRESETS = {"default": default, "paper-trinity": paper_trinity, "paper-chinese": paper_chinese, "tiny": tiny}
+
+
+def preset(name: str) -> Config:
+    """The preset of that name; InputError lists those there are."""
+    if name not in PRESETS:
+        raise InputError(name, "is not a preset", f"choose among {', '.join(PRESETS)}")
+    return PRESETS[name]()

@@ -1,0 +1,15 @@
+"""The plan of a performance as JSON: its blocks and the lexemes that were considered for each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from data_module.files import write_text
+from gesticulator.performance import Performance
+
+
+def write_plan(path: Path, performance: Performance) -> Path:
+    """Write `Performance.explain()` as JSON. Returns `path`."""
+    write_text(path, json.dumps(performance.explain(), indent=1, allow_nan=False) + "\n")
+    return path

@@ -1,0 +1,204 @@
+"""The one training loop: every stage goes through `fit`.
+
+A model offers `losses(batch, progress) -> dict[str, Tensor]` and `weights`, keyed alike; it never knows the trainer.
+Every step is a function of (seed, step) alone: the batch, the dropout and the Gumbel noise are drawn from generators
+seeded with both. So a run that was stopped and resumed gives the same weights as one that was not.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+Batch = dict[str, Tensor]
+MakeBatch = Callable[[np.random.Generator], Batch]
+Losses = Callable[[Batch, float], dict[str, Tensor]]
+Validate = Callable[[], dict[str, float]]
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How long and how a stage is trained."""
+
+    steps: int
+    batch: int
+    rate: float = 3e-4
+    betas: tuple[float, float] = (0.9, 0.999)
+    schedule: str = "constant"
+    """"constant", or "cosine": a warm-up of 2 % of the steps, then a fall to 1 % of the rate."""
+    clip: float = 1.0
+    """Largest gradient norm; 0 leaves gradients alone."""
+    weight_decay: float = 0.0
+
+
+class Trained(Protocol):
+    """What `fit` asks of a model besides being a module."""
+
+    @property
+    def weights(self) -> dict[str, float]: ...
+
+
+def rate_factor(settings: FitSettings, step: int) -> float:
+    """The learning rate at `step` as a share of `settings.rate`."""
+    if settings.schedule == "constant":
+        return 1.0
+    warm = max(1, round(0.02 * settings.steps))
+    if step < warm:
+        return (step + 1) / warm
+    share = (step - warm) / max(1, settings.steps - warm)
+    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share))
+
+
+def generator_for(seed: int, step: int) -> np.random.Generator:
+    """The random numbers of one step, the same whatever came before it."""
+    return np.random.default_rng([seed, step])
+
+
+def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.optim.Optimizer, float]]:
+    sparse = list(model.sparse_parameters()) if hasattr(model, "sparse_parameters") else []
+    apart = {id(parameter) for parameter, _ in sparse}
+    dense = [p for p in model.parameters() if p.requires_grad and id(p) not in apart]
+    adam = torch.optim.AdamW if settings.weight_decay else torch.optim.Adam
+    extra: dict[str, Any] = {"weight_decay": settings.weight_decay} if settings.weight_decay else {}
+    out: list[tuple[torch.optim.Optimizer, float]] = [
+        (adam(dense, lr=settings.rate, betas=settings.betas, **extra), settings.rate)]
+    for parameter, rate in sparse:
+        out.append((torch.optim.SparseAdam([parameter], lr=rate, betas=settings.betas), rate))
+    return out
+
+
+class Checkpoint:
+    """The state of a run in one file, replaced whole; only files that this class wrote are read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def save(self, step: int, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer]) -> None:
+        """Write everything that the next step depends on."""
+        temporary = self.path.with_suffix(".tmp")
+        torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers]},
+                   temporary)
+        os.replace(temporary, self.path)
+
+    def load(self, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer]) -> int:
+        """Put the saved state back; the step to go on from, 0 when there is none."""
+        if not self.path.exists():
+            return 0
+        state = torch.load(self.path, weights_only=True, map_location="cpu")
+        model.load_state_dict(state["model"])
+        for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(saved)
+        return int(state["step"])
+
+
+class StepLog:
+    """One JSON line a step; lines past the step that a run resumes from are dropped."""
+
+    def __init__(self, path: Path, from_step: int) -> None:
+        kept = []
+        if path.exists():
+            kept = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
+        path.write_text("".join(line + "\n" for line in kept))
+        self._stream = path.open("a", buffering=1)
+
+    def write(self, row: dict[str, Any]) -> None:
+        """Add a row."""
+        self._stream.write(json.dumps(row) + "\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+def _step_of(line: str) -> int:
+    try:
+        return int(json.loads(line)["step"])
+    except (ValueError, KeyError):
+        return 2**62  # a line cut short by a kill
+
+
+def fit(stage: str, model: nn.Module, make_batch: MakeBatch, losses: Losses, settings: FitSettings, folder: Path, *,
+        seed: int, validate: Validate | None = None, validations: int = 10, device: str = "cpu",
+        before_step: Callable[[int], None] | None = None, checkpoint_seconds: float = 60.0, progress: bool = True,
+        stop_after: int | None = None) -> dict[str, float]:
+    """Train `model` for `settings.steps` steps and give the last validation figures.
+
+    folder receives `STAGE.ckpt` (resumed from when there) and `STAGE.jsonl` (a line a step). before_step(step) is
+    called before each step, for what must happen at a certain one; it must depend on the step alone. stop_after ends
+    the run early, as a kill would (the tests use it).
+    """
+    weights: dict[str, float] = model.weights  # type: ignore[assignment]
+    model.to(device).train()
+    optimisers = _optimisers(model, settings)
+    plain = [optimiser for optimiser, _ in optimisers]
+    checkpoint = Checkpoint(folder / f"{stage}.ckpt")
+    first = checkpoint.load(model, plain)
+    log = StepLog(folder / f"{stage}.jsonl", first)
+    every = max(1, settings.steps // max(validations, 1))
+    figures: dict[str, float] = {}
+    saved_at = time.monotonic()
+    bar = tqdm(total=settings.steps, initial=first, desc=stage, disable=not progress, leave=True, mininterval=1.0)
+    try:
+        for step in range(first, settings.steps):
+            if stop_after is not None and step >= stop_after:
+                return figures
+            if before_step is not None:
+                before_step(step)
+            row = _one_step(model, make_batch, losses, weights, optimisers, settings, seed, step, device)
+            done = step + 1
+            if validate is not None and (done % every == 0 or done == settings.steps):
+                model.eval()
+                figures = validate()
+                model.train()
+                row.update({f"val_{key}": value for key, value in figures.items()})
+                bar.set_postfix({key: f"{value:.3g}" for key, value in list(figures.items())[:4]}, refresh=False)
+            log.write(row)
+            bar.update()
+            if time.monotonic() - saved_at > checkpoint_seconds or done == settings.steps:
+                checkpoint.save(done, model, plain)
+                saved_at = time.monotonic()
+    finally:
+        bar.close()
+        log.close()
+    model.eval()
+    if validate is not None and not figures:
+        figures = validate()
+    return figures
+
+
+def _one_step(model: nn.Module, make_batch: MakeBatch, losses: Losses, weights: dict[str, float],
+              optimisers: list[tuple[torch.optim.Optimizer, float]], settings: FitSettings, seed: int, step: int,
+              device: str) -> dict[str, Any]:
+    rng = generator_for(seed, step)
+    batch = {key: value.to(device) for key, value in make_batch(rng).items()}
+    torch.manual_seed(int(rng.integers(2**62)))
+    factor = rate_factor(settings, step)
+    for optimiser, rate in optimisers:
+        for group in optimiser.param_groups:
+            group["lr"] = rate * factor
+        optimiser.zero_grad(set_to_none=True)
+    terms = losses(batch, step / max(1, settings.steps))
+    total = sum((weights[key] * term for key, term in terms.items() if weights[key]), start=torch.zeros((), device=device))
+    total.backward()
+    norm = 0.0
+    if settings.clip:
+        dense = [p for group in optimisers[0][0].param_groups for p in group["params"] if p.grad is not None]
+        norm = float(nn.utils.clip_grad_norm_(dense, settings.clip))
+    if not math.isfinite(float(total.detach())) or not math.isfinite(norm):
+        raise FloatingPointError(f"the loss is no longer a number at step {step}: "
+                                 f"{ {key: float(term.detach()) for key, term in terms.items()} }")
+    for optimiser, _ in optimisers:
+        optimiser.step()
+    return {"step": step, "loss": round(float(total.detach()), 6), "rate": settings.rate * factor,
+            "gradient": round(norm, 5), **{key: round(float(term.detach()), 6) for key, term in terms.items()}}

@@ -1,0 +1,72 @@
+"""What the product gives back: a motion, the sound it belongs to, and why each block got its gesture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.types import BeatFlag, Blocks, Motion, Speech
+
+BEST = 5
+"""How many candidates a block keeps."""
+
+# The blocks must end where the sound ends; a cut on the frame grid may miss it by less than this.
+_END_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Gesture for one recording.
+
+    motion: on the 16-joint character, at any frame rate. speech: the sound. blocks: N blocks that tile the sound.
+    lexemes: [N] the lexeme that was played. best: [N, M] the M best lexemes, best first; scores: [N, M] what the
+    interpreter thought of them, falling along M. M is `BEST`, or the size of the lexicon where that is smaller.
+    The played lexeme need not be the first of `best` (it may have been drawn, or asked for).
+    """
+
+    motion: Motion
+    speech: Speech
+    blocks: Blocks
+    lexemes: NDArray[np.int64]
+    best: NDArray[np.int64]
+    scores: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = len(self.blocks)
+        if self.lexemes.shape != (n,) or self.best.ndim != 2 or len(self.best) != n or self.best.shape[1] == 0:
+            raise ValueError(f"lexemes {self.lexemes.shape} and best {self.best.shape} do not fit {n} blocks")
+        if self.scores.shape != self.best.shape or not np.isfinite(self.scores).all():
+            raise ValueError(f"scores must be finite and shaped as best, {self.best.shape}")
+        if (np.diff(self.scores, axis=1) > 0).any():
+            raise ValueError("scores must fall: the best candidate first")
+        if self.blocks.edges[0] != 0 or abs(self.blocks.edges[-1] - self.speech.duration) > _END_TOLERANCE:
+            raise ValueError(f"blocks from {self.blocks.edges[0]} to {self.blocks.edges[-1]} s do not tile "
+                             f"{self.speech.duration} s of sound")
+
+    @property
+    def duration(self) -> float:
+        """Seconds of sound."""
+        return self.speech.duration
+
+    def explain(self) -> dict[str, Any]:
+        """Why each block got its gesture, ready for JSON.
+
+        {"blocks": [{"start", "end", "flag", "silent", "lexemes": [{"id", "score"}, ... best first]}]}: seconds; `flag`
+        is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last one ended.
+        """
+        edges = self.blocks.edges.tolist()
+        return {"blocks": [
+            {
+                "start": start,
+                "end": end,
+                "flag": BeatFlag(int(flag)).name.lower(),
+                "silent": bool(silent),
+                "lexemes": [{"id": int(lexeme), "score": float(score)}
+                            for lexeme, score in zip(best, scores, strict=True)],
+            }
+            for start, end, flag, silent, best, scores in zip(
+                edges[:-1], edges[1:], self.blocks.flags, self.blocks.silent, self.best, self.scores, strict=True)
+        ]}

@@ -1,0 +1,63 @@
+"""The statistical interpreter: lexemes that follow a speaker's frequencies, deaf to the speech (RG 7.4.6, Eq. 24)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interpreters.base import BlockFeatures, Scores
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StatisticalConfig:
+    """gain multiplies f^I - f_t inside the softmax (1 is the literal Eq. 24); condition_on_current multiplies by the
+    transition row of the lexeme just shown instead of averaging over all rows."""
+
+    gain: float = 1.0
+    condition_on_current: bool = False
+
+
+@dataclass(frozen=True)
+class StatisticalState:
+    """What was shown so far: counts [S], and whose frequencies to aim at [S]."""
+
+    shown: Array
+    target: Array
+
+
+class StatisticalInterpreter:
+    """f* = softmax(f^I - f_t) L, the distribution that the next lexeme is drawn from (RG Eq. 24)."""
+
+    def __init__(self, frequencies: Array, transitions: Array, config: StatisticalConfig | None = None) -> None:
+        """frequencies: [speakers, S] f^I; transitions: [S, S] L, rows from, each summing to 1."""
+        if not np.allclose(transitions.sum(1), 1.0, atol=1e-3):
+            raise ValueError("the rows of the transition matrix must sum to 1")
+        self.frequencies, self.transitions = frequencies, transitions
+        self.config = config or StatisticalConfig()
+
+    def start(self, speaker: int, first_lexeme: int) -> StatisticalState:
+        """Nothing shown yet: f_0 is the zero vector."""
+        return StatisticalState(np.zeros(len(self.transitions)), self.frequencies[speaker])
+
+    def distribution(self, state: StatisticalState, current: int) -> Array:
+        """[S] probabilities of the next lexeme."""
+        shown = state.shown / max(state.shown.sum(), 1.0)
+        lift = self.config.gain * (state.target - shown)
+        weights = np.exp(lift - lift.max())
+        weights /= weights.sum()
+        if self.config.condition_on_current:
+            out = weights * self.transitions[current]
+            return out / out.sum()
+        return weights @ self.transitions
+
+    def step(self, state: StatisticalState, features: BlockFeatures, previous_lexeme: int
+             ) -> tuple[Scores, StatisticalState]:
+        """Log-probabilities [S]; the speech is not heard. `previous_lexeme` counts as shown."""
+        shown = state.shown.copy()
+        shown[previous_lexeme] += 1
+        after = StatisticalState(shown, state.target)
+        return np.log(np.maximum(self.distribution(after, previous_lexeme), 1e-300)), after

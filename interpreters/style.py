@@ -1,0 +1,92 @@
+"""The style interpreter P_z: from low-level audio to the style code of a block (RG 6.2, Eq. 19)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from data_module.layers import BlockLinear, repeat_frames
+from interpreters.base import BlockFeatures
+
+Hidden = tuple[Tensor, Tensor]
+
+
+@dataclass(frozen=True)
+class StyleConfig:
+    """Sizes of the style interpreter."""
+
+    audio_features: int = 128
+    width: int = 256
+    layers: int = 1
+    use_speaker: bool = False
+    """Eq. 19 has no I."""
+    dropout: float = 0.1
+
+
+@dataclass(frozen=True)
+class StyleState:
+    """The decoder's state, the last code [1, d_z] and the speaker."""
+
+    hidden: Hidden | None
+    code: Tensor
+    speaker: Tensor
+
+
+class StyleInterpreter(nn.Module):
+    """P_z: previous code, lexeme and three blocks of low-level audio to the code of the block, [d_z]."""
+
+    lexemes: Tensor
+
+    def __init__(self, config: StyleConfig, frames: int, audio_width: int, lexemes: Tensor, code_width: int,
+                 speakers: int) -> None:
+        super().__init__()
+        self.config, self.frames, self.code_width, self.speakers = config, frames, code_width, speakers
+        self.register_buffer("lexemes", lexemes.clone())
+        self.encode_audio = BlockLinear(frames, audio_width, config.audio_features)
+        width = config.audio_features + lexemes.shape[1] + code_width + (speakers if config.use_speaker else 0)
+        self.dropout = nn.Dropout(config.dropout)
+        self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
+        self.to_code = nn.Linear(config.width, code_width)
+
+    weights = {"code": 1.0}
+
+    def codes(self, previous: Tensor, lexeme: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None
+              ) -> tuple[Tensor, Hidden]:
+        """Codes [B, N, d_z] for previous codes [B, N, d_z], lexemes [B, N] and audio windows [B, N, 3K, d]."""
+        blocks = lexeme.shape[1]
+        parts = [self.encode_audio(audio), repeat_frames(self.lexemes[lexeme], self.frames),
+                 repeat_frames(previous, self.frames)]
+        if self.config.use_speaker:
+            parts.append(speaker[:, None, None].expand(-1, blocks, self.frames, -1))
+        rows = self.dropout(torch.cat(parts, dim=-1)).flatten(1, 2)
+        out, hidden = self.lstm(rows, hidden)
+        return self.to_code(out.unflatten(1, (blocks, self.frames))[:, :, -1]), hidden
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """Mean squared error of the codes.
+
+        batch: code [B, N + 1, d_z] (learned), lexeme [B, N + 1], audio_low [B, N + 1, 3K, d], speaker, valid [B, N + 1].
+        """
+        code = batch["code"]
+        previous = code[:, :-1]
+        if self.training:
+            # At inference it hears its own codes, which are calmer than the learned ones: noise keeps it from
+            # leaning on them.
+            previous = previous + 0.5 * progress * torch.randn_like(previous)
+        made, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"])
+        valid = batch["valid"][:, 1:, None].expand_as(made)
+        return {"code": ((made - code[:, 1:]).pow(2) * valid).sum() / valid.sum().clamp_min(1)}
+
+    def start(self, speaker: int) -> StyleState:
+        """The state before the first block: the zero code of stillness."""
+        one_hot = nn.functional.one_hot(torch.tensor([speaker]), self.speakers).float()
+        return StyleState(None, torch.zeros(1, self.code_width), one_hot)
+
+    @torch.inference_mode()
+    def step(self, state: StyleState, features: BlockFeatures, lexeme: int) -> tuple[Tensor, StyleState]:
+        """The code [1, d_z] of this block, given its lexeme."""
+        code, hidden = self.codes(state.code[:, None], torch.tensor([[lexeme]]), features.low[None, None],
+                                  state.speaker, state.hidden)
+        return code[:, 0], StyleState(hidden, code[:, 0], state.speaker)

@@ -1,0 +1,126 @@
+"""The VQ-VAE over motion blocks: one latent vector, one lexeme per block (RG 5.1, Eq. 3 and 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from sklearn.cluster import KMeans
+from torch import Tensor, nn
+
+from data_module.layers import convolutions, masked_mean
+from lexicon.quantizer import Quantizer
+
+
+@dataclass(frozen=True)
+class LexiconConfig:
+    """Sizes and weights of the lexicon; the defaults are the paper's where it gives them."""
+
+    size: int = 50
+    """N_s, lexemes in the lexicon (50 Trinity and Chinese, 100 TED)."""
+    code_width: int = 192
+    """Width of a lexeme."""
+    widths: tuple[int, ...] = (64, 128, 156, 192)
+    """Channels of the four convolutions."""
+    kernel: int = 3
+    codebook: str = "ema"
+    """"ema", or "gradient" for the literal third term of Eq. 3."""
+    decay: float = 0.99
+    revive_below: float = 1.0
+    """A lexeme used less often than this per batch, on average, is revived."""
+    commitment: float = 1.0
+    """w_alpha of Eq. 3."""
+    codebook_weight: float = 1.0
+    """w_beta of Eq. 3 (only the gradient codebook has that term)."""
+    velocity: float = 0.0
+    acceleration: float = 0.0
+    """Weights of L1 velocity and acceleration errors; off in the paper."""
+    warm_up: float = 0.15
+    """Share of the training run as a plain autoencoder, before k-means starts the codebook."""
+
+
+class Lexicon(nn.Module):
+    """Encoder E, codebook S and decoder D over blocks [B, K, D_m]."""
+
+    def __init__(self, config: LexiconConfig, frames: int, motion_width: int) -> None:
+        super().__init__()
+        self.config, self.frames, self.motion_width = config, frames, motion_width
+        widths, code = config.widths, config.code_width
+        self.convolve = convolutions((motion_width, *widths), config.kernel)
+        self.to_code = nn.Linear(widths[-1] * frames, code)
+        self.quantizer = Quantizer(config.size, code, config.codebook, config.decay, revive_below=config.revive_below)
+        self.from_code = nn.Linear(code, widths[-1] * frames)
+        self.deconvolve = convolutions((*reversed(widths), motion_width), config.kernel, last_linear=True)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        c = self.config
+        return {"reconstruction": 1.0, "commitment": c.commitment, "codebook": c.codebook_weight,
+                "velocity": c.velocity, "acceleration": c.acceleration}
+
+    @property
+    def vectors(self) -> Tensor:
+        """[S, code width] the lexemes."""
+        return self.quantizer.vectors
+
+    def encode(self, motion: Tensor) -> Tensor:
+        """E: blocks [B, K, D_m] to latents [B, code width], before quantisation."""
+        return self.to_code(self.convolve(motion.transpose(1, 2)).flatten(1))
+
+    def decode(self, codes: Tensor) -> Tensor:
+        """D: [B, code width] to blocks [B, K, D_m]."""
+        rows = self.from_code(codes).unflatten(1, (-1, self.frames))
+        return self.deconvolve(rows).transpose(1, 2)
+
+    @torch.no_grad()
+    def label(self, motion: Tensor, batch: int = 4096) -> Tensor:
+        """Lexeme of each block [B], by arg min in evaluation mode whatever the mode of training (RG Eq. 4)."""
+        before = self.training
+        self.eval()
+        out = [self.quantizer.labels(self.encode(part)) for part in motion.split(batch)]
+        self.train(before)
+        return torch.cat(out) if out else torch.zeros(0, dtype=torch.long)
+
+    @torch.no_grad()
+    def latents(self, motion: Tensor, batch: int = 4096) -> Tensor:
+        """E in evaluation mode, in parts: [B, code width]."""
+        before = self.training
+        self.eval()
+        out = torch.cat([self.encode(part) for part in motion.split(batch)])
+        self.train(before)
+        return out
+
+    @torch.no_grad()
+    def start_codebook(self, motion: Tensor, seed: int) -> None:
+        """Place the lexemes by k-means on the latents of up to 10,000 blocks."""
+        generator = torch.Generator().manual_seed(seed)
+        chosen = motion[torch.randperm(len(motion), generator=generator)[:10_000]]
+        latents = self.latents(chosen).cpu().double().numpy()
+        means = KMeans(min(self.quantizer.size, len(latents)), n_init=3, random_state=seed % 2**31).fit(latents)
+        vectors = self.quantizer.vectors.clone()
+        vectors[:len(means.cluster_centers_)] = torch.as_tensor(means.cluster_centers_).to(vectors)
+        self.quantizer.set_vectors(vectors)
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """RG Eq. 3, all terms as means over elements. batch: motion [B, K, D_m], mask [B, D_m] of present joints.
+
+        Before `warm_up` of the run (progress, 0 to 1) the latent goes to the decoder unquantised.
+        """
+        motion, mask = batch["motion"], batch["mask"][:, None]
+        latents = self.encode(motion)
+        zero = latents.new_zeros(())
+        if progress < self.config.warm_up:
+            codes, commitment, codebook = latents, zero, zero
+        else:
+            quantised = self.quantizer(latents)
+            codes, commitment, codebook = quantised.codes, quantised.commitment, quantised.codebook
+        error = self.decode(codes) - motion
+        velocity = torch.diff(error, dim=1)
+        return {
+            "reconstruction": masked_mean(error.pow(2), mask),
+            "commitment": commitment,
+            "codebook": codebook,
+            "velocity": masked_mean(velocity.abs(), mask),
+            "acceleration": masked_mean(torch.diff(velocity, dim=1).abs(), mask),
+        }

@@ -1,0 +1,66 @@
+"""What the lexicon holds: how often each lexeme is used, what follows what, and which lexemes are stillness."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Labels = NDArray[np.int64]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Inventory:
+    """Counts over labelled sequences. frequencies: [S] per speaker; transitions: [S, S] rows sum to 1 (from, to)."""
+
+    frequencies: dict[str, Array]
+    transitions: Array
+
+
+def count(sequences: Iterable[tuple[str, Labels]], size: int, smoothing: float = 0.1) -> Inventory:
+    """Frequencies f^I of each speaker and the transition matrix L of RG Eq. 24, from (speaker, labels) sequences.
+
+    `smoothing` is added to every transition count (Laplace), so an unseen lexeme keeps a finite probability.
+    """
+    totals: dict[str, Array] = {}
+    moves = np.full((size, size), smoothing, dtype=np.float64)
+    for speaker, labels in sequences:
+        totals[speaker] = totals.get(speaker, np.zeros(size)) + np.bincount(labels, minlength=size)
+        np.add.at(moves, (labels[:-1], labels[1:]), 1.0)
+    frequencies = {speaker: total / max(total.sum(), 1.0) for speaker, total in totals.items()}
+    return Inventory(frequencies, moves / moves.sum(axis=1, keepdims=True))
+
+
+def usage(labels: Labels, size: int) -> float:
+    """Share of the lexicon that is used at all."""
+    return float((np.bincount(labels, minlength=size) > 0).mean())
+
+
+def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, slow_share: float = 0.3,
+                   over: float = 2.0) -> Labels:
+    """The lexemes of stillness, found without hand (RG 6.4.1).
+
+    speeds: [S] mean joint speed of each decoded lexeme; labels: [N] and silent: [N] over the training blocks.
+    A lexeme is silent when it is among the slowest `slow_share` AND occurs on silent blocks `over` times as often as
+    overall. When nothing meets both, the slow one most over-represented in silence is taken, so the set is never
+    empty.
+    """
+    size = len(speeds)
+    everywhere = np.bincount(labels, minlength=size) / max(len(labels), 1)
+    in_silence = np.bincount(labels[silent], minlength=size) / max(int(silent.sum()), 1)
+    ratio = in_silence / np.maximum(everywhere, 1e-12)
+    slow = speeds <= np.quantile(speeds, slow_share)
+    chosen = np.flatnonzero(slow & (ratio >= over))
+    if len(chosen) == 0:
+        candidates = np.flatnonzero(slow)
+        chosen = candidates[[int(np.argmax(ratio[candidates]))]]
+    return chosen.astype(np.int64)
+
+
+def nearest_silent(vectors: Array, silent: Labels) -> Labels:
+    """For each lexeme [S] the silent lexeme nearest to it in latent space (RG 6.4.1)."""
+    distances = ((vectors[:, None] - vectors[None, silent]) ** 2).sum(-1)
+    return silent[distances.argmin(axis=1)]

@@ -1,0 +1,108 @@
+"""The codebook: nearest-neighbour quantisation with a straight-through gradient (RG Eq. 3 and 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+
+@dataclass(frozen=True)
+class Quantised:
+    """What quantisation gives for latents [B, D].
+
+    codes: [B, D] codebook vectors whose gradient is passed to the latents unaltered. labels: [B].
+    commitment: mean |E(M) - sg(s)|^2. codebook: mean |sg(E(M)) - s|^2 (zero with an EMA codebook).
+    """
+
+    codes: Tensor
+    labels: Tensor
+    commitment: Tensor
+    codebook: Tensor
+
+
+class Quantizer(nn.Module):
+    """A codebook of `size` vectors of `width`.
+
+    mode "ema": the vectors follow the moving average of the latents assigned to them, and a vector whose moving count
+    falls below `revive_below` is replaced by a random latent of the batch. mode "gradient": the third term of RG Eq. 3
+    moves them. Labels are arg min of the Euclidean distance (RG Eq. 4), always.
+    """
+
+    vectors: Tensor
+    counts: Tensor
+    sums: Tensor
+
+    def __init__(self, size: int, width: int, mode: str = "ema", decay: float = 0.99, eps: float = 1e-5,
+                 revive_below: float = 1.0) -> None:
+        super().__init__()
+        if mode not in ("ema", "gradient"):
+            raise ValueError(f"codebook mode must be ema or gradient, not {mode!r}")
+        self.mode, self.decay, self.eps, self.revive_below = mode, decay, eps, revive_below
+        start = torch.randn(size, width) / width**0.5
+        if mode == "gradient":
+            self.vectors = nn.Parameter(start)
+        else:
+            self.register_buffer("vectors", start)
+        self.register_buffer("counts", torch.ones(size))
+        self.register_buffer("sums", start.clone())
+
+    @property
+    def size(self) -> int:
+        """S, the number of vectors."""
+        return len(self.vectors)
+
+    @torch.no_grad()
+    def set_vectors(self, vectors: Tensor) -> None:
+        """Put new vectors [S, D] in place and forget what was counted."""
+        self.vectors.copy_(vectors)
+        self.sums.copy_(vectors)
+        self.counts.fill_(1.0)
+
+    def distances(self, latents: Tensor) -> Tensor:
+        """Squared Euclidean distances [B, S] from latents [B, D]."""
+        return (latents.pow(2).sum(1, keepdim=True) - 2 * latents @ self.vectors.t()
+                + self.vectors.pow(2).sum(1)).clamp_min(0)
+
+    @torch.no_grad()
+    def labels(self, latents: Tensor) -> Tensor:
+        """Arg min labels [B] of latents [B, D]."""
+        return self.distances(latents).argmin(1)
+
+    def forward(self, latents: Tensor) -> Quantised:
+        """Quantise latents [B, D]; in training mode an EMA codebook also follows them."""
+        labels = self.labels(latents)
+        chosen = self.vectors[labels]
+        commitment = (latents - chosen.detach()).pow(2).mean()
+        if self.mode == "gradient":
+            codebook = (latents.detach() - chosen).pow(2).mean()
+        else:
+            codebook = commitment.new_zeros(())
+        codes = latents + (chosen - latents).detach()
+        if self.training and self.mode == "ema":
+            self._follow(latents.detach(), labels)
+        return Quantised(codes, labels, commitment, codebook)
+
+    @torch.no_grad()
+    def _follow(self, latents: Tensor, labels: Tensor) -> None:
+        one_hot = nn.functional.one_hot(labels, self.size).to(latents.dtype)
+        self.counts.mul_(self.decay).add_(one_hot.sum(0), alpha=1 - self.decay)
+        self.sums.mul_(self.decay).add_(one_hot.t() @ latents, alpha=1 - self.decay)
+        # Laplace smoothing keeps a rarely used vector from dividing by nearly zero.
+        total = self.counts.sum()
+        smoothed = (self.counts + self.eps) / (total + self.size * self.eps) * total
+        self.vectors.copy_(self.sums / smoothed[:, None])
+        dead = torch.nonzero(self.counts < self.revive_below).flatten()
+        if len(dead):
+            # Counts scale with the batch: a vector is dead when it gets less than its `revive_below` per batch.
+            fresh = latents[torch.randint(len(latents), (len(dead),), device=latents.device)]
+            self.vectors[dead] = fresh
+            self.sums[dead] = fresh
+            self.counts[dead] = 1.0
+
+
+def perplexity(labels: Tensor, size: int) -> float:
+    """exp of the entropy of label use, between 1 and `size`."""
+    share = torch.bincount(labels.flatten(), minlength=size).double() / max(labels.numel(), 1)
+    return float(torch.exp(-(share * share.clamp_min(1e-12).log()).sum()))

@@ -1,0 +1,199 @@
+"""The generator: its equations, its gradients, and that it can learn."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from generator import losses
+from generator.model import Generator, GeneratorConfig, GumbelCodes, StyleCodes
+from generator.position import positional_block
+
+FRAMES, WIDTH, AUDIO, LEXEME = 6, 5, 4, 7
+CONFIG = GeneratorConfig(motion_features=8, audio_features=6, style_width=4, position_width=4, hidden=24, groups=4,
+                         classes=8, lstm_width=24, lstm_layers=1)
+
+
+def make(blocks: int = 20, **changes: object) -> Generator:
+    torch.manual_seed(0)
+    config = GeneratorConfig(**{**CONFIG.__dict__, **changes})
+    return Generator(config, FRAMES, WIDTH, AUDIO, LEXEME, style_blocks=blocks)
+
+
+def batch(size: int = 3, blocks: int = 4) -> dict[str, torch.Tensor]:
+    torch.manual_seed(1)
+    n = blocks + 1
+    return {"motion": torch.randn(size, n, FRAMES, WIDTH), "audio": torch.randn(size, n, 3 * FRAMES, AUDIO),
+            "lexeme": torch.randn(size, n, LEXEME), "style": torch.randint(1, 21, (size, n)),
+            "mask": torch.ones(size, WIDTH), "valid": torch.ones(size, n)}
+
+
+def encoder(motion: torch.Tensor) -> torch.Tensor:
+    return motion.flatten(1)[:, :LEXEME]
+
+
+def test_positional_block_follows_equation_8_by_hand() -> None:
+    block = positional_block(4, 6, beta=100.0)
+    assert block[0].tolist() == [0, 1, 0, 1, 0, 1]
+    assert math.isclose(float(block[3, 2]), math.sin(3 / 100 ** (2 / 6)), rel_tol=1e-5)
+    assert math.isclose(float(block[3, 5]), math.cos(3 / 100 ** (4 / 6)), rel_tol=1e-5)
+
+
+def test_positional_rows_differ_and_to_beat_is_the_reverse() -> None:
+    forward = positional_block(10, 32)
+    assert len({tuple(row.tolist()) for row in forward}) == 10
+    assert torch.equal(positional_block(10, 32, direction="to_beat"), forward.flip(0))
+
+
+def test_gumbel_is_one_hot_with_a_gradient_in_training_and_arg_max_in_evaluation() -> None:
+    torch.manual_seed(2)
+    codes = GumbelCodes(5, groups=3, classes=4, group_width=2)
+    hidden = torch.randn(50, 5, requires_grad=True)
+    vectors, choice = codes(hidden, temperature=1.0)
+    assert torch.allclose(choice.sum(-1), torch.ones(50, 3)) and torch.allclose(choice.max(-1).values, torch.ones(50, 3))
+    vectors.pow(2).sum().backward()
+    assert hidden.grad is not None and hidden.grad.abs().sum() > 0
+    codes.eval()
+    chosen = codes(hidden, 1.0)[1].argmax(-1)
+    assert torch.equal(chosen, codes.logits(hidden).unflatten(-1, (3, 4)).argmax(-1))
+    expected = torch.stack([codes.vectors[g, chosen[:, g]] for g in range(3)], 1).flatten(1)
+    torch.testing.assert_close(codes(hidden, 1.0)[0], expected)
+
+
+def test_gumbel_samples_follow_the_soft_probabilities() -> None:
+    torch.manual_seed(3)
+    codes = GumbelCodes(1, groups=1, classes=3, group_width=1)
+    with torch.no_grad():
+        codes.logits.weight.zero_()
+        codes.logits.bias.copy_(torch.tensor([0.7, 0.2, 0.1]).log())
+    share = codes(torch.zeros(20_000, 1), 1.0)[1].mean(0)[0]
+    torch.testing.assert_close(share, torch.tensor([0.7, 0.2, 0.1]), atol=0.02, rtol=0)
+
+
+def test_style_row_zero_stays_zero_and_rows_outside_the_batch_do_not_move() -> None:
+    styles = StyleCodes(6, 3)
+    optimiser = torch.optim.SparseAdam([styles.table.weight], lr=0.1)
+    before = styles.table.weight.detach().clone()
+    for _ in range(3):
+        optimiser.zero_grad()
+        styles(torch.tensor([0, 2, 2, 5])).pow(2).sum().backward()
+        optimiser.step()
+    moved = (styles.table.weight.detach() - before).abs().sum(1) > 0
+    assert moved.tolist() == [False, False, True, False, False, True, False]
+    assert styles.table.weight[0].abs().sum() == 0
+
+
+def test_style_divergence_known_values() -> None:
+    assert float(losses.style_divergence(torch.tensor([[1.0], [-1.0]]))) == pytest.approx(0, abs=1e-6)
+    got = float(losses.style_divergence(torch.tensor([[3.0], [1.0]])))  # mean 2, variance 1
+    assert got == pytest.approx(0.5 * 4, abs=1e-5)
+    assert math.isfinite(float(losses.style_divergence(torch.randn(1, 8))))
+    assert float(losses.style_divergence(torch.zeros(0, 8))) == 0
+
+
+def test_roll_out_is_the_same_as_stepping_block_by_block() -> None:
+    model, b = make().eval(), batch()
+    style = model.styles(b["style"][:, 1:])
+    made, _ = model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:], style)
+    past, state = b["motion"][:, 0], model.first_state(b["motion"][:, 0, -1], b["lexeme"][:, 1])
+    for i in range(4):
+        past, state, _ = model.step(past, model.encode_audio(b["audio"][:, i + 1]), b["lexeme"][:, i + 1], style[:, i],
+                                    state)
+        torch.testing.assert_close(past, made[:, i])
+
+
+def test_a_block_depends_on_its_own_audio_window_and_not_on_later_ones() -> None:
+    model, b = make().eval(), batch()
+    style = model.styles(b["style"][:, 1:])
+
+    def run(audio: torch.Tensor) -> torch.Tensor:
+        return model.roll_out(b["motion"][:, 0], None, audio, b["lexeme"][:, 1:], style)[0]
+
+    changed = b["audio"][:, 1:].clone()
+    changed[:, 2] += 1.0
+    a, c = run(b["audio"][:, 1:]), run(changed)
+    assert torch.equal(a[:, :2], c[:, :2]) and not torch.equal(a[:, 2], c[:, 2])
+
+
+def test_teacher_forcing_sees_the_truth_and_the_own_past_does_not() -> None:
+    model, b = make(residual=True).eval(), batch()
+    style, other = model.styles(b["style"][:, 1:]), b["motion"][:, 1:].clone()
+    other[:, 0] += 5.0
+
+    def run(truth: torch.Tensor, own: float) -> torch.Tensor:
+        return model.roll_out(b["motion"][:, 0], truth, b["audio"][:, 1:], b["lexeme"][:, 1:], style, own)[0]
+
+    assert not torch.equal(run(b["motion"][:, 1:], 0.0)[:, 1], run(other, 0.0)[:, 1])
+    assert torch.equal(run(b["motion"][:, 1:], 1.0), run(other, 1.0))
+
+
+def test_lexeme_and_perceptual_losses_move_the_generator_alone() -> None:
+    model = make()
+    network = torch.nn.Linear(FRAMES * WIDTH, LEXEME).requires_grad_(False)
+    b = batch()
+    b["lexeme"].requires_grad_(True)
+    terms = model.losses(b, 0.9, lambda motion: network(motion.flatten(1)))
+    wanted = [*model.to_motion.parameters()]
+    for name in ("lexeme", "perceptual"):
+        gradient = torch.autograd.grad(terms[name], wanted, retain_graph=True)
+        assert all(g.abs().sum() > 0 for g in gradient)
+    assert losses.lexeme(torch.zeros(2, FRAMES, WIDTH, requires_grad=True), b["lexeme"][:2, 0], encoder).requires_grad
+    direct = losses.lexeme(torch.zeros(2, FRAMES, WIDTH), b["lexeme"][:2, 0], encoder)
+    assert not direct.requires_grad, "the lexeme is a target, not a trained value"
+
+
+def test_blocks_that_are_not_valid_and_joints_that_are_absent_do_not_count() -> None:
+    model = make().eval()
+    b = batch()
+    b["valid"][:, 3:] = 0
+    b["mask"][:, 2] = 0
+    other = {key: value.clone() for key, value in b.items()}
+    other["motion"][:, 4] += 3.0
+    first, second = model.losses(b, 1.0, encoder), model.losses(other, 1.0, encoder)
+    assert torch.isclose(first["reconstruction"], second["reconstruction"])
+
+
+def test_residual_output_starts_near_the_last_pose() -> None:
+    model = make(residual=True).eval()
+    with torch.no_grad():
+        model.to_motion.weight.zero_()
+        model.to_motion.bias.zero_()
+    past = torch.randn(2, FRAMES, WIDTH)
+    made, _, _ = model.step(past, torch.zeros(2, FRAMES, 6), torch.zeros(2, LEXEME), torch.zeros(2, 4),
+                            model.first_state(past[:, -1], torch.zeros(2, LEXEME)))
+    torch.testing.assert_close(made, past[:, -1:].expand(-1, FRAMES, -1))
+
+
+def test_schedules() -> None:
+    model = make(own_past_from=0.2, own_past_until=0.6, temperature_start=2.0, temperature_end=0.5)
+    assert [model.own_past_probability(p) for p in (0, 0.2, 0.4, 0.6, 1)] == pytest.approx([0, 0, 0.5, 1, 1])
+    assert model.temperature(0) == pytest.approx(2) and model.temperature(0.5) == pytest.approx(1)
+
+
+def test_it_learns_to_draw_each_lexeme() -> None:
+    model = make(blocks=40, style=0.0)
+    torch.manual_seed(4)
+    vectors = torch.randn(2, LEXEME)
+    shapes = torch.stack([torch.sin(torch.linspace(0, 3, FRAMES)), torch.linspace(0, -1, FRAMES)])[..., None]
+    optimiser = torch.optim.Adam([p for n, p in model.named_parameters() if not n.startswith("styles")], 5e-3)
+
+    def sample() -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+        which = torch.randint(2, (16, 4))
+        b = batch(16, 3)
+        b["motion"] = shapes[which].expand(-1, -1, -1, WIDTH).clone()
+        b["lexeme"] = vectors[which]
+        b["style"] = torch.zeros(16, 4, dtype=torch.long)
+        return b, which
+
+    for step in range(200):
+        b, _ = sample()
+        terms = model.losses(b, step / 200, encoder)
+        optimiser.zero_grad()
+        terms["reconstruction"].backward()
+        optimiser.step()
+    model.eval()
+    b, _ = sample()
+    made, _ = model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:], torch.zeros(16, 3, 4))
+    assert (made - b["motion"][:, 1:]).pow(2).mean() < 0.15 * b["motion"].var()

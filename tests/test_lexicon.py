@@ -1,0 +1,179 @@
+"""The codebook and the VQ-VAE: invariants of quantisation, an independent oracle, and what a lexicon must be able to do."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lexicon.autoencoder import Lexicon, LexiconConfig
+from lexicon.inventory import count, nearest_silent, silent_lexemes, usage
+from lexicon.quantizer import Quantizer, perplexity
+
+
+def small(**changes: object) -> Lexicon:
+    torch.manual_seed(0)
+    config = LexiconConfig(**{"size": 8, "code_width": 12, "widths": (8, 12, 12, 16), **changes})  # type: ignore[arg-type]
+    return Lexicon(config, frames=10, motion_width=6)
+
+
+def test_labels_are_the_nearest_vectors_by_brute_force() -> None:
+    torch.manual_seed(1)
+    quantizer, latents = Quantizer(16, 5), torch.randn(200, 5)
+    brute = torch.cdist(latents.double(), quantizer.vectors.double()).argmin(1)
+    assert torch.equal(quantizer.labels(latents), brute)
+
+
+def test_labels_agree_with_an_independent_library() -> None:
+    oracle = pytest.importorskip("vector_quantize_pytorch")
+    torch.manual_seed(2)
+    ours, theirs = Quantizer(16, 5), oracle.VectorQuantize(dim=5, codebook_size=16)
+    theirs._codebook.embed.copy_(ours.vectors[None])
+    theirs.eval()
+    latents = torch.randn(100, 5)
+    quantised, labels, _ = theirs(latents[None])
+    assert torch.equal(labels[0], ours.labels(latents))
+    torch.testing.assert_close(quantised[0], ours.eval()(latents).codes)
+
+
+@given(st.permutations(range(12)))
+def test_labels_follow_the_blocks_through_any_shuffle(order: list[int]) -> None:
+    lexicon = small().eval()
+    motion = torch.randn(12, 10, 6, generator=torch.Generator().manual_seed(3))
+    assert torch.equal(lexicon.label(motion)[list(order)], lexicon.label(motion[list(order)]))
+
+
+def test_labels_do_not_depend_on_the_batch_size_or_the_mode() -> None:
+    lexicon = small()
+    lexicon.losses({"motion": torch.randn(64, 10, 6), "mask": torch.ones(64, 6)})  # moves the batch statistics
+    motion = torch.randn(50, 10, 6)
+    assert torch.equal(lexicon.train().label(motion, batch=7), lexicon.eval().label(motion, batch=50))
+
+
+def test_straight_through_hands_the_decoders_gradient_to_the_encoder_unaltered() -> None:
+    quantizer, latents = Quantizer(8, 4).eval(), torch.randn(6, 4, requires_grad=True)
+    slope = torch.randn(6, 4)
+    (quantizer(latents).codes * slope).sum().backward()
+    torch.testing.assert_close(latents.grad, slope)
+
+
+def test_gradient_codebook_moves_only_by_the_third_term() -> None:
+    quantizer, latents = Quantizer(4, 3, mode="gradient"), torch.randn(20, 3, requires_grad=True)
+    out = quantizer(latents)
+    assert torch.autograd.grad(out.codes.sum(), quantizer.vectors, allow_unused=True, retain_graph=True)[0] is None
+    moved = torch.autograd.grad(out.codebook, quantizer.vectors, retain_graph=True)[0]
+    assert moved.abs().sum() > 0
+    assert torch.autograd.grad(out.codebook, latents, allow_unused=True)[0] is None
+
+
+def test_ema_vectors_converge_to_the_means_of_their_clusters() -> None:
+    torch.manual_seed(4)
+    centres = torch.tensor([[5.0, 0.0], [-5.0, 0.0], [0.0, 5.0]])
+    quantizer = Quantizer(3, 2, decay=0.8, revive_below=0.0)
+    quantizer.set_vectors(centres + 0.5)
+    for _ in range(60):
+        quantizer((centres[torch.randint(3, (300,))] + 0.1 * torch.randn(300, 2)))
+    torch.testing.assert_close(quantizer.vectors, centres, atol=0.05, rtol=0)
+
+
+def test_dead_codes_come_back_to_life() -> None:
+    torch.manual_seed(5)
+    quantizer = Quantizer(6, 2, decay=0.5)
+    quantizer.set_vectors(torch.full((6, 2), 100.0) + torch.arange(6)[:, None])
+    data = torch.randn(400, 2)
+    for _ in range(30):
+        quantizer(data)
+    assert len(quantizer.eval().labels(data).unique()) == 6
+
+
+def test_perplexity_is_exact_for_even_and_single_use() -> None:
+    assert math.isclose(perplexity(torch.arange(8).repeat(3), 8), 8.0, rel_tol=1e-6)
+    assert math.isclose(perplexity(torch.zeros(9, dtype=torch.long), 8), 1.0, rel_tol=1e-6)
+
+
+def test_losses_are_the_equation_by_hand() -> None:
+    lexicon = small().eval()
+    motion, mask = torch.randn(5, 10, 6), torch.ones(5, 6)
+    mask[:, 4:] = 0
+    loss = lexicon.losses({"motion": motion, "mask": mask})
+    latents = lexicon.encode(motion)
+    chosen = lexicon.vectors[lexicon.quantizer.labels(latents)]
+    error = lexicon.decode(chosen) - motion
+    assert torch.isclose(loss["reconstruction"], error[..., :4].pow(2).mean(), rtol=1e-5)
+    assert torch.isclose(loss["commitment"], (latents - chosen).pow(2).mean(), rtol=1e-5)
+
+
+def test_masked_joints_do_not_matter() -> None:
+    lexicon = small().eval()
+    mask = torch.tensor([[1.0, 1, 1, 0, 0, 0]]).expand(4, -1)
+    motion = torch.randn(4, 10, 6)
+    made = lexicon.decode(lexicon.vectors[lexicon.quantizer.labels(lexicon.encode(motion))]).detach()
+    other = motion.clone()
+    other[..., 3:] = made[..., 3:]
+    a, b = (((lexicon.decode(lexicon.vectors[lexicon.quantizer.labels(lexicon.encode(motion))]) - m) * mask[:, None]
+             ).pow(2).sum() for m in (motion, other))
+    assert torch.isclose(a, b)
+
+
+@pytest.mark.parametrize("codebook", ["ema", "gradient"])
+def test_a_lexicon_learns_to_tell_four_gestures_apart(codebook: str) -> None:
+    lexicon = small(codebook=codebook, size=4, warm_up=0.3)
+    shapes = torch.sin(torch.linspace(0, 3, 10)[None, :, None] * torch.arange(1, 5)[:, None, None]
+                       + torch.linspace(0, 2, 6))
+    rng = torch.Generator().manual_seed(6)
+    optimiser = torch.optim.Adam(lexicon.parameters(), 3e-3)
+
+    def batch() -> tuple[torch.Tensor, torch.Tensor]:
+        which = torch.randint(4, (64,), generator=rng)
+        return shapes[which] + 0.05 * torch.randn(64, 10, 6, generator=rng), which
+
+    for step in range(150):
+        if step == 45:
+            lexicon.start_codebook(batch()[0], seed=0)
+        terms = lexicon.losses({"motion": batch()[0], "mask": torch.ones(64, 6)}, step / 150)
+        optimiser.zero_grad()
+        sum(lexicon.weights[k] * v for k, v in terms.items()).backward()
+        optimiser.step()
+    motion, which = batch()
+    labels = lexicon.label(motion)
+    assert len({(int(a), int(b)) for a, b in zip(which, labels, strict=True)}) == 4, "one lexeme for each gesture"
+    lexicon.eval()
+    error = (lexicon.decode(lexicon.vectors[labels]) - shapes[which]).pow(2).mean()
+    assert error < 0.1 * shapes.var()
+
+
+def test_inventory_counts_what_a_hand_counts() -> None:
+    inventory = count([("a", np.array([0, 1, 0, 1, 2])), ("b", np.array([2, 2]))], size=3, smoothing=0.0)
+    np.testing.assert_allclose(inventory.frequencies["a"], [0.4, 0.4, 0.2])
+    np.testing.assert_allclose(inventory.frequencies["b"], [0, 0, 1])
+    np.testing.assert_allclose(inventory.transitions[:2], [[0, 1, 0], [0.5, 0, 0.5]])
+    np.testing.assert_allclose(inventory.transitions[2], [0, 0, 1])
+
+
+def test_unseen_transitions_keep_a_finite_probability() -> None:
+    transitions = count([("a", np.array([0, 0]))], size=4).transitions
+    np.testing.assert_allclose(transitions.sum(1), 1)
+    assert (transitions > 0).all()
+
+
+def test_silent_lexemes_are_slow_and_belong_to_silence() -> None:
+    labels = np.repeat([0, 1, 2, 3, 4], 20)
+    silent = np.zeros(100, dtype=bool)
+    silent[0:18] = True   # lexeme 0: slow and silent
+    silent[20:23] = True  # lexeme 1: fast though sometimes silent
+    speeds = np.array([0.01, 2.0, 0.02, 1.0, 1.5])  # lexeme 2 is slow and never silent
+    assert silent_lexemes(speeds, labels, silent, slow_share=0.4).tolist() == [0]
+    assert len(silent_lexemes(speeds, labels, np.zeros(100, dtype=bool))) == 1, "never empty"
+
+
+def test_nearest_silent_is_itself_for_a_silent_lexeme() -> None:
+    vectors = np.array([[0.0, 0], [10, 0], [1, 0], [9, 0]])
+    assert nearest_silent(vectors, np.array([0, 1])).tolist() == [0, 1, 0, 1]
+
+
+def test_usage() -> None:
+    assert usage(np.array([0, 0, 3]), 4) == 0.5
