@@ -10,7 +10,7 @@ import io
 import os
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
 
@@ -49,7 +49,7 @@ def load_speech(path: str | os.PathLike[str]) -> Speech:
     import soundfile
 
     name = Path(path)
-    _check_file(name)
+    check_file(name)
     try:
         with name.open("rb") as raw, _quiet():
             promise = _promised(raw, name.stat().st_size, name)
@@ -68,6 +68,16 @@ def load_speech(path: str | os.PathLike[str]) -> Speech:
         warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a cut end would go unnoticed"),
                       stacklevel=2)
     return Speech(samples, SAMPLE_RATE)
+
+
+def resample(speech: Speech, sample_rate: int) -> Speech:
+    """The same speech at another sample rate."""
+    import soxr
+
+    if speech.sample_rate == sample_rate:
+        return speech
+    samples = soxr.resample(speech.samples, speech.sample_rate, sample_rate)
+    return replace(speech, samples=np.clip(samples, -1.0, 1.0).astype(np.float32), sample_rate=sample_rate)
 
 
 def write_flac(path: str | os.PathLike[str], speech: Speech) -> None:
@@ -151,7 +161,8 @@ def _reason(error: Exception) -> str:
     return str(text).rstrip(". ") or type(error).__name__
 
 
-def _check_file(name: Path) -> None:
+def check_file(name: Path) -> None:
+    """`InputError` where a path cannot be a recording, without reading it."""
     if not name.exists():
         raise InputError(name, "does not exist", "check the path")
     if name.is_dir():

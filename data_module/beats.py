@@ -94,19 +94,28 @@ def onset_strength(samples: Samples, sample_rate: int) -> Array:
     frames = len(samples) // hop + 1
     padded = np.concatenate([np.zeros(window // 2 + _LAG * hop, np.float32), samples,
                              np.zeros(window // 2 + hop, np.float32)])
+    covered = _covered(window, hop)
     strength = np.empty(frames)
     for start in range(0, frames, _PIECE):  # an hour's spectrogram would not fit
         stop = min(start + _PIECE, frames)
         piece = padded[start * hop:(stop + _LAG - 1) * hop + window]
         spectrum = librosa.stft(piece, n_fft=window, hop_length=hop, center=False)
         power = bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
+        power /= covered[np.minimum(np.arange(start - _LAG, stop), len(covered) - 1).clip(0)]
         decibels = 10.0 * np.log10(np.maximum(power, _FAINTEST))
         rise = librosa.onset.onset_strength(S=decibels, sr=sample_rate, lag=_LAG, center=False)
         strength[start:stop] = rise[_LAG:_LAG + stop - start]
-    # The spectra before the first one hold padding only: a recording that begins in sound has no onset there.
-    strength[:_LAG] = 0.0
+    strength[:_LAG] = 0.0  # nothing but padding lies before them
     # Single precision leaves ties open; rounding closes them the same way in every piece.
     return np.round(strength, 3)
+
+
+def _covered(window: int, hop: int) -> Array:
+    """Share of the power of the first spectra's windows that lies in the recording, until it is 1: a recording that
+    begins in steady sound rises only because the windows fill, and that is no onset."""
+    power = np.hanning(window + 1)[:-1] ** 2
+    inside = np.cumsum(power[::-1])[::-1] / power.sum()
+    return np.concatenate([inside[window // 2::-hop], [1.0]])
 
 
 def _peaks(strength: Array, reach: int, around: int) -> NDArray[np.int64]:
@@ -195,5 +204,6 @@ def find_beats(speech: Speech, settings: BeatSettings | None = None) -> Beats:
     """The beats of a recording: its onsets, pseudo-beats between them, its start and its end (RG 4.2.1)."""
     settings = settings or BeatSettings()
     onsets = detect_onsets(speech.samples, speech.sample_rate, settings.merge)
-    loud = np.flatnonzero(~silent_frames(speech.samples, speech.sample_rate)) * FRAME
+    audible = ~silent_frames(speech.samples, speech.sample_rate)
+    loud = np.flatnonzero(audible).astype(np.float64) * FRAME
     return place_beats(onsets, loud, speech.duration, settings)

@@ -6,6 +6,7 @@ Sound is stretched with its pitch kept; motion is interpolated as rotations.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -71,7 +72,7 @@ def stretch_speech(speech: Speech, blocks: Blocks, method: str = "wsola") -> Sam
     padded = np.pad(speech.samples, (context, context + 1))
     edges = np.minimum(np.round(blocks.edges * rate).astype(int), len(speech.samples))
     out = np.zeros((len(blocks), length), np.float32)
-    for block, (start, stop) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for block, (start, stop) in enumerate(itertools.pairwise(edges)):
         piece = padded[start:max(stop, start + 1) + 2 * context]
         inside = piece[context:-context]
         if inside.any():

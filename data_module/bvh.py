@@ -136,7 +136,8 @@ def _frame_rate(frame_time: float) -> float:
 
 def _rows(body: str, width: int, path: str) -> Array:
     try:
-        values = np.loadtxt(io.StringIO(body), dtype=np.float64, ndmin=2) if body.strip() else np.zeros((0, width))
+        values = (np.loadtxt(io.StringIO(body), dtype=np.float64, ndmin=2, comments=None) if body.strip()
+                  else np.zeros((0, width)))
     except ValueError:
         raise InputError(path, "has a motion row that is not all numbers or not as long as the others",
                          "export it again") from None
@@ -157,6 +158,9 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
     Positions of joints other than the root are read as constant offsets (their mean), which is what rigs mean by them.
     """
     where = str(path)
+    for name, value in (("frame rate", fps), ("unit", unit)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InputError(where, f"cannot be read with a {name} of {value}", "give a positive number")
     try:
         text = Path(path).read_text(encoding="utf-8-sig", errors="strict")
     except UnicodeDecodeError:
@@ -178,7 +182,7 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
         if fps is None:
             raise InputError(where, said, "give the frame rate")
         warnings.warn(f"{where}: {said}; read at {fps:g} fps", BvhWarning, stacklevel=2)
-    motion = _assemble(header, rows, fps or header.fps)
+    motion = _assemble(header, rows, header.fps if fps is None else float(fps))
     if unit is None:
         try:
             unit = skeletons.guess_unit(header.skeleton, skeletons.find_table(header.skeleton.names))

@@ -6,7 +6,7 @@ file give the same features (SPEC decision 5).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -157,7 +157,6 @@ class MelFrontEnd:
         from scipy.fft import rfft
 
         count, length = windows.shape
-        hop = self.samples_per_frame // self.hops
         padded = np.zeros((count, length + self._window), np.float32)
         padded[:, self._window // 2:self._window // 2 + length] = windows
         spectra = self.frames * self.hops
@@ -199,5 +198,5 @@ def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:
     return out
 
 
-FRONT_ENDS: dict[str, type[MelFrontEnd]] = {"mel": MelFrontEnd}
+FRONT_ENDS: dict[str, Callable[..., FrontEnd]] = {"mel": MelFrontEnd}
 """Front ends by name."""

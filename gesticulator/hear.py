@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import blocks as block_module
+from data_module.audio import SAMPLE_RATE
 from data_module.features import FRONT_ENDS, FrontEnd, reference_level
 from data_module.types import Array, Blocks, Speech
 from gesticulator.config import Config
@@ -32,7 +33,9 @@ class Heard:
 def front_end_for(config: Config) -> FrontEnd:
     """The audio front end that the settings name."""
     rhythm = config.rhythm
-    return FRONT_ENDS[config.front_end.name](bands=config.front_end.bands, frames=rhythm.frames, fps=rhythm.fps)
+    return FRONT_ENDS[config.front_end.name](
+        bands=config.front_end.bands, frames=3 * rhythm.frames,
+        samples_per_frame=block_module.samples_per_frame(SAMPLE_RATE, rhythm.fps), sample_rate=SAMPLE_RATE)
 
 
 def tempo_column(durations: Array, longest: float, frames: int) -> NDArray[np.float32]:
@@ -47,8 +50,9 @@ def hear(speech: Speech, config: Config, front_end: FrontEnd | None = None) -> H
     """Cut speech (16 kHz) into blocks and encode every window of three."""
     front_end = front_end or front_end_for(config)
     blocks = block_module.cut(speech, config.rhythm)
-    reference = reference_level(speech.samples, blocks.edges)
-    low, high = [], []
+    reference = reference_level(speech.samples, speech.sample_rate, blocks.edges)
+    low: list[NDArray[np.float32]] = []
+    high: list[NDArray[np.float32]] = []
     for start in range(0, len(blocks), _CHUNK):
         stop = min(start + _CHUNK, len(blocks))
         first, last = max(start - 1, 0), min(stop + 1, len(blocks))

@@ -140,10 +140,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         for name in ("data_module", "gesticulator"):
             warnings.filterwarnings("default", module=name)
         warnings.showwarning = _say_warning
-        from data_module.audio import check_readable
+        from data_module.audio import check_file
 
         for job in jobs:
-            check_readable(job.source)
+            check_file(job.source)
         import torch
 
         from gesticulator.pipeline import Gesticulator

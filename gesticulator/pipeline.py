@@ -17,12 +17,11 @@ from data_module.skeletons import from_vector
 from data_module.types import Array, Motion, Speech
 from gesticulator import bundle as bundles
 from gesticulator.hear import Heard, front_end_for, hear
-from gesticulator.performance import Performance
+from gesticulator.performance import BEST, Performance
 from interpreters import INTERPRETERS, BlockFeatures, LexemeInterpreter, select
 
 FPS = 60.0
 """Frames per second of the result when not told: the models' 20 fps knots, interpolated."""
-_BEST = 5
 
 
 class Gesticulator:
@@ -59,12 +58,12 @@ class Gesticulator:
         raise InputError(f"--interpreter {name}", "is not in the bundle", f"choose among {', '.join(INTERPRETERS)}")
 
     def __call__(self, speech: Speech | str | PathLike[str], *, speaker: str | None = None, seed: int = 0,
-                 fps: float | None = None, interpreter: str = "lstm", temperature: float | None = None,
+                 fps: float | None = None, interpreter: str | LexemeInterpreter = "lstm", temperature: float | None = None,
                  on_block: Callable[[int, int], None] | None = None) -> Performance:
         """Gesture for a recording.
 
         speech: a `Speech` at any sample rate, or the path of a sound file. speaker: a performer's habits. fps: frames
-        per second of the result (60). temperature: how freely lexemes are drawn, 0 for always the likeliest; the
+        per second of the result (60). interpreter: what chooses the lexemes, by name or as an object. temperature: how freely lexemes are drawn, 0 for always the likeliest; the
         bundle's own when not told. on_block(done, total) is called after each block. The same seed, bundle and speech
         give the same result.
         """
@@ -78,7 +77,8 @@ class Gesticulator:
         who = self.speaker_index(speaker)
         heard = hear(speech, self.bundle.config, self._front_end)
         chosen = self.bundle.config.selection
-        roll = _Roll(self.bundle, self.interpreter(interpreter), who, np.random.default_rng(seed),
+        system = self.interpreter(interpreter) if isinstance(interpreter, str) else interpreter
+        roll = _Roll(self.bundle, system, who, np.random.default_rng(seed),
                      chosen.temperature if temperature is None else temperature, chosen.top or None)
         features, lexemes, best, scores = roll.run(heard, on_block)
         motion = self.to_motion(features, heard, who, FPS if fps is None else fps)
@@ -88,8 +88,8 @@ class Gesticulator:
         """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2)."""
         statistics = self.bundle.statistics
         poses: Array = statistics.denormalise(features.astype(np.float64), speaker)
-        frames = denormalise(poses.reshape(-1, poses.shape[-1]), statistics.rest_pose[speaker], heard.blocks.edges,
-                             heard.blocks.frames, fps, smooth=self.bundle.config.motion.smoothing)
+        frames = denormalise(poses, statistics.rest_pose[speaker], heard.blocks, fps,
+                             self.bundle.config.motion.smoothing)
         return from_vector(frames, fps)
 
 
@@ -107,7 +107,7 @@ class _Roll:
         """Motion features [N, K, D_m], lexemes [N], the five best lexemes [N, 5] and their scores [N, 5]."""
         b = self.bundle
         vectors, count = b.lexicon.vectors, len(heard.blocks)
-        best_count = min(_BEST, len(vectors))
+        best_count = min(BEST, len(vectors))
         previous = b.rest_lexeme(self.speaker)
         rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.lexicon.frames, -1)
@@ -125,8 +125,8 @@ class _Roll:
             audio = b.generator.encode_audio(features.low[None])
             past, state, _ = b.generator.step(past, audio, vectors[[previous]], code, state)
             motion[i], lexemes[i] = past[0].numpy(), previous
-            order = _best_first(scores, allowed, best_count)
-            best[i], best_scores[i] = order, scores[order]
+            best[i] = np.argsort(-scores, kind="stable")[:best_count]
+            best_scores[i] = scores[best[i]]
             if on_block is not None:
                 on_block(i + 1, count)
         return motion, lexemes, best, best_scores
@@ -137,10 +137,3 @@ class _Roll:
         high = torch.as_tensor(s.high.apply(heard.high[i]), dtype=torch.float32)
         return BlockFeatures(low, high, bool(heard.blocks.silent[i]))
 
-
-def _best_first(scores: Array, allowed: NDArray[np.int64] | None, count: int) -> NDArray[np.int64]:
-    """The `count` best lexemes; allowed ones come before all others."""
-    rank = np.array(scores)
-    if allowed is not None and len(allowed):
-        rank[allowed] += 1e6
-    return np.argsort(-rank, kind="stable")[:count]

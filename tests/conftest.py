@@ -27,3 +27,23 @@ def outside_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"GESTICULATOR_DATA names no folder: {folder}")
     return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of about three minutes by the procedural performer and the numpy speaker, made once for all tests."""
+    from data_module.build import main
+
+    folder = tmp_path_factory.mktemp("corpus") / "store"
+    assert main(["performer", "--preset", "tiny", "--out", str(folder), "--seed", "5", "--workers", "1"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The `tiny` preset, trained once by the real command."""
+    from gesticulator.train import main
+
+    out = tmp_path_factory.mktemp("trained") / "bundle"
+    assert main(["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet"]) == 0
+    return out

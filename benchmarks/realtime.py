@@ -1,0 +1,82 @@
+"""How fast inference is: `python benchmarks/realtime.py examples/speech.flac [--out docs/results/realtime.json]`.
+
+Real-time factor = seconds of computing / seconds of sound, decoding and features included. Cold: a fresh process, from
+the command to the file, imports and loading included. Warm: a second call in a process that has the bundle loaded.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from data_module.audio import load_speech
+from gesticulator.export import write
+from gesticulator.pipeline import Gesticulator
+
+
+def processor() -> str:
+    """The processor's name, as the system tells it."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def warm(system: Gesticulator, source: Path, target: Path, interpreter: str) -> float:
+    """Seconds from a sound file to a BVH file, the second time."""
+    spent = 0.0
+    for _ in range(2):
+        begin = time.perf_counter()
+        write(target, system(load_speech(source), interpreter=interpreter))
+        spent = time.perf_counter() - begin
+    return spent
+
+
+def cold(arguments: list[str]) -> float:
+    """Seconds of a fresh process."""
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "gesticulator.infer", *arguments, "--quiet"], check=True)
+    return time.perf_counter() - begin
+
+
+def main() -> None:
+    """Entry point."""
+    p = argparse.ArgumentParser(description=__doc__)
+    p.add_argument("speech", nargs="+")
+    p.add_argument("--bundle")
+    p.add_argument("--threads", type=int, default=1)
+    p.add_argument("--out")
+    a = p.parse_args()
+    torch.set_num_threads(a.threads)
+    system = Gesticulator.from_pretrained(a.bundle)
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "o.bvh"
+        for name in a.speech:
+            seconds = load_speech(name).duration
+            options = ["--bundle", a.bundle] if a.bundle else []
+            row: dict[str, Any] = {"file": Path(name).name, "seconds": round(seconds, 2)}
+            row["cold"] = round(cold([name, "-o", str(target), "--threads", str(a.threads), *options]) / seconds, 4)
+            for interpreter in ("lstm", "statistical"):
+                row[f"warm_{interpreter}"] = round(warm(system, Path(name), target, interpreter) / seconds, 4)
+            rows.append(row)
+            print(row)
+    if a.out:
+        result = {"processor": processor(), "threads": a.threads, "python": platform.python_version(),
+                  "torch": torch.__version__, "real_time_factor": rows}
+        Path(a.out).write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

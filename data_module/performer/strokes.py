@@ -1,0 +1,352 @@
+"""The strokes that a performer plays: where each one starts, has its beat, ends its hold and comes to rest.
+
+A stroke is kept as log rotations of the two arms (fingers included) against the performer's rest pose, so that it can
+be made larger by a factor, joined to another one and mirrored. All its times are measured on its motion, not read
+from a label.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from data_module import kinematics, rotation
+from data_module.bvh import read_bvh
+from data_module.errors import InputError
+from data_module.types import Array, Skeleton
+
+LEFT, RIGHT = 0, 1
+SIDES = ("Left", "Right")
+HELD_OUT_SHARE = 0.15
+
+# Retargeted from one another: the same person, who must not stand on both sides of a split.
+_PERSON = {"brad2": "brad"}
+_POSTURE = {"brad": "Idle01", "brad2": "Idle01", "connor": "IdleStand01", "garza": "IdleStand01"}
+# Another start pose, the wrong hand, or a hand inside the torso.
+_DROPPED = frozenset({
+    "brad_Idle01_ChopBoth01", "brad_Idle01_NegativeLf01", "brad_Idle01_ReceiveLf01", "brad_Idle01_SafeRt01",
+    "brad_Idle03_ReceiveLf01", "brad_Idle03_Shrug01", "brad2_Idle01_ToLocIdle01",
+    "connor_IdleCross01_ThrowAwayRt01", "connor_IdleStand01_NoLeftRt01", "connor_IdleStand01_StopLeftRt01",
+})
+# Postures and fidgets carry no stroke; the last two hold a hand at the face for seconds.
+_NO_STROKE = frozenset({
+    "ToIdle", "ToLocIdle", "Idle", "IdleStand", "WeightShift", "ArmStretch", "ShoulderStretch", "SqueezeHand",
+    "TouchHands", "ScratchChest", "ScratchHead", "ScratchTemple", "Contemplate", "Think",
+})
+_NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_Idle01_BeatFistMidLf02",
+                         "connor_IdleStand01_NegateRightMidBt01"})
+_MIN_REACH = 0.05
+_FINE_FPS = 120.0
+_SMOOTH = 0.05
+_BEAT_DEPTH = 0.35
+_AFTER_EMPHASIS = 0.12
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A performer's body.
+
+    rest: [J, 4] local rotations of the pose with hanging arms. root: [3] place of the hips at rest, metres.
+    arms: joint indices of the left and the right arm, shoulder first, fingers last, in the same order on both sides.
+    trunk: indices of the joints from the hips to the head, in order. home: [2, A, 3] log rotations against rest of the
+    pose in front of the body that an arm returns to between strokes.
+    """
+
+    name: str
+    skeleton: Skeleton
+    rest: Array
+    root: Array
+    arms: tuple[tuple[int, ...], tuple[int, ...]]
+    trunk: tuple[int, ...]
+    home: Array
+
+    def hand_chain(self, side: int) -> tuple[int, ...]:
+        """Joint indices from the hips to the hand of a side, the trunk included."""
+        chain = [self.skeleton.index(SIDES[side] + "Hand")]
+        while chain[-1] > 0:
+            chain.append(self.skeleton.parents[chain[-1]])
+        return tuple(reversed(chain))
+
+    @cached_property
+    def forearm(self) -> float:
+        """Length of the left forearm, metres: the scale of the body."""
+        return float(np.linalg.norm(self.skeleton.offsets[self.skeleton.index("LeftHand")]))
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One gesture of one performer.
+
+    clip: name of the recording; base: the same for a clip and its mirror image. arms: [2, T, A, 3] log rotations of
+    the left and the right arm against the figure's rest; trunk: [T, B, 3] likewise, B joints of `Figure.trunk`.
+    start, beat, hold_end, end: seconds in the clip. reach: metres that the acting hand travels away. held_out: kept
+    for the test split. steady: must not be played faster than recorded.
+    """
+
+    clip: str
+    base: str
+    speaker: str
+    posture: str
+    lexeme: str
+    hand: str
+    fps: float
+    arms: Array
+    trunk: Array
+    start: float
+    beat: float
+    hold_end: float
+    end: float
+    reach: float
+    held_out: bool = False
+    steady: bool = False
+    _splines: dict[int, CubicSpline] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """The arms that act."""
+        return {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT)}[self.hand]
+
+    def arm_at(self, side: int, seconds: Array) -> Array:
+        """Log rotations [M, A * 3] of an arm at times in the clip, held still beyond its ends."""
+        return self._at(side, self.arms[side], seconds)
+
+    def trunk_at(self, seconds: Array) -> Array:
+        """Log rotations [M, B * 3] of the trunk at times in the clip, held still beyond its ends."""
+        return self._at(2, self.trunk, seconds)
+
+    def _at(self, key: int, track: Array, seconds: Array) -> Array:
+        if key not in self._splines:
+            times = np.arange(len(track)) / self.fps
+            self._splines[key] = CubicSpline(times, track.reshape(len(track), -1))
+        return self._splines[key](np.clip(seconds, 0.0, (len(track) - 1) / self.fps))
+
+
+@dataclass(frozen=True)
+class StrokeSet:
+    """Strokes, and the bodies that play them."""
+
+    strokes: tuple[Stroke, ...]
+    figures: Mapping[str, Figure]
+
+    @property
+    def performers(self) -> tuple[str, ...]:
+        """Names of the performers, sorted."""
+        return tuple(sorted(self.figures))
+
+    def of(self, performer: str, split: str = "train") -> tuple[Stroke, ...]:
+        """The strokes that `performer` may play in a split: those held out in the split "test" alone."""
+        if performer not in self.figures:
+            raise InputError(performer, "is no performer of these strokes", f"take one of {', '.join(self.performers)}")
+        return tuple(s for s in self.strokes if s.speaker == performer and (split == "test" or not s.held_out))
+
+
+def arrivals(speed: Array, fps: float, depth: float = 0.0) -> tuple[Array, Array]:
+    """Strong decelerations of a speed [T]: times in seconds (between frames, by a parabola) and depths, m/s2.
+
+    A motion beat is a minimum of the derivative of the speed, smoothed over 50 ms (SPEC decision 8, mode A).
+    """
+    smooth = gaussian_filter1d(speed, _SMOOTH * fps / 2.0, mode="nearest")
+    slope = np.gradient(smooth) * fps
+    middle = slope[1:-1]
+    at = np.flatnonzero((middle < slope[:-2]) & (middle <= slope[2:]) & (middle < -depth)) + 1
+    a, b, c = slope[at - 1], slope[at], slope[at + 1]
+    bend = a - 2.0 * b + c
+    shift = np.where(bend > 0, 0.5 * (a - c) / np.where(bend > 0, bend, 1.0), 0.0)
+    return (at + shift) / fps, -slope[at]
+
+
+def _speed(track: Array, fps: float) -> tuple[Array, Array]:
+    """Positions [T, 3] at `fps` to positions and smoothed speed at `_FINE_FPS`."""
+    times = np.arange(len(track)) / fps
+    fine = np.arange(int(times[-1] * _FINE_FPS) + 1) / _FINE_FPS
+    spline = CubicSpline(times, track)
+    speed = np.linalg.norm(spline(fine, 1), axis=-1)
+    return spline(fine), gaussian_filter1d(speed, _SMOOTH * _FINE_FPS / 2.0, mode="nearest")
+
+
+def acting_hands(hands: Array) -> tuple[str, float]:
+    """Which hand acts, from the paths [T, 2, 3] of the left and the right hand: its name and its reach in metres.
+
+    Both act when the lesser one travels at least 45 % as far as the greater.
+    """
+    reach = np.linalg.norm(hands - hands[:1], axis=-1).max(axis=0)
+    greater = int(reach.argmax())
+    if reach.min() > 0.45 * reach.max():
+        return "both", float(reach.max())
+    return ("left", "right")[greater], float(reach.max())
+
+
+def stroke_times(hands: Array, sides: Iterable[int], fps: float, emphasis: float) -> tuple[float, float, float, float]:
+    """Move start, beat, hold end and end in seconds, measured on the paths [T, 2, 3] of the hands.
+
+    The beat is the last deceleration of at least 35 % of the clip's strongest before `emphasis` + 0.12 s: `emphasis`
+    is the arrival, and the very strongest deceleration is often that of the preparation.
+    """
+    speed = np.sum([_speed(hands[:, side], fps)[1] for side in sides], axis=0)
+    duration = (len(speed) - 1) / _FINE_FPS
+    times, depths = arrivals(speed, _FINE_FPS)
+    before = times <= emphasis + _AFTER_EMPHASIS
+    if not before.any():
+        raise ValueError("no deceleration before the emphasis")
+    strong = before & (depths >= _BEAT_DEPTH * depths[before].max())
+    beat = float(times[strong][-1])
+    at = int(beat * _FINE_FPS)
+    rising = np.flatnonzero(speed[:at + 1] < 0.08 * speed[:at + 1].max())
+    start = float(rising[0] / _FINE_FPS) if len(rising) else 0.0
+    fast = np.flatnonzero(speed[:at + 1] > 0.25 * speed[:at + 1].max())
+    quiet = rising[rising < fast[0]] if len(fast) else rising
+    if len(quiet):
+        start = float(quiet[-1] / _FINE_FPS)
+    hold_end, end = _retraction(speed, at)
+    return min(start, beat - 0.1), beat, max(hold_end, beat + 0.08), min(max(end, beat + 0.3), duration)
+
+
+def _retraction(speed: Array, beat: int) -> tuple[float, float]:
+    """When the last large movement after the beat begins and ends, seconds."""
+    after = speed[beat:]
+    arrived = beat + int(np.argmax(after < 0.35 * after[0])) if (after < 0.35 * after[0]).any() else beat
+    tail = speed[arrived:]
+    peaks = np.flatnonzero(tail > 0.6 * tail.max())
+    peak = arrived + int(peaks[-1])
+    slow = np.flatnonzero(speed[arrived:peak + 1] < 0.2 * speed[peak])
+    hold_end = arrived + (int(slow[-1]) if len(slow) else int(np.argmin(speed[arrived:peak + 1])))
+    still = np.flatnonzero(speed[peak:] < 0.08 * speed[peak])
+    end = peak + (int(still[0]) if len(still) else len(speed) - 1 - peak)
+    return hold_end / _FINE_FPS, end / _FINE_FPS
+
+
+def _arm_joints(skeleton: Skeleton) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    left = [j for j, name in enumerate(skeleton.names) if name.startswith("Left")
+            and not any(part in name for part in ("Leg", "Foot", "Toe"))]
+    return tuple(left), tuple(skeleton.index("Right" + skeleton.names[j][4:]) for j in left)
+
+
+def _trunk_joints(skeleton: Skeleton) -> tuple[int, ...]:
+    chain = [skeleton.index("Head")]
+    while chain[-1] > 0:
+        chain.append(skeleton.parents[chain[-1]])
+    return tuple(reversed(chain))
+
+
+def _logs(rest: Array, rotations: Array, joints: tuple[int, ...]) -> Array:
+    relative = rotation.multiply(rotation.conjugate(rest[list(joints)]), rotations[:, list(joints)])
+    return rotation.unroll(rotation.to_exponential_map(relative))
+
+
+def mirror(stroke: Stroke) -> Stroke:
+    """The stroke as seen in a mirror: left and right change places, in its hand and in the name of its lexeme.
+
+    A reflection in x = 0 keeps the x of an axis times angle and turns y and z round.
+    """
+    flip = np.array([1.0, -1.0, -1.0])
+    other = {"left": "right", "right": "left", "both": "both"}
+    lexeme = stroke.lexeme
+    for a, b in (("Left", "Right"), ("Right", "Left")):
+        if a in stroke.lexeme:
+            lexeme = stroke.lexeme.replace(a, b)
+    return replace(stroke, clip=stroke.base + "-mirrored", lexeme=lexeme, hand=other[stroke.hand],
+                   arms=stroke.arms[::-1] * flip, trunk=stroke.trunk * flip, _splines={})
+
+
+def home_pose(strokes: Iterable[Stroke], share: float = 0.75) -> Array:
+    """[2, A, 3]: `share` of the way from rest to the mean pose in the holds, per arm, over the strokes it acts in.
+
+    A stroke and its mirror image both count, so that an arm that rarely acts has a home as well.
+    """
+    holds: dict[int, list[Array]] = defaultdict(list)
+    for stroke in strokes:
+        times = np.linspace(stroke.beat, stroke.hold_end, 5)
+        for side in stroke.sides:
+            holds[side].append(stroke.arm_at(side, times).mean(axis=0))
+    if not holds[LEFT] or not holds[RIGHT]:
+        raise ValueError("no stroke of one of the arms")
+    joints = stroke.arms.shape[2]
+    return share * np.stack([np.mean(holds[side], axis=0).reshape(joints, 3) for side in (LEFT, RIGHT)])
+
+
+def held_out_keys(keys: Iterable[tuple[str, str]], share: float = HELD_OUT_SHARE) -> frozenset[tuple[str, str]]:
+    """The (person, clip) keys kept for test: of each person the `share` with the smallest hash, the same every time."""
+    people: dict[str, set[str]] = defaultdict(set)
+    for person, clip in keys:
+        people[person].add(clip)
+    kept: set[tuple[str, str]] = set()
+    for person, clips in people.items():
+        order = sorted(clips, key=lambda clip: hashlib.sha256(f"{person}/{clip}".encode()).hexdigest())
+        kept.update((person, clip) for clip in order[:round(share * len(order))])
+    return frozenset(kept)
+
+
+def load_strokes(folder: str | Path) -> StrokeSet:
+    """Read `manifest.csv` and the BVH clips beside it (metres) into strokes, each with its mirror image.
+
+    InputError when the manifest or a clip is absent or broken.
+    """
+    manifest = Path(folder) / "manifest.csv"
+    if not manifest.is_file():
+        raise InputError(manifest, "does not exist", "give the folder that holds manifest.csv")
+    with manifest.open(encoding="utf-8", newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    needed = {"file", "speaker", "posture", "lexeme", "hand", "emphasis"}
+    if not rows or not needed <= set(rows[0]):
+        raise InputError(manifest, f"lacks columns {', '.join(sorted(needed - set(rows[0] if rows else ())))}",
+                         "take the manifest that came with the clips")
+    rows = [row for row in rows if Path(row["file"]).stem not in _DROPPED and row["lexeme"] not in _NO_STROKE]
+    strokes: list[Stroke] = []
+    figures: dict[str, Figure] = {}
+    for speaker in sorted({row["speaker"] for row in rows}):
+        figure, own = _load_speaker(Path(folder), speaker, [row for row in rows if row["speaker"] == speaker])
+        figures[speaker] = figure
+        strokes += own
+    kept = held_out_keys((_PERSON.get(s.speaker, s.speaker), _clip_key(s)) for s in strokes)
+    strokes = [replace(s, held_out=(_PERSON.get(s.speaker, s.speaker), _clip_key(s)) in kept) for s in strokes]
+    return StrokeSet(tuple(strokes), figures)
+
+
+def _clip_key(stroke: Stroke) -> str:
+    return stroke.base.removeprefix(stroke.speaker + "_")
+
+
+def _load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[Figure, list[Stroke]]:
+    motions = [read_bvh(folder / row["file"], unit=1.0) for row in rows]
+    skeleton = motions[0].skeleton
+    standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _POSTURE.get(speaker, "")]
+    first = np.stack([m.rotations[0] for m in standing or motions])
+    signs = np.where(np.sum(first * first[:1], axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    rest = rotation.normalise(np.median(first * signs, axis=0))
+    root = np.array([0.0, np.median([m.root_positions[0, 1] for m in standing or motions]), 0.0])
+    arms, trunk = _arm_joints(skeleton), _trunk_joints(skeleton)
+    figure = Figure(speaker, skeleton, rest, root, arms, trunk, np.zeros((2, len(arms[0]), 3)))
+    strokes = []
+    for row, motion in zip(rows, motions, strict=True):
+        stroke = _measure(figure, row, motion.rotations, motion.fps)
+        if stroke is not None:
+            strokes += [stroke, mirror(stroke)]
+    return replace(figure, home=home_pose(strokes)), strokes
+
+
+def _measure(figure: Figure, row: Mapping[str, str], rotations: Array, fps: float) -> Stroke | None:
+    """The stroke of one clip, or None when no hand leaves its place."""
+    positions = kinematics.joint_positions(figure.skeleton, rotations)
+    hands = positions[:, [figure.skeleton.index(side + "Hand") for side in SIDES]]
+    hand, reach = acting_hands(hands)
+    if reach < _MIN_REACH:
+        return None
+    sides = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT)}[hand]
+    try:
+        start, beat, hold_end, end = stroke_times(hands, sides, fps, float(row["emphasis"]))
+    except ValueError:
+        return None
+    stem = Path(row["file"]).stem
+    logs = np.stack([_logs(figure.rest, rotations, joints) for joints in figure.arms])
+    return Stroke(stem, stem, row["speaker"], row["posture"], row["lexeme"], hand, fps, logs,
+                  _logs(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
+                  steady=stem in _NOT_FASTER)

@@ -1,0 +1,217 @@
+"""Onsets and beats: intervals whatever the sound, and no peeking into the future."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module.audio import load_speech
+from data_module.beats import (
+    LOOK_AHEAD,
+    RULES,
+    BeatSettings,
+    detect_onsets,
+    find_beats,
+    merged,
+    next_beat,
+    onset_strength,
+    place_beats,
+)
+from data_module.errors import InputError
+from data_module.types import Array, BeatFlag, Samples, Speech
+
+RATE = 16000
+RANGES = [(0.2, 0.5), (0.3, 0.6), (0.2, 1.0), (0.5, 1.0), (0.25, 0.5)]
+EVERYWHERE = np.arange(0, 30, 0.01)
+NOWHERE = np.zeros(0)
+
+times = st.lists(st.floats(0, 12, allow_nan=False), max_size=40).map(lambda values: np.unique(np.array(values, float)))
+loudness = st.one_of(times, st.just(EVERYWHERE), st.just(NOWHERE))
+
+
+def clicks(at: Array, seconds: float, noise: float = 0.0, seed: int = 0) -> Samples:
+    rng = np.random.default_rng(seed)
+    sound = noise * rng.standard_normal(round(seconds * RATE))
+    for time in at:
+        start = round(time * RATE)
+        sound[start:start + 80] += 0.5 * rng.standard_normal(80)
+    return sound.astype(np.float32)
+
+
+def babble(seconds: float, seed: int = 0) -> Samples:
+    """Something like speech: a buzz in syllables of uneven length and loudness, over faint noise."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * RATE)) / RATE
+    buzz = np.sum([np.sin(2 * np.pi * 120 * h * time) / h for h in range(1, 12)], axis=0)
+    envelope, at = np.zeros(len(time)), 0.3
+    while at < seconds:
+        length = rng.uniform(0.1, 0.3)
+        envelope += rng.uniform(0.05, 0.3) * np.clip((time - at) / 0.02, 0, 1) * np.clip((at + length - time) / 0.05, 0, 1)
+        at += length + rng.choice([0.05, 0.1, 0.9])
+    return (buzz * envelope + 1e-3 * rng.standard_normal(len(time))).astype(np.float32)
+
+
+def in_range(intervals: Array, settings: BeatSettings) -> bool:
+    return bool((intervals >= settings.d_min - 1e-9).all() and (intervals <= settings.d_max + 1e-9).all())
+
+
+@given(onsets=times, loud=loudness, extra=st.floats(0, 12), preset=st.sampled_from(RANGES), rule=st.sampled_from(RULES))
+def test_every_interval_is_in_range(onsets: Array, loud: Array, extra: float, preset: tuple[float, float],
+                                    rule: str) -> None:
+    settings = BeatSettings(*preset, rule=rule)
+    duration = preset[0] + extra
+    beats = place_beats(onsets, loud, duration, settings)
+    assert in_range(beats.intervals, settings)
+    assert beats.times[-1] == duration
+    assert beats.flags[0] == beats.flags[-1] == BeatFlag.BOUNDARY
+    assert (beats.flags[1:-1] != BeatFlag.BOUNDARY).all()
+    for time, flag in zip(beats.times, beats.flags, strict=True):
+        if flag == BeatFlag.ONSET:
+            assert np.abs(onsets - time).min() < 1e-9
+
+
+@given(onsets=times, loud=loudness, extra=st.floats(0, 12), preset=st.sampled_from(RANGES))
+def test_a_beat_depends_on_nothing_beyond_its_horizon(onsets: Array, loud: Array, extra: float,
+                                                      preset: tuple[float, float]) -> None:
+    settings = BeatSettings(*preset)
+    duration = preset[0] + extra
+    onsets = merged(onsets, settings.merge)
+    beats = place_beats(onsets, loud, duration, settings)
+    for beat, following, flag in zip(beats.times[:-1], beats.times[1:], beats.flags[1:], strict=True):
+        horizon = beat + settings.d_max + settings.d_min
+        other_future = np.array([horizon + 0.01, horizon + 0.03])
+        for tail in (NOWHERE, other_future):
+            known = [np.concatenate([series[series < horizon], tail]) for series in (onsets, loud)]
+            end = duration if duration < horizon else None
+            assert next_beat(float(beat), *known, end, settings) == (following, flag)
+
+
+@given(onsets=times, loud=loudness, cut=st.floats(2, 10))
+def test_a_longer_recording_begins_with_the_same_beats(onsets: Array, loud: Array, cut: float) -> None:
+    settings = BeatSettings()
+    whole = place_beats(onsets, loud, 12.0, settings)
+    part = place_beats(onsets[onsets <= cut], loud[loud <= cut], cut, settings)
+    sure = cut - settings.d_max - settings.d_min - 1e-6
+    # A beat is decided before its predecessor's horizon.
+    count = int(np.searchsorted(part.times, sure)) + 1
+    assert np.array_equal(whole.times[:count], part.times[:count])
+
+
+@pytest.mark.parametrize(("onsets", "loud", "duration", "times", "flags"), [
+    # the first onset at least 0.2 s on is taken, one closer is passed over
+    ([0.1, 0.3, 0.45, 0.7], NOWHERE, 1.1, [0, 0.3, 0.7, 1.1], [0, 1, 1, 0]),
+    # an onset closer than 0.2 s to the end is dropped
+    ([0.4, 0.75], NOWHERE, 0.8, [0, 0.4, 0.8], [0, 1, 0]),
+    # nothing at all: the longest steps, and room left for the last one
+    ([], NOWHERE, 1.6, [0, 0.5, 1.0, 1.4, 1.6], [0, 3, 3, 3, 0]),
+    # something loud: the first loud frame 0.2 s on
+    ([], np.array([0.05, 0.27, 0.28]), 0.9, [0, 0.27, 0.7, 0.9], [0, 2, 3, 0]),
+    # a pseudo-beat keeps 0.2 s before the onset that follows
+    ([0.6], NOWHERE, 1.1, [0, 0.4, 0.6, 1.1], [0, 3, 1, 0]),
+    # a recording shorter than a block
+    ([0.05], NOWHERE, 0.15, [0, 0.15], [0, 0]),
+])
+def test_the_bounded_rule_by_hand(onsets: list[float], loud: Array, duration: float, times: list[float],
+                                  flags: list[int]) -> None:
+    beats = place_beats(np.array(onsets, float), loud, duration)
+    assert np.allclose(beats.times, times)
+    assert beats.flags.tolist() == flags
+
+
+@pytest.mark.parametrize(("onsets", "loud", "duration", "times", "flags"), [
+    ([], NOWHERE, 1.2, [0, 0.4, 0.8, 1.2], [0, 3, 3, 0]),
+    ([1.2], np.array([0.9]), 1.7, [0, 0.45, 0.9, 1.2, 1.7], [0, 3, 2, 1, 0]),
+    ([0.3, 0.4, 0.9], NOWHERE, 1.2, [0, 0.3, 0.6, 0.9, 1.2], [0, 1, 3, 1, 0]),
+])
+def test_the_rule_of_the_paper_by_hand(onsets: list[float], loud: Array, duration: float, times: list[float],
+                                       flags: list[int]) -> None:
+    beats = place_beats(np.array(onsets, float), loud, duration, BeatSettings(rule="paper"))
+    assert np.allclose(beats.times, times)
+    assert beats.flags.tolist() == flags
+
+
+def sounds() -> dict[str, Samples]:
+    time = np.arange(6 * RATE) / RATE
+    return {
+        "silence": np.zeros(6 * RATE, np.float32),
+        "noise": (0.01 * np.random.default_rng(0).standard_normal(6 * RATE)).astype(np.float32),
+        "loud noise": (0.2 * np.random.default_rng(0).standard_normal(6 * RATE)).astype(np.float32),
+        "tone": (0.3 * np.sin(2 * np.pi * 220 * time)).astype(np.float32),
+        "clicks": clicks(np.arange(0.1, 6, 0.07), 6),
+        "one onset": clicks(np.array([3.0]), 6),
+        "babble": babble(6.0),
+        "short": babble(0.31),
+        "full scale": np.ones(6 * RATE, np.float32),
+    }
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("name", sounds())
+def test_intervals_hold_for_any_sound(name: str, rule: str) -> None:
+    settings = BeatSettings(rule=rule)
+    speech = Speech(sounds()[name], RATE)
+    beats = find_beats(speech, settings)
+    assert in_range(beats.intervals, settings)
+    assert beats.times[-1] == speech.duration
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 3e-3])
+@pytest.mark.parametrize("step", [0.23, 0.37, 0.5])
+def test_clicks_are_the_beats(step: float, noise: float) -> None:
+    at = np.arange(0.4, 5.5, step)
+    beats = find_beats(Speech(clicks(at, 6.0, noise), RATE))
+    found = beats.times[beats.flags == BeatFlag.ONSET]
+    assert len(found) == len(at)
+    assert np.abs(found - at).max() <= 0.015
+
+
+def test_steady_sound_has_no_onsets() -> None:
+    for name in ("silence", "noise", "tone", "full scale"):
+        assert len(detect_onsets(sounds()[name], RATE)) <= (1 if name in ("tone", "full scale") else 0), name
+
+
+def test_an_onset_closer_than_50_ms_is_the_same_onset() -> None:
+    assert merged(np.array([0.1, 0.12, 0.16, 0.3]), 0.05).tolist() == [0.1, 0.16, 0.3]
+    assert (np.diff(detect_onsets(babble(20.0), RATE)) >= 0.05 - 1e-9).all()
+
+
+def test_onsets_do_not_depend_on_gain_nor_on_what_comes_later() -> None:
+    sound = babble(20.0)
+    whole = detect_onsets(sound, RATE)
+    assert len(whole) > 30
+    quieter = detect_onsets(sound / 2, RATE)
+    assert len(np.setxor1d(whole.round(2), quieter.round(2))) <= 2
+    shout = np.concatenate([sound, np.clip(100 * babble(5.0, 1), -1, 1)])
+    for later in (sound[:12 * RATE], shout):
+        sure = min(len(later) / RATE, 20.0) - LOOK_AHEAD
+        again = detect_onsets(later, RATE)
+        assert np.allclose(again[again < sure], whole[whole < sure], atol=1e-9)
+
+
+def test_long_recordings_are_done_in_pieces_that_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+    sound = babble(20.0)
+    whole = onset_strength(sound, RATE)
+    monkeypatch.setattr("data_module.beats._PIECE", 130)
+    assert np.allclose(onset_strength(sound, RATE), whole, atol=2e-3)
+
+
+def test_settings_that_cannot_hold_are_refused() -> None:
+    for wrong in ({"d_min": 0.3, "d_max": 0.5}, {"d_min": 0.0}, {"d_max": float("inf")}, {"rule": "other"},
+                  {"merge": -1.0}, {"d_min": float("nan")}):
+        with pytest.raises(InputError):
+            BeatSettings(**wrong)  # type: ignore[arg-type]
+    BeatSettings(0.25, 0.5)
+
+
+def test_onsets_agree_with_librosa_on_real_speech(outside_data: Path) -> None:
+    import librosa
+    import mir_eval
+
+    speech = load_speech(outside_data / "speech" / "en_sonnet_2.flac")
+    theirs = merged(librosa.onset.onset_detect(y=speech.samples, sr=RATE, units="time"), 0.05)
+    ours = detect_onsets(speech.samples, RATE)
+    assert mir_eval.onset.f_measure(theirs, ours, window=0.05)[0] > 0.85

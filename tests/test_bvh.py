@@ -1,0 +1,279 @@
+"""BVH: round trips, any order of channels, upc-pymotion as a second opinion, and every way a file can be broken."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymotion.io.bvh import BVH
+from pymotion.ops import skeleton as oracle
+from scipy.spatial.transform import Rotation
+
+from data_module import kinematics, rotation
+from data_module.bvh import BvhWarning, bvh_text, read_bvh, write_bvh
+from data_module.errors import InputError
+from data_module.skeletons import CHARACTER, scaled
+from data_module.types import Array, Motion
+
+ORDERS = ["".join(order) for order in itertools.permutations("XYZ")]
+
+TEMPLATE = """HIERARCHY
+ROOT Hips
+{{
+  OFFSET 0 0 0
+  CHANNELS {channels}
+  JOINT Tail
+  {{
+    OFFSET 0 10 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {{
+      OFFSET 0 5 0
+    }}
+  }}
+}}
+MOTION
+Frames: {frames}
+Frame Time: {time}
+{rows}
+"""
+SIX = "6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+
+
+def small(channels: str = SIX, frames: object = 2, time: object = 0.05,
+          rows: str = "1 2 3 10 20 30 0 0 0\n4 5 6 40 50 60 0 0 0") -> str:
+    return TEMPLATE.format(channels=channels, frames=frames, time=time, rows=rows)
+
+
+def stored(folder: Path, text: str | bytes) -> Path:
+    path = folder / "in.bvh"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def lively(frames: int = 25, fps: float = 60.0, seed: int = 0) -> Motion:
+    """The character in any pose at all, frame after frame, and anywhere."""
+    rng = np.random.default_rng(seed)
+    turns = Rotation.random(frames * len(CHARACTER), rng=rng).as_quat(scalar_first=True)
+    return Motion(CHARACTER, turns.reshape(frames, -1, 4), rng.normal(size=(frames, 3)), fps)
+
+
+def as_read_by_pymotion(path: Path) -> tuple[Array, list[str]]:
+    """Positions [T, J, 3] in the file's own unit by upc-pymotion alone, and its joint names."""
+    other = BVH()
+    other.load(str(path))
+    quaternions, positions, parents, offsets, _, _ = other.get_data()
+    return oracle.fk(quaternions, positions[:, 0], offsets, parents)[0], [str(name) for name in other.data["names"]]
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    motion = lively()
+    write_bvh(tmp_path / "out.bvh", motion)
+    back = read_bvh(tmp_path / "out.bvh")
+    # Joints are written depth first, which is the order of the character.
+    assert back.skeleton.same_joints(CHARACTER)
+    assert back.fps == 60.0
+    assert rotation.angle_between(back.rotations, motion.rotations).max() < 1e-7
+    assert np.allclose(back.root_positions, motion.root_positions, atol=1e-8)
+    assert np.allclose(back.skeleton.offsets, CHARACTER.offsets, atol=1e-8)
+    for joint, tip in CHARACTER.end_sites.items():
+        assert np.allclose(back.skeleton.end_sites[joint], tip, atol=1e-8)
+
+
+def test_writing_what_was_read_gives_the_same_motion_again_and_again(tmp_path: Path) -> None:
+    first = bvh_text(lively(seed=4))
+    second = bvh_text(read_bvh(stored(tmp_path, first)))
+    third = bvh_text(read_bvh(stored(tmp_path, second)))
+    numbers = [np.array(text.split("Frame Time:")[1].split(), dtype=float) for text in (first, second, third)]
+    assert first.split("MOTION")[0] == second.split("MOTION")[0] == third.split("MOTION")[0]
+    turns = [(a - b + 180) % 360 - 180 for a, b in itertools.pairwise(numbers)]
+    assert max(np.abs(turn).max() for turn in turns) < 1e-5
+
+
+@given(st.sampled_from([12.0, 15.0, 20.0, 23.976, 24.0, 25.0, 29.97, 30.0, 50.0, 59.94, 60.0, 100.0, 120.0, 240.0]))
+def test_frame_rates_survive(fps: float) -> None:
+    line = next(line for line in bvh_text(lively(2, fps)).splitlines() if line.startswith("Frame Time"))
+    assert 1.0 / float(line.split()[2]) == pytest.approx(fps, rel=1e-6)
+
+
+@pytest.mark.parametrize(("time", "fps"), [("0.033333", 30.0), ("0.0333667", 29.97), ("0.008333", 120.0),
+                                           ("0.0416667", 24.0), ("0.016667", 60.0), ("0.0417083", 23.976)])
+def test_a_frame_time_of_few_digits_means_the_rate_next_to_it(tmp_path: Path, time: str, fps: float) -> None:
+    assert read_bvh(stored(tmp_path, small(time=time))).fps == pytest.approx(fps, rel=1e-5)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("places", [(0, 1, 2), (2, 0, 1)])
+def test_any_order_of_channels(tmp_path: Path, order: str, places: tuple[int, int, int]) -> None:
+    angles = dict(zip(order, np.radians([10.0, 20.0, 30.0]), strict=True))
+    channels = "6 " + " ".join([f"{'XYZ'[place]}position" for place in places] + [f"{a}rotation" for a in order])
+    motion = read_bvh(stored(tmp_path, small(channels)), unit=1.0)
+    # By hand: matrices multiplied in the order in which the channels are written.
+    expected = np.eye(3)
+    for axis in order:
+        expected = expected @ Rotation.from_euler(axis, angles[axis]).as_matrix()
+    ours = Rotation.from_quat(motion.rotations[0, 0], scalar_first=True).as_matrix()
+    assert np.allclose(ours, expected, atol=1e-12)
+    assert motion.root_positions[0, list(places)].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_rotations_may_come_before_positions_and_between_them(tmp_path: Path) -> None:
+    mixed = small("6 Zrotation Xposition Xrotation Yposition Yrotation Zposition", 1, rows="10 1 20 2 30 3 0 0 0")
+    plain = small(frames=1, rows="1 2 3 10 20 30 0 0 0")
+    first, second = read_bvh(stored(tmp_path, mixed), unit=1.0), read_bvh(stored(tmp_path, plain), unit=1.0)
+    assert np.allclose(first.rotations, second.rotations)
+    assert np.allclose(first.root_positions, second.root_positions)
+
+
+def test_a_joint_may_have_one_rotation_or_two(tmp_path: Path) -> None:
+    motion = read_bvh(stored(tmp_path, small("2 Yrotation Xrotation", 1, rows="90 45 0 0 0")), unit=1.0)
+    expected = (Rotation.from_euler("Y", np.pi / 2) * Rotation.from_euler("X", np.pi / 4)).as_matrix()
+    assert np.allclose(Rotation.from_quat(motion.rotations[0, 0], scalar_first=True).as_matrix(), expected)
+
+
+def test_positions_of_an_inner_joint_are_its_offset(tmp_path: Path) -> None:
+    text = small(frames=1, rows="0 0 0 0 0 0 7 8 9 0 0 0").replace(
+        "CHANNELS 3 Zrotation", "CHANNELS 6 Xposition Yposition Zposition Zrotation")
+    assert read_bvh(stored(tmp_path, text), unit=1.0).skeleton.offsets[1].tolist() == [7.0, 8.0, 9.0]
+
+
+def test_our_files_mean_the_same_to_pymotion(tmp_path: Path) -> None:
+    motion = lively(seed=2)
+    write_bvh(tmp_path / "out.bvh", motion)
+    positions, names = as_read_by_pymotion(tmp_path / "out.bvh")
+    assert names == list(CHARACTER.names)
+    assert np.allclose(positions / 100, kinematics.positions_of(motion), atol=1e-6)
+
+
+def test_pymotions_files_mean_the_same_to_us(tmp_path: Path) -> None:
+    write_bvh(tmp_path / "out.bvh", lively(seed=3))
+    other = BVH()
+    other.load(str(tmp_path / "out.bvh"))
+    other.save(str(tmp_path / "theirs.bvh"))
+    positions, _ = as_read_by_pymotion(tmp_path / "theirs.bvh")
+    assert np.allclose(kinematics.positions_of(read_bvh(tmp_path / "theirs.bvh")), positions / 100, atol=1e-6)
+
+
+def test_a_real_stroke_means_the_same_to_pymotion_and_to_us(outside_data: Path) -> None:
+    path = outside_data / "strokes" / "brad" / "brad_Idle01_BeatHighBt01.bvh"
+    motion = read_bvh(path)
+    positions, names = as_read_by_pymotion(path)
+    assert names == list(motion.skeleton.names)
+    assert np.allclose(kinematics.positions_of(motion), positions, atol=1e-6)
+    assert (len(motion), motion.fps) == (85, 30.0)
+
+
+def test_a_real_takes_wrong_header_is_refused_until_the_rate_is_told(outside_data: Path) -> None:
+    path = outside_data / "takes" / "beat_scott" / "2_scott_0_1_1.bvh"
+    with pytest.raises(InputError, match="7669 frames at 120 fps but 957 rows"):
+        read_bvh(path)
+    with pytest.warns(BvhWarning, match="7669 frames"):
+        motion = read_bvh(path, fps=15.0)
+    assert len(motion) == 957
+    assert motion.duration == pytest.approx(63.8)
+    # Centimetres are recognised: from hips to head an adult measures about 0.6 m.
+    head = kinematics.positions_of(motion)[:, motion.skeleton.index("Head")] - motion.root_positions
+    assert 0.4 < np.median(np.linalg.norm(head, axis=-1)) < 0.8
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01, 0.001])
+def test_metres_centimetres_and_millimetres_are_told_apart(tmp_path: Path, unit: float) -> None:
+    # Written as if a metre were 1 / unit of the file's units; the writer itself divides by centimetres.
+    motion = lively()
+    write_bvh(tmp_path / "out.bvh", scaled(motion, 0.01 / unit))
+    assert np.allclose(kinematics.positions_of(read_bvh(tmp_path / "out.bvh")), kinematics.positions_of(motion),
+                       atol=1e-4)
+
+
+def test_a_unit_that_is_told_stands(tmp_path: Path) -> None:
+    write_bvh(tmp_path / "out.bvh", lively())
+    assert np.allclose(read_bvh(tmp_path / "out.bvh", unit=1.0).skeleton.offsets, CHARACTER.offsets * 100, atol=1e-4)
+
+
+@pytest.mark.parametrize("text", [
+    small().replace("\n", "\r\n"),
+    "\ufeff" + small(),
+    small().replace("  ", "\t"),
+    small() + "\n\n",
+    small().rstrip("\n"),
+], ids=["CRLF", "BOM", "tabs", "blank lines", "no last line end"])
+def test_the_ways_in_which_tools_write_are_all_read(tmp_path: Path, text: str) -> None:
+    motion = read_bvh(stored(tmp_path, text), unit=1.0)
+    assert motion.root_positions.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+
+
+BROKEN = {
+    "empty": b"",
+    "not text": bytes(range(128, 256)),
+    "another kind of text": b"Dear diary,\n",
+    "no motion": small().split("MOTION")[0],
+    "header only": small()[:70],
+    "no rows": small(frames=0, rows=""),
+    "fewer rows than said": small(frames=3),
+    "more rows than said": small(frames=1),
+    "short row": small(rows="1 2 3 10 20 30 0 0 0\n4 5 6"),
+    "every row short": small(rows="1 2 3\n4 5 6"),
+    "word in a row": small(rows="1 2 3 10 20 30 0 0 0\n4 5 6 x 50 60 0 0 0"),
+    "comment in a row": small(rows="1 2 3 10 20 30 0 0 0 # one\n4 5 6 40 50 60 0 0 0"),
+    "NaN in a row": small(rows="1 2 3 10 20 30 0 0 0\n4 5 6 nan 50 60 0 0 0"),
+    "no channels": small("0", rows=""),
+    "unknown channel": small(SIX.replace("Zrotation", "Wrotation")),
+    "more channels said than named": small(SIX.replace("6", "7")),
+    "no number in an offset": small().replace("OFFSET 0 10 0", "OFFSET 0 ten 0"),
+    "infinite offset": small().replace("OFFSET 0 10 0", "OFFSET 0 inf 0"),
+    "offset of two numbers": small().replace("OFFSET 0 10 0", "OFFSET 0 10"),
+    "two joints of one name": small().replace("JOINT Tail", "JOINT Hips"),
+    "a bracket too few": small().replace("}\nMOTION", "MOTION"),
+    "a bracket too many": small().replace("}\nMOTION", "}\n}\nMOTION"),
+    "frame time zero": small(time=0),
+    "frame time negative": small(time=-0.1),
+    "frame time no number": small(time="fast"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_is_one_line_that_names_it(tmp_path: Path, name: str) -> None:
+    path = stored(tmp_path, BROKEN[name])
+    with pytest.raises(InputError) as failure:
+        read_bvh(path)
+    said = str(failure.value)
+    assert said.startswith(str(path))
+    assert "\n" not in said
+    assert failure.value.advice
+
+
+def test_a_missing_file_and_a_folder_are_the_users_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        read_bvh(tmp_path / "nothing.bvh")
+    with pytest.raises(InputError, match="is a folder"):
+        read_bvh(tmp_path)
+
+
+@pytest.mark.parametrize("asked", [{"fps": 0.0}, {"fps": -30.0}, {"fps": float("nan")}, {"unit": 0.0}, {"unit": -1.0}])
+def test_a_rate_or_a_unit_that_is_not_positive_is_the_users_error(tmp_path: Path, asked: dict[str, float]) -> None:
+    with pytest.raises(InputError, match="positive"):
+        read_bvh(stored(tmp_path, small()), **asked)
+
+
+@given(st.text(alphabet="{}0123456789.- \nOFSETCHANLJIXYrotain", max_size=300), st.integers(0, 400))
+def test_whatever_the_text_it_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, noise: str, at: int) -> None:
+    text = small()
+    path = stored(tmp_path_factory.mktemp("noise"), text[:at] + noise + text[at + len(noise):])
+    try:
+        motion = read_bvh(path)
+    except InputError:
+        return
+    assert np.isfinite(motion.rotations).all()
+
+
+def test_angles_are_written_without_jumps(tmp_path: Path) -> None:
+    # A full turn about Z in small steps: tools that interpolate channel by channel must not see 180 become -180.
+    vectors = np.zeros((50, len(CHARACTER), 3))
+    vectors[:, 9, 2] = np.linspace(0, 2 * np.pi, 50)
+    motion = Motion(CHARACTER, rotation.from_exponential_map(vectors), np.zeros((50, 3)), 30.0)
+    rows = np.loadtxt(bvh_text(motion).split("Frame Time:")[1].splitlines()[1:])
+    assert np.abs(np.diff(rows, axis=0)).max() < 10.0

@@ -1,0 +1,238 @@
+"""The main job, as a user calls it: files in, files out, the same bytes every time, and one line for bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from data_module.bvh import read_bvh
+from data_module.errors import InputError
+from data_module.skeletons import JOINTS
+from data_module.types import Speech
+from gesticulator import bundle as bundles
+from gesticulator import infer
+from gesticulator.pipeline import Gesticulator
+
+RATE = 16000
+
+
+def babble(seconds: float, rate: int = RATE, seed: int = 0) -> np.ndarray:
+    """Syllable-like bursts with a pause in the middle, over faint noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+    voice = np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
+    voice[(t > 0.4 * seconds) & (t < 0.7 * seconds)] = 0
+    return (0.2 * voice + 0.001 * rng.normal(size=len(t))).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sound") / "speech.flac"
+    soundfile.write(path, babble(8.0), RATE)
+    return path
+
+
+def run(arguments: list[str], tiny_bundle: Path) -> int:
+    return infer.main([*arguments, "--bundle", str(tiny_bundle)])
+
+
+def test_a_recording_becomes_motion_page_and_plan(recording: Path, tiny_bundle: Path, tmp_path: Path,
+                                                  capsys: pytest.CaptureFixture[str]) -> None:
+    out = {suffix: tmp_path / f"gesture{suffix}" for suffix in (".bvh", ".html", ".json")}
+    assert run([str(recording), "-o", str(out[".bvh"]), "--preview", str(out[".html"]), "--explain",
+                str(out[".json"])], tiny_bundle) == 0
+    motion = read_bvh(out[".bvh"])
+    assert motion.skeleton.names == JOINTS or set(motion.skeleton.names) == set(JOINTS)
+    assert motion.fps == pytest.approx(60) and motion.duration == pytest.approx(8.0, abs=0.02)
+    blocks = json.loads(out[".json"].read_text())["blocks"]
+    assert blocks[0]["start"] == 0 and blocks[-1]["end"] == pytest.approx(8.0)
+    assert all(a["end"] == b["start"] for a, b in zip(blocks, blocks[1:], strict=False))
+    assert all(len(b["lexemes"]) == 5 for b in blocks)
+    assert any(b["silent"] for b in blocks) and not all(b["silent"] for b in blocks)
+    assert "<html" in out[".html"].read_text()[:2000].lower()
+    summary = capsys.readouterr().out
+    assert summary.count("\n") == 1 and "8.0 s" in summary and "real-time factor" in summary
+
+
+def test_the_same_seed_gives_the_same_bytes_in_another_process(recording: Path, tiny_bundle: Path, tmp_path: Path
+                                                               ) -> None:
+    files = []
+    for name in ("a", "b"):
+        target = tmp_path / f"{name}.bvh"
+        subprocess.run([sys.executable, "-m", "gesticulator.infer", str(recording), "-o", str(target), "--bundle",
+                        str(tiny_bundle), "--temperature", "1", "--seed", "3", "--quiet"], check=True)
+        files.append(target.read_bytes())
+    assert files[0] == files[1]
+    run([str(recording), "-o", str(tmp_path / "c.bvh"), "--temperature", "1", "--seed", "4"], tiny_bundle)
+    assert (tmp_path / "c.bvh").read_bytes() != files[0]
+
+
+@pytest.mark.parametrize(("suffix", "rate", "channels"), [(".wav", 44100, 2), (".ogg", 48000, 1), (".mp3", 22050, 1),
+                                                          (".flac", 8000, 1)])
+def test_any_format_rate_and_channel_count(suffix: str, rate: int, channels: int, tiny_bundle: Path, tmp_path: Path
+                                           ) -> None:
+    sound = np.repeat(babble(2.0, rate)[:, None], channels, axis=1)
+    soundfile.write(tmp_path / f"s{suffix}", sound, rate)
+    assert run([str(tmp_path / f"s{suffix}"), "-o", str(tmp_path / "o.bvh"), "--fps", "30"], tiny_bundle) == 0
+    motion = read_bvh(tmp_path / "o.bvh")
+    assert motion.fps == pytest.approx(30) and motion.duration == pytest.approx(2.0, abs=0.1)
+
+
+def test_the_shortest_recording_and_pure_silence_give_a_person_at_rest(tiny_bundle: Path, tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "short.wav", babble(0.3), RATE)
+    soundfile.write(tmp_path / "silence.wav", np.zeros(RATE * 20, np.float32), RATE)
+    for name in ("short", "silence"):
+        assert run([str(tmp_path / f"{name}.wav"), "-o", str(tmp_path / f"{name}.bvh")], tiny_bundle) == 0
+    assert len(read_bvh(tmp_path / "short.bvh")) == 18
+    system = Gesticulator.from_pretrained(tiny_bundle)
+    made = system(str(tmp_path / "silence.wav"))
+    assert made.blocks.silent.all() and set(made.lexemes.tolist()) <= set(system.bundle.silent.tolist())
+
+
+def test_many_recordings_go_to_a_folder(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "other.wav", babble(1.0, seed=1), RATE)
+    assert run([str(recording), str(tmp_path / "other.wav"), "-o", str(tmp_path / "out"), "--explain",
+                str(tmp_path / "out")], tiny_bundle) == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["other.bvh", "other.json", "speech.bvh",
+                                                                    "speech.json"]
+
+
+def test_an_hour_streams_through_the_front_end_in_bounded_memory() -> None:
+    from gesticulator import config, hear
+
+    limit = hear._CHUNK * 3 * config.preset("default").rhythm.frames * 800 * 4
+    assert limit < 100e6, "bytes of windows in flight, whatever the length"
+
+
+def test_python_use_with_speech_at_another_rate(tiny_bundle: Path) -> None:
+    system = Gesticulator.from_pretrained(tiny_bundle)
+    made = system(Speech(babble(2.0, 22050), 22050), speaker=system.speakers[-1], fps=25)
+    assert made.motion.fps == 25 and len(made.motion) == 50
+    assert np.isfinite(made.motion.rotations).all()
+
+
+def test_other_interpreters_and_speakers_change_the_motion(recording: Path, tiny_bundle: Path) -> None:
+    system = Gesticulator.from_pretrained(tiny_bundle)
+    base = system(recording).motion.rotations
+    assert not np.array_equal(base, system(recording, interpreter="statistical", temperature=1.0).motion.rotations)
+    if len(system.speakers) > 1:
+        assert not np.array_equal(base, system(recording, speaker=system.speakers[1]).motion.rotations)
+
+
+def bad_files(folder: Path) -> dict[str, Path]:
+    (folder / "empty.wav").write_bytes(b"")
+    (folder / "text.wav").write_text("this is not sound\n" * 50)
+    soundfile.write(folder / "zero.wav", np.zeros(0, np.float32), RATE)
+    sound = babble(1.0)
+    sound[100] = np.nan
+    soundfile.write(folder / "nan.wav", sound, RATE, subtype="FLOAT")
+    soundfile.write(folder / "whole.wav", babble(2.0), RATE)
+    (folder / "cut.wav").write_bytes((folder / "whole.wav").read_bytes()[:30_000])
+    return {name: folder / f"{name}.wav" for name in ("missing", "empty", "text", "zero", "nan", "cut")} | {
+        "directory": folder}
+
+
+@pytest.mark.parametrize("name", ["missing", "empty", "text", "zero", "nan", "cut", "directory"])
+def test_bad_recordings(name: str, tiny_bundle: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    source = bad_files(tmp_path)[name]
+    before = set(tmp_path.iterdir())
+    with pytest.raises(SystemExit) as stop:
+        run([str(source), "-o", str(tmp_path / "o.bvh"), "--preview", str(tmp_path / "o.html")], tiny_bundle)
+    out, error = capfd.readouterr()
+    assert stop.value.code == 2 and out == "" and error.count("\n") == 1 and str(source) in error
+    assert set(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--speaker", "nobody"], "nobody"), (["--bundle", "nowhere"], "nowhere"), (["--fps", "0"], "fps"),
+    (["--temperature", "-1"], "temperature"), (["-o", "nowhere/o.bvh"], "nowhere"), (["-o", "o.fbx"], ".bvh"),
+    (["--explain", "o.txt"], ".json"),
+])
+def test_bad_arguments(arguments: list[str], said: str, recording: Path, tiny_bundle: Path, tmp_path: Path,
+                       capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        infer.main([str(recording), "-o", "o.bvh", "--bundle", str(tiny_bundle), *arguments])
+    out, error = capfd.readouterr()
+    assert stop.value.code == 2 and out == "" and error.count("\n") == 1 and said in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_nothing_behind(recording: Path, tiny_bundle: Path, tmp_path: Path,
+                                           capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", str(tmp_path / "o.bvh"))
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(SystemExit) as stop:
+        run([str(recording), "-o", str(tmp_path / "o.bvh")], tiny_bundle)
+    assert stop.value.code == 2 and "No space left" in capfd.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_recordings_with_one_name_are_refused(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    (tmp_path / "d").mkdir()
+    shutil.copy(recording, tmp_path / "d" / recording.name)
+    with pytest.raises(SystemExit):
+        run([str(recording), str(tmp_path / "d" / recording.name), "-o", str(tmp_path / "out")], tiny_bundle)
+
+
+def copy_of(bundle: Path, folder: Path) -> Path:
+    return Path(shutil.copytree(bundle, folder / "copy"))
+
+
+def test_broken_and_foreign_bundles_are_refused_by_name(tiny_bundle: Path, tmp_path: Path) -> None:
+    copy = copy_of(tiny_bundle, tmp_path)
+    data = bytearray((copy / "generator.safetensors").read_bytes())
+    data[-1] ^= 1
+    (copy / "generator.safetensors").write_bytes(data)
+    with pytest.raises(InputError, match="generator.safetensors.*SHA-256"):
+        bundles.load(copy)
+    (copy / "generator.safetensors").unlink()
+    with pytest.raises(InputError, match="missing"):
+        bundles.load(copy)
+    index = json.loads((copy / "bundle.json").read_text())
+    for change, said in (({"format": 99}, "format 99"), ({"skeleton": {**index["skeleton"], "names": ["A"]}}, "skeleton")):
+        (copy / "bundle.json").write_text(json.dumps({**index, **change}))
+        with pytest.raises(InputError, match=said):
+            bundles.load(copy)
+    (copy / "bundle.json").write_text("{")
+    with pytest.raises(InputError, match="broken"):
+        bundles.load(copy)
+    with pytest.raises(InputError, match="not a bundle"):
+        bundles.load(tmp_path)
+
+
+def test_a_bundle_is_the_same_after_a_round_trip(tiny_bundle: Path, tmp_path: Path) -> None:
+    one = bundles.load(tiny_bundle)
+    bundles.save(one, tmp_path / "again", (tiny_bundle / bundles.CARD).read_text())
+    for file in tiny_bundle.glob("*.safetensors"):
+        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes()
+    assert bundles.load(tmp_path / "again").config == one.config
+
+
+def test_a_bundle_never_replaces_something_else(tiny_bundle: Path, tmp_path: Path) -> None:
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "file").write_text("kept")
+    with pytest.raises(InputError, match="not a bundle"):
+        bundles.save(bundles.load(tiny_bundle), tmp_path / "precious", "card")
+    assert [p.name for p in tmp_path.iterdir()] == ["precious"]
+
+
+def test_help_and_version_import_nothing_heavy() -> None:
+    code = ("import sys, gesticulator.infer as i\n"
+            "try: i.main(['--help'])\n"
+            "except SystemExit: pass\n"
+            "heavy = {'torch', 'numpy', 'librosa', 'scipy', 'transformers', 'soundfile'} & set(sys.modules)\n"
+            "assert not heavy, heavy")
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60).returncode == 0
+    out = subprocess.run([sys.executable, "-m", "gesticulator.infer", "--version"], capture_output=True, text=True)
+    assert out.stdout.startswith("gesticulator 0.")

@@ -1,0 +1,197 @@
+"""Rotations against scipy, and what scipy does not do: continuity, the removal of yaw, interpolation in bulk."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation, Slerp
+
+from data_module import rotation
+from data_module.types import Array
+
+ORDERS = ["".join(order) for order in itertools.permutations("XYZ")]
+vectors = arrays(np.float64, 3, elements=st.floats(-10, 10))
+turns = vectors.map(lambda v: Rotation.from_rotvec(v).as_quat(scalar_first=True))
+
+
+def random_turns(*shape: int, seed: int = 0) -> Array:
+    count = int(np.prod(shape))
+    return Rotation.random(count, rng=np.random.default_rng(seed)).as_quat(scalar_first=True).reshape(*shape, 4)
+
+
+def as_scipy(q: Array) -> Rotation:
+    return Rotation.from_quat(q.reshape(-1, 4), scalar_first=True)
+
+
+def apart(a: Array, b: Array) -> float:
+    """The largest angle between two sets of rotations, by scipy."""
+    return float((as_scipy(a).inv() * as_scipy(b)).magnitude().max())
+
+
+def test_products_inverses_and_turned_vectors_are_scipys() -> None:
+    a, b = random_turns(7, 5, seed=1), random_turns(7, 5, seed=2)
+    v = np.random.default_rng(3).normal(size=(7, 5, 3))
+    product = (as_scipy(a) * as_scipy(b)).as_matrix()
+    assert np.allclose(as_scipy(rotation.multiply(a, b)).as_matrix(), product, atol=1e-12)
+    assert np.allclose(as_scipy(rotation.conjugate(a)).as_matrix(), as_scipy(a).inv().as_matrix(), atol=1e-12)
+    assert np.allclose(rotation.rotate(a, v).reshape(-1, 3), as_scipy(a).apply(v.reshape(-1, 3)), atol=1e-12)
+
+
+def test_one_quaternion_turns_many_vectors() -> None:
+    quarter = rotation.from_euler(np.array([np.pi / 2, 0.0, 0.0]), "YXZ")
+    turned = rotation.rotate(quarter, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))
+    assert np.allclose(turned, [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_euler_angles_go_there_and_back(order: str) -> None:
+    q = random_turns(4, 50)
+    assert apart(rotation.from_euler(rotation.to_euler(q, order), order), q) < 1e-7
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("pole", [np.pi / 2, -np.pi / 2])
+def test_euler_angles_survive_gimbal_lock_without_a_word(order: str, pole: float,
+                                                         recwarn: pytest.WarningsRecorder) -> None:
+    q = rotation.from_euler(np.array([[0.3, pole, -0.7]]), order)
+    assert apart(rotation.from_euler(rotation.to_euler(q, order), order), q) < 1e-6
+    assert not recwarn.list
+
+
+def test_the_first_axis_written_is_the_outermost() -> None:
+    z, x = rotation.from_euler(np.array([0.4, 0, 0]), "ZXY"), rotation.from_euler(np.array([0.9, 0, 0]), "XYZ")
+    assert apart(rotation.from_euler(np.array([0.4, 0.9, 0.0]), "ZXY"), rotation.multiply(z, x)) < 1e-12
+
+
+@given(turns)
+def test_the_exponential_map_goes_there_and_back(q: Array) -> None:
+    v = rotation.to_exponential_map(q)
+    assert np.linalg.norm(v) <= np.pi + 1e-9
+    assert apart(rotation.from_exponential_map(v), q) < 1e-7
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, np.pi - 1e-9, np.pi, np.pi + 1e-9, 2 * np.pi, 3 * np.pi, 7.5])
+def test_the_exponential_map_at_and_beyond_half_a_turn(angle: float) -> None:
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    q = rotation.from_exponential_map(axis * angle)
+    # By hand: w = cos(angle / 2), the vector part = axis sin(angle / 2), up to the sign of the whole.
+    expected = np.concatenate([[np.cos(angle / 2)], axis * np.sin(angle / 2)])
+    assert min(np.abs(q - expected).max(), np.abs(q + expected).max()) < 1e-9
+    back = rotation.to_exponential_map(q)
+    short = abs((angle + np.pi) % (2 * np.pi) - np.pi)
+    assert np.linalg.norm(back) == pytest.approx(short, abs=1e-7)
+
+
+@given(vectors, st.floats(0.5, 12.0), st.integers(0, 4))
+def test_unrolling_follows_a_joint_through_any_number_of_turns(axis: Array, reach: float, turns_before: int) -> None:
+    length = np.linalg.norm(axis)
+    axis = axis / length if length > 1e-3 else np.array([0.0, 1.0, 0.0])
+    angles = np.linspace(0.1, 0.1 + reach, 60) + 2 * np.pi * turns_before
+    truth = angles[:, None] * axis
+    wrapped = rotation.to_exponential_map(rotation.from_exponential_map(truth))
+    smooth = rotation.unroll(wrapped)
+    assert np.allclose(smooth - smooth[0], truth - truth[0], atol=1e-6)
+    assert apart(rotation.from_exponential_map(smooth), rotation.from_exponential_map(truth)) < 1e-6
+
+
+def test_unrolling_has_no_jump_where_the_raw_map_jumps() -> None:
+    rng = np.random.default_rng(0)
+    drift = np.cumsum(rng.normal(scale=0.08, size=(400, 3, 3)), axis=0) + np.array([2.5, 0.5, 0.5])
+    wrapped = rotation.to_exponential_map(rotation.from_exponential_map(drift))
+    smooth = rotation.unroll(wrapped)
+    assert np.abs(np.diff(wrapped, axis=0)).max() > 3.0
+    # A small turn moves the map by more the nearer it is to a whole turn; half a radian is far from a jump of 2 pi.
+    away = np.linalg.norm(smooth, axis=-1)
+    near_whole_turn = np.abs(away / (2 * np.pi) - np.maximum(np.round(away / (2 * np.pi)), 1)) < 0.1
+    steps = np.linalg.norm(np.diff(smooth, axis=0), axis=-1)
+    assert steps[~(near_whole_turn[1:] | near_whole_turn[:-1])].max() < 2.0
+    assert apart(rotation.from_exponential_map(smooth), rotation.from_exponential_map(drift)) < 1e-6
+
+
+def test_unrolling_through_the_identity_keeps_the_axis() -> None:
+    truth = np.linspace(-0.5, 0.5, 11)[:, None] * np.array([0.0, 0.0, 1.0])
+    assert np.allclose(rotation.unroll(truth), truth)
+    assert np.array_equal(rotation.unroll(np.zeros((4, 2, 3))), np.zeros((4, 2, 3)))
+
+
+def test_neighbours_lie_on_one_half_sphere() -> None:
+    q = rotation.from_exponential_map(np.linspace(0, 20, 200)[:, None] * np.array([0.6, 0.0, 0.8]))
+    q[::3] *= -1
+    smooth = rotation.continuous(q)
+    assert (np.sum(smooth[1:] * smooth[:-1], axis=-1) > 0).all()
+    assert apart(smooth, q) < 1e-12
+    assert np.array_equal(smooth[0], q[0])
+
+
+@given(turns)
+def test_removing_yaw_twice_is_removing_it_once(q: Array) -> None:
+    once = rotation.remove_yaw(q)
+    assert np.linalg.norm(once) == pytest.approx(1.0)
+    assert abs(once[2]) < 1e-9
+    assert apart(rotation.remove_yaw(once), once) < 1e-7
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-1.4, 1.4), st.floats(-np.pi, np.pi))
+def test_two_that_differ_by_yaw_alone_become_one(yaw: float, pitch: float, roll: float) -> None:
+    leaning = rotation.from_euler(np.array([0.0, pitch, roll / 3]), "YXZ")
+    turned = rotation.multiply(rotation.from_euler(np.array([yaw, 0.0, 0.0]), "YXZ"), leaning)
+    assert apart(rotation.remove_yaw(turned), rotation.remove_yaw(leaning)) < 1e-6
+
+
+def test_yaw_of_a_pure_turn_about_the_vertical_is_all_of_it() -> None:
+    q = rotation.from_exponential_map(np.array([[0.0, 1.1, 0.0], [0.0, -3.0, 0.0], [0.7, 0.0, 0.0]]))
+    assert apart(rotation.yaw_of(q)[:2], q[:2]) < 1e-12
+    assert apart(rotation.yaw_of(q)[2:], np.array([[1.0, 0, 0, 0]])) < 1e-12
+
+
+@given(vectors, vectors)
+def test_between_turns_one_direction_onto_the_other_by_the_shortest_way(a: Array, b: Array) -> None:
+    if min(np.linalg.norm(a), np.linalg.norm(b)) < 1e-3:
+        return
+    q = rotation.between(a, b)
+    ua, ub = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    assert np.allclose(rotation.rotate(q, ua), ub, atol=1e-4)
+    # arccos of a cosine near +-1 knows the angle to 1e-7 only.
+    assert as_scipy(q).magnitude()[0] == pytest.approx(np.arccos(np.clip(ua @ ub, -1, 1)), abs=2e-4)
+
+
+@pytest.mark.parametrize("axis", np.eye(3).tolist())
+def test_between_opposite_directions_is_half_a_turn(axis: list[float]) -> None:
+    q = rotation.between(np.array(axis), -np.array(axis))
+    assert np.allclose(rotation.rotate(q, np.array(axis)), -np.array(axis), atol=1e-9)
+
+
+def test_the_angle_between_is_scipys_magnitude_and_blind_to_signs() -> None:
+    a, b = random_turns(40, seed=5), random_turns(40, seed=6)
+    expected = (as_scipy(a).inv() * as_scipy(b)).magnitude()
+    assert np.allclose(rotation.angle_between(a, b), expected, atol=1e-9)
+    assert np.allclose(rotation.angle_between(a, -b), expected, atol=1e-9)
+    assert np.allclose(rotation.angle_between(a, -a), 0.0, atol=1e-7)
+
+
+def test_interpolation_is_scipys_slerp() -> None:
+    q = random_turns(9, 2, seed=8)
+    q[4] = q[3]
+    q[6] = -q[5]
+    where = np.random.default_rng(1).uniform(0, 8, 60)
+    ours = rotation.interpolate(q, where)
+    for joint in range(2):
+        expected = Slerp(np.arange(9), as_scipy(q[:, joint]))(where)
+        # Slerp between almost opposite rotations is ill-posed; random ones never are.
+        assert (as_scipy(ours[:, joint]).inv() * expected).magnitude().max() < 1e-7
+
+
+def test_interpolation_stops_at_the_ends_and_needs_no_second_frame() -> None:
+    q = random_turns(3, seed=2)
+    assert apart(rotation.interpolate(q, np.array([-5.0, 0.0, 2.0, 9.0])), q[[0, 0, 2, 2]]) < 1e-9
+    assert apart(rotation.interpolate(q[:1], np.array([0.0, 0.5])), q[[0, 0]]) < 1e-9
+
+
+def test_a_zero_quaternion_normalises_to_the_identity() -> None:
+    assert np.array_equal(rotation.normalise(np.array([[0.0, 0, 0, 0], [0.0, 3.0, 0, 4.0]])),
+                          [[1.0, 0, 0, 0], [0.0, 0.6, 0, 0.8]])

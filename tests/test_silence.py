@@ -1,0 +1,115 @@
+"""Silence: noise of a room is silent, a quiet voice is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from data_module.silence import (
+    FRAME,
+    LOOK_AHEAD,
+    SHORTEST_PAUSE,
+    frame_levels,
+    noise_floor,
+    pauses,
+    silent_blocks,
+    silent_frames,
+)
+from data_module.types import Array, Samples, Speech
+
+RATE = 16000
+
+
+def room(seconds: float, dbfs: float, colour: float = 0.0, seed: int = 0) -> Samples:
+    noise = np.random.default_rng(seed).standard_normal(round(seconds * RATE) + RATE)
+    noise = lfilter([1.0], [1.0, -colour], noise)[RATE:]
+    return (noise / np.std(noise) * 10 ** (dbfs / 20)).astype(np.float32)
+
+
+def voice(seconds: float, dbfs: float) -> Samples:
+    """A buzz in syllables of a quarter of a second, never quite interrupted."""
+    time = np.arange(round(seconds * RATE)) / RATE
+    buzz = np.sum([np.sin(2 * np.pi * 120 * h * time) / h for h in range(1, 15)], axis=0)
+    sound = buzz * (0.15 + np.sin(np.pi * time / 0.25) ** 2)
+    return (sound / np.std(sound) * 10 ** (dbfs / 20)).astype(np.float32)
+
+
+def steps(seconds: float, step: float = 0.25) -> Array:
+    return np.linspace(0, seconds, round(seconds / step) + 1)
+
+
+def test_frame_levels_are_dbfs() -> None:
+    time = np.arange(RATE) / RATE
+    sine = np.sin(2 * np.pi * 100 * time).astype(np.float32)
+    assert np.allclose(frame_levels(sine, RATE), -3.0103, atol=1e-3)
+    assert np.allclose(frame_levels(sine * 0.1, RATE), -23.0103, atol=1e-3)
+    assert len(frame_levels(sine[:15901], RATE)) == 100
+    assert (frame_levels(np.zeros(500, np.float32), RATE) == -120).all()
+
+
+def test_the_floor_is_the_percentile_of_the_past_ten_seconds() -> None:
+    levels = np.random.default_rng(0).normal(-70, 5, 2500)
+    floor = noise_floor(levels)
+    means = levels.reshape(-1, 10).mean(axis=1)
+    for step in (3, 60, 101, 200, 249):
+        past = means[max(0, step - 99):step + 1]
+        assert floor[10 * step] == np.percentile(past, 10, method="lower")
+        assert (floor[10 * step:10 * step + 10] == floor[10 * step]).all()
+
+
+@pytest.mark.parametrize("dbfs", [-90, -65, -50, -42])
+@pytest.mark.parametrize("colour", [0.0, 0.97])
+def test_a_minute_of_room_noise_is_silent(dbfs: float, colour: float) -> None:
+    noise = room(60.0, dbfs, colour)
+    assert silent_blocks(Speech(noise, RATE), steps(60.0)).all()
+
+
+def test_room_noise_stays_silent_after_speech() -> None:
+    sound = np.concatenate([voice(15.0, -20), np.zeros(60 * RATE, np.float32)]) + room(75.0, -45)
+    silent = silent_blocks(Speech(sound, RATE), steps(75.0))
+    assert not silent[:60].any()
+    assert silent[61:].all()
+
+
+@pytest.mark.parametrize(("speech", "noise"), [(-45, -90), (-30, -50), (-23, -40), (-10, -60)])
+def test_a_quiet_voice_is_not_silent(speech: float, noise: float) -> None:
+    sound = np.concatenate([np.zeros(2 * RATE, np.float32), voice(20.0, speech)]) + room(22.0, noise)
+    silent = silent_blocks(Speech(sound, RATE), steps(22.0))
+    assert silent[:7].all()
+    assert not silent[9:].any()
+
+
+def test_a_voice_that_starts_at_once_is_heard() -> None:
+    assert not silent_blocks(Speech(voice(5.0, -25) + room(5.0, -60), RATE), steps(5.0)).any()
+
+
+def test_a_pause_is_long_enough_and_a_blip_does_not_end_it() -> None:
+    frames = round(SHORTEST_PAUSE / FRAME)
+    loud, quiet = np.zeros(50, bool), np.ones
+    for length, expected in ((frames - 1, False), (frames, True)):
+        state = np.concatenate([loud, quiet(length, bool), loud])
+        assert pauses(state)[50:50 + length].all() == expected
+        assert not pauses(state)[:50].any()
+    blip = np.concatenate([loud, quiet(25, bool), [False, False], quiet(25, bool), loud])
+    assert pauses(blip)[50:102].all()
+    blip = np.concatenate([loud, quiet(25, bool), [False] * 3, quiet(25, bool), loud])
+    assert not pauses(blip).any()
+
+
+def test_silence_is_the_same_in_a_stream() -> None:
+    sound = np.concatenate([voice(6.0, -20), np.zeros(3 * RATE, np.float32), voice(6.0, -25)]) + room(15.0, -50)
+    whole = pauses(silent_frames(sound, RATE))
+    assert whole.any()
+    assert not whole.all()
+    for seconds in (4.0, 6.5, 8.0, 12.0):
+        part = pauses(silent_frames(sound[:round(seconds * RATE)], RATE))
+        sure = round((seconds - LOOK_AHEAD) / FRAME)
+        assert np.array_equal(part[:sure], whole[:sure])
+
+
+def test_blocks_are_silent_by_their_own_frames() -> None:
+    sound = np.concatenate([voice(3.0, -20), np.zeros(2 * RATE, np.float32), voice(3.0, -20)])
+    edges = np.array([0, 1.0, 2.8, 3.02, 3.5, 4.98, 5.2, 8.0])
+    assert silent_blocks(Speech(sound, RATE), edges).tolist() == [False, False, False, True, True, False, False]
+    assert silent_blocks(Speech(np.zeros(RATE, np.float32), RATE), np.array([0, 0.004, 1.0])).tolist()[1]

@@ -1,0 +1,117 @@
+"""The glossary refuses what would break a stage further on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data_module.errors import EXIT_BAD_INPUT, InputError, one_line_errors
+from data_module.types import Array, BeatFlag, Beats, Blocks, Motion, Skeleton, Speech, Word
+
+TWO = Skeleton(("root", "tip"), (-1, 0), np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+
+
+def still(frames: int) -> Array:
+    rotations = np.zeros((frames, 2, 4))
+    rotations[..., 0] = 1.0
+    return rotations
+
+
+@pytest.mark.parametrize(("names", "parents", "offsets"), [
+    (("a", "b"), (-1,), np.zeros((2, 3))),
+    (("a", "a"), (-1, 0), np.zeros((2, 3))),
+    (("a", "b"), (1, -1), np.zeros((2, 3))),
+    (("a", "b"), (-1, -1), np.zeros((2, 3))),
+    (("a", "b"), (-1, 1), np.zeros((2, 3))),
+    (("a", "b"), (-1, 0), np.full((2, 3), np.nan)),
+    (("a", "b"), (-1, 0), np.zeros((2, 2))),
+    ((), (), np.zeros((0, 3))),
+])
+def test_a_skeleton_that_is_no_tree_is_refused(names: tuple[str, ...], parents: tuple[int, ...],
+                                               offsets: Array) -> None:
+    with pytest.raises(ValueError):
+        Skeleton(names, parents, offsets)
+
+
+def test_a_skeleton_finds_its_joints_by_name() -> None:
+    assert TWO.index("tip") == 1
+    with pytest.raises(KeyError, match="nose"):
+        TWO.index("nose")
+
+
+def test_same_joints_ignores_proportions_but_not_the_tree() -> None:
+    longer = Skeleton(TWO.names, TWO.parents, TWO.offsets * 3)
+    other = Skeleton(("root", "end"), (-1, 0), TWO.offsets)
+    assert TWO.same_joints(longer)
+    assert not TWO.same_joints(other)
+
+
+def test_a_motion_refuses_wrong_shapes_no_frames_no_rate_and_nan() -> None:
+    for rotations, root, fps in [
+        (still(3)[:, :1], np.zeros((3, 3)), 30.0),
+        (still(3), np.zeros((2, 3)), 30.0),
+        (still(0), np.zeros((0, 3)), 30.0),
+        (still(3), np.zeros((3, 3)), 0.0),
+        (still(3), np.zeros((3, 3)), float("nan")),
+        (still(3) * np.nan, np.zeros((3, 3)), 30.0),
+        (still(3), np.full((3, 3), np.inf), 30.0),
+    ]:
+        with pytest.raises(ValueError):
+            Motion(TWO, rotations, root, fps)
+
+
+def test_crop_keeps_the_frames_asked_for_and_duration_counts_each() -> None:
+    root = np.arange(30.0).reshape(10, 3)
+    motion = Motion(TWO, still(10), root, 20.0)
+    assert motion.duration == pytest.approx(0.5)
+    assert motion.crop(2, 5).root_positions.tolist() == root[2:5].tolist()
+
+
+def test_speech_without_samples_or_with_nan_is_the_users_error() -> None:
+    with pytest.raises(InputError, match="no samples"):
+        Speech(np.zeros(0, dtype=np.float32), 16000)
+    with pytest.raises(InputError, match="not numbers"):
+        Speech(np.array([0.0, np.nan], dtype=np.float32), 16000)
+    with pytest.raises(ValueError):
+        Speech(np.zeros((2, 2), dtype=np.float32), 16000)
+    assert Speech(np.zeros(8000, dtype=np.float32), 16000).duration == 0.5
+
+
+@pytest.mark.parametrize(("start", "end"), [(1.0, 0.5), (float("nan"), 1.0), (0.0, float("inf"))])
+def test_a_word_ends_after_it_begins(start: float, end: float) -> None:
+    with pytest.raises(ValueError, match="hello"):
+        Word("hello", start, end)
+
+
+def test_beats_rise_strictly_from_zero() -> None:
+    flags = np.full(3, BeatFlag.ONSET, dtype=np.int8)
+    assert Beats(np.array([0.0, 0.3, 0.5]), flags).intervals == pytest.approx([0.3, 0.2])
+    for times in ([0.1, 0.3, 0.5], [0.0, 0.3, 0.3], [0.0, 0.5, 0.3]):
+        with pytest.raises(ValueError):
+            Beats(np.array(times), flags)
+
+
+def test_the_last_frame_of_a_block_lies_on_its_beat() -> None:
+    edges = np.array([0.0, 0.3, 0.7])
+    blocks = Blocks(edges, np.ones(2, dtype=np.int8), np.zeros(2, dtype=bool), 3, 20.0)
+    # By hand: thirds of 0.3 s after 0, then thirds of 0.4 s after 0.3.
+    assert blocks.knot_times == pytest.approx([0.1, 0.2, 0.3, 0.3 + 0.4 / 3, 0.3 + 0.8 / 3, 0.7])
+    assert blocks.knot_times[5] == edges[2]
+    with pytest.raises(ValueError):
+        Blocks(edges[::-1].copy(), np.ones(2, dtype=np.int8), np.zeros(2, dtype=bool), 3, 20.0)
+
+
+@pytest.mark.parametrize(("raised", "said"), [
+    (InputError("a.wav", "is broken\nin two lines", "export it again"),
+     "prog: a.wav: is broken in two lines; export it again"),
+    (OSError(28, "No space left on device", "out.bvh"), "prog: out.bvh: No space left on device"),
+])
+def test_an_error_of_the_user_is_one_line_and_exit_code_two(raised: Exception, said: str,
+                                                            capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving, one_line_errors("prog"):
+        raise raised
+    assert leaving.value.code == EXIT_BAD_INPUT == 2
+    written = capsys.readouterr()
+    assert written.out == ""
+    assert written.err.startswith(said)
+    assert written.err.count("\n") == 1
