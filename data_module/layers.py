@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -18,7 +19,7 @@ def convolutions(widths: Sequence[int], kernel: int = 3, *, norm: bool = True, l
     Each is followed by batch normalisation (when `norm`) and LeakyReLU; the last one by neither when `last_linear`.
     """
     layers: list[nn.Module] = []
-    for index, (a, b) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+    for index, (a, b) in enumerate(pairwise(widths)):
         layers.append(nn.Conv1d(a, b, kernel, padding=kernel // 2))
         if last_linear and index == len(widths) - 2:
             break

@@ -9,6 +9,7 @@ the loud frames by their length, and the result says so.
 from __future__ import annotations
 
 import functools
+import itertools
 import re
 import warnings
 from dataclasses import dataclass
@@ -181,7 +182,7 @@ def pieces(samples: NDArray[np.int16]) -> list[tuple[int, int]]:
         quietest = cuts[-1] + reach // 2 + int(np.argmin(level[cuts[-1] + reach // 2:cuts[-1] + reach]))
         cuts.append(within[-1] if within else quietest)
     bounds = [cut * hop for cut in cuts] + [len(samples)]
-    return list(zip(bounds[:-1], bounds[1:], strict=True))
+    return list(itertools.pairwise(bounds))
 
 
 def _by_pieces(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]] | None:
@@ -239,4 +240,4 @@ def _shared_out(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[
     share = np.concatenate([[0], np.cumsum([len(word) + 1 for word in words])])
     where = share / share[-1] * (len(loud) - 1)
     edges = np.interp(where, np.arange(len(loud)), loud) * FRAME
-    return [(float(a), float(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [(float(a), float(b)) for a, b in itertools.pairwise(edges)]

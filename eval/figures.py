@@ -30,8 +30,8 @@ from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
 from data_module.kinematics import positions_of, resample
 from data_module.motion_beats import motion_beats
-from data_module.silence import pauses, silent_frames
 from data_module.silence import FRAME as SILENCE_FRAME
+from data_module.silence import pauses, silent_frames
 from data_module.store import Recording, Store
 from data_module.types import Array, Motion, Speech
 from eval import pmb
@@ -120,8 +120,8 @@ def lexicon_table(bundle: bundles.Bundle, corpus: Corpus) -> dict[str, Any]:
     own = corpus.recording[corpus.select("test")]
     clips = np.unique(own)
     table = {name: interval([error[own == clip].mean() for clip in clips]).to_dict() for name, error in errors.items()}
-    return {"errors": table, "variance": float(unknown.var(0).mean()), **lexicon_figures(bundle.lexicon,
-                                                                                        corpus.motion[test])}
+    return {"errors": table, "variance": float(unknown.var(0).mean()),
+            **lexicon_figures(bundle.lexicon, corpus.motion[test])}
 
 
 # --------------------------------------------------------------------------------------------------- accuracy
@@ -149,7 +149,8 @@ def _accuracy(bundle: bundles.Bundle, corpus: Corpus, system: LexemeInterpreter,
               own: NDArray[np.int64], hinted: NDArray[np.int64], teacher: bool) -> float:
     from interpreters import select
 
-    state, previous, right = system.start(int(corpus.speaker_of[recording]), int(hinted[own[0]])), int(hinted[own[0]]), 0
+    previous, right = int(hinted[own[0]]), 0
+    state = system.start(int(corpus.speaker_of[recording]), previous)
     for block in own[1:]:
         silent = bool(corpus.silent[block])
         scores, state = system.step(state, BlockFeatures(corpus.low[block], corpus.high[block], silent), previous)
@@ -267,7 +268,7 @@ def figures(store: Store, system: Gesticulator, work: Path, progress: bool = Tru
     by_table = PreviousAndSpeaker(successors(corpus, hinted, size), size)
     recordings = [store.load(corpus.names[r]) for r in corpus.recordings("test")]
     out: dict[str, Any] = {
-        "store": {"name": store.name, "fingerprint": store.fingerprint, "test_recordings": len(recordings),
+        "store": {"name": store.corpus, "fingerprint": store.fingerprint, "test_recordings": len(recordings),
                   "test_seconds": round(sum(r.speech.duration for r in recordings), 1)},
         "lexicon": lexicon_table(bundle, corpus),
         "accuracy": accuracy_table(bundle, corpus, hinted, {"lstm": bundle.interpreter,
@@ -306,7 +307,7 @@ def markdown(result: dict[str, Any]) -> str:
               "| lexeme accuracy, % | teacher-forced | free-running |", "|---|---|---|"]
     lines += [f"| {name} | {_cell(row['teacher_forced'])} | {_cell(row['free_running'])} |"
               for name, row in result["accuracy"].items()]
-    lines += ["", "| in time with the voice | beats/s | PMB at 0.1 s | chance | above chance, % | PMB at 0.05 / 0.2 s |",
+    lines += ["", "| in time with the voice | beats/s | PMB at 0.1 s | chance | above chance, % | at 0.05 / 0.2 s |",
               "|---|---|---|---|---|---|"]
     lines += [f"| {name} | {row['motion_beats_per_second']['mean']:.2f} | {_cell(row['0.1']['pmb'])} | "
               f"{row['0.1']['chance']['mean']:.1f} | {_cell(row['0.1']['above_chance'])} | "

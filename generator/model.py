@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
 from generator import losses
+from generator.losses import Encoder
 from generator.position import positional_block
 
 State = tuple[Tensor, Tensor]
@@ -131,7 +132,7 @@ class Generator(nn.Module):
         return {"reconstruction": c.reconstruction, "perceptual": c.perceptual, "lexeme": c.lexeme, "style": c.style,
                 "velocity": c.velocity}
 
-    def sparse_parameters(self) -> Iterator[tuple[nn.Parameter, float]]:
+    def sparse_parameters(self) -> Iterator[tuple[Tensor, float]]:
         """The parameters that want SparseAdam, each with its learning rate."""
         if self.styles is not None:
             yield self.styles.table.weight, self.config.style_rate
@@ -197,7 +198,7 @@ class Generator(nn.Module):
         c = self.config
         return float(c.temperature_start * (c.temperature_end / c.temperature_start) ** progress)
 
-    def losses(self, batch: dict[str, Tensor], progress: float, encoder: losses.Encoder) -> dict[str, Tensor]:
+    def losses(self, batch: dict[str, Tensor], progress: float, encoder: Encoder) -> dict[str, Tensor]:
         """The four losses of RG Eq. 9 on windows of N blocks after a seed block.
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], lexeme [B, N + 1, D_s], style [B, N + 1] block
@@ -228,7 +229,7 @@ class Generator(nn.Module):
         }
 
     def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,
-                     encoder: losses.Encoder) -> Tensor:
+                     encoder: Encoder) -> Tensor:
         """RG Eq. 12 and 13: the past, audio and style of random blocks j of the batch under the lexemes of blocks i."""
         past, heard = motion[:, :-1].flatten(0, 1), audio.flatten(0, 1)
         wanted, styles = lexemes.flatten(0, 1), style.flatten(0, 1)

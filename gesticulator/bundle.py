@@ -128,7 +128,9 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
             "files": files,
         }
         (temporary / _INDEX).write_text(json.dumps(index, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-        temporary.chmod(0o755)
+        temporary.chmod(0o755)  # mkdtemp and safetensors keep others out; a bundle is there to be shared
+        for file in temporary.iterdir():
+            file.chmod(0o644)
         if target.exists():
             old = temporary.with_name(temporary.name + ".old")
             target.rename(old)

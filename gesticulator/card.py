@@ -19,8 +19,8 @@ def model_card(bundle: Bundle) -> str:
 Preset `{c.name}`. Speech in, upper-body gesture of a 16-joint character out, after *Rhythmic Gesticulator* (2022).
 
 ## Trained on
-{p["store"]}: {hours["train"]} h of speech and motion for training, {hours["val"]} h for validation and {hours["test"]} h
-for test. Data fingerprint `{p["fingerprint"]}`. Performers: {", ".join(bundle.speakers)}.
+{p["store"]}: {hours["train"]} h of speech and motion for training, {hours["val"]} h for validation and
+{hours["test"]} h for test. Data fingerprint `{p["fingerprint"]}`. Performers: {", ".join(bundle.speakers)}.
 Licence of the data: {p["licence"]}
 
 ## Figures on the validation split

@@ -174,7 +174,8 @@ def paper_trinity() -> Config:
     """
     return Config(
         name="paper-trinity",
-        schedules=Schedules(lexicon=FitSettings(steps=12_000, batch=3000), generator=FitSettings(steps=7_000, batch=400),
+        schedules=Schedules(lexicon=FitSettings(steps=12_000, batch=3000),
+                            generator=FitSettings(steps=7_000, batch=400),
                             interpreter=FitSettings(steps=7_000, batch=500),
                             style=FitSettings(steps=7_000, batch=500)),
         rhythm=BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.5), fps=20.0),

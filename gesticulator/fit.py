@@ -66,7 +66,8 @@ def generator_for(seed: int, step: int) -> np.random.Generator:
 
 
 def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.optim.Optimizer, float]]:
-    sparse = list(model.sparse_parameters()) if hasattr(model, "sparse_parameters") else []
+    offered: Callable[[], Iterable[tuple[Tensor, float]]] | None = getattr(model, "sparse_parameters", None)
+    sparse = list(offered()) if offered is not None else []
     apart = {id(parameter) for parameter, _ in sparse}
     dense = [p for p in model.parameters() if p.requires_grad and id(p) not in apart]
     adam = torch.optim.AdamW if settings.weight_decay else torch.optim.Adam
@@ -189,7 +190,8 @@ def _one_step(model: nn.Module, make_batch: MakeBatch, losses: Losses, weights: 
             group["lr"] = rate * factor
         optimiser.zero_grad(set_to_none=True)
     terms = losses(batch, step / max(1, settings.steps))
-    total = sum((weights[key] * term for key, term in terms.items() if weights[key]), start=torch.zeros((), device=device))
+    nothing = torch.zeros((), device=device)
+    total = sum((weights[key] * term for key, term in terms.items() if weights[key]), start=nothing)
     total.backward()
     norm = 0.0
     if settings.clip:

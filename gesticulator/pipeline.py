@@ -58,14 +58,14 @@ class Gesticulator:
         raise InputError(f"--interpreter {name}", "is not in the bundle", f"choose among {', '.join(INTERPRETERS)}")
 
     def __call__(self, speech: Speech | str | PathLike[str], *, speaker: str | None = None, seed: int = 0,
-                 fps: float | None = None, interpreter: str | LexemeInterpreter = "lstm", temperature: float | None = None,
-                 on_block: Callable[[int, int], None] | None = None) -> Performance:
+                 fps: float | None = None, interpreter: str | LexemeInterpreter = "lstm",
+                 temperature: float | None = None, on_block: Callable[[int, int], None] | None = None) -> Performance:
         """Gesture for a recording.
 
         speech: a `Speech` at any sample rate, or the path of a sound file. speaker: a performer's habits. fps: frames
-        per second of the result (60). interpreter: what chooses the lexemes, by name or as an object. temperature: how freely lexemes are drawn, 0 for always the likeliest; the
-        bundle's own when not told. on_block(done, total) is called after each block. The same seed, bundle and speech
-        give the same result.
+        per second of the result (60). interpreter: what chooses the lexemes, by name or as an object. temperature: how
+        freely lexemes are drawn, 0 for always the likeliest; the bundle's own when not told. on_block(done, total) is
+        called after each block. The same seed, bundle and speech give the same result.
         """
         if not isinstance(speech, Speech):
             speech = load_speech(speech)

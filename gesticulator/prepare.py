@@ -8,6 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -93,7 +94,7 @@ def _prepare_one(store_path: str, name: str, config: Config, target: str) -> str
     recording = Store.open(store_path).load(name)
     heard = hear(recording.speech, config)
     motion = recording.motion
-    arrays = {
+    arrays: dict[str, NDArray[Any]] = {
         "motion": normalise_motion(motion, heard.blocks).astype(np.float32),
         "first": first_pose(motion).astype(np.float32),
         "low": heard.low.astype(np.float16),
@@ -104,7 +105,7 @@ def _prepare_one(store_path: str, name: str, config: Config, target: str) -> str
     if heard.high is not heard.low and not np.array_equal(heard.high, heard.low):
         arrays["high"] = heard.high.astype(np.float16)
     temporary = f"{target}.tmp.npz"
-    np.savez(temporary, **arrays)
+    np.savez(temporary, allow_pickle=False, **arrays)
     os.replace(temporary, target)
     return name
 

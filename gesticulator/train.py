@@ -98,37 +98,42 @@ def train_lexicon(run: Run) -> tuple[Lexicon, dict[str, float]]:
     config, corpus = run.config, run.corpus
     torch.manual_seed(run.seed("lexicon"))
     model = Lexicon(config.lexicon, config.rhythm.frames, MOTION_WIDTH)
-    train, val = (torch.as_tensor(corpus.select(split)) for split in ("train", "val"))
+    known, val = (torch.as_tensor(corpus.select(split)) for split in ("train", "val"))
     recording = torch.as_tensor(corpus.recording)
     settings = config.schedules.lexicon
 
     def make_batch(rng: np.random.Generator) -> fitting.Batch:
-        index = train[torch.as_tensor(rng.integers(len(train), size=settings.batch))]
+        index = known[torch.as_tensor(rng.integers(len(known), size=settings.batch))]
         return {"motion": corpus.motion[index], "mask": corpus.mask[recording[index]]}
 
     begin = next((s for s in range(settings.steps) if s / settings.steps >= config.lexicon.warm_up), 0)
 
     def before_step(step: int) -> None:
         if step == begin:
-            model.start_codebook(corpus.motion[train].to(run.device), run.seed("lexicon"))
+            model.start_codebook(corpus.motion[known].to(run.device), run.seed("lexicon"))
 
     def validate() -> dict[str, float]:
-        return lexicon_figures(model, corpus.motion[val if len(val) else train].to(run.device))
+        return lexicon_figures(model, corpus.motion[val if len(val) else known].to(run.device))
 
-    figures = run.stage("lexicon", model,
-                        lambda folder: run.fit("lexicon", model, make_batch, model.losses, folder, validate, before_step))
-    return model, figures
+    def train(folder: Path) -> dict[str, float]:
+        return run.fit("lexicon", model, make_batch, model.losses, folder, validate, before_step)
+
+    return model, run.stage("lexicon", model, train)
 
 
 @torch.no_grad()
 def lexicon_figures(lexicon: Lexicon, motion: Tensor) -> dict[str, float]:
-    """Mean squared errors (normalised features) with and without quantisation, usage and perplexity."""
+    """Mean squared errors (normalised features) with and without quantisation, usage and perplexity.
+
+    motion: [B, K, D_m].
+    """
     latents = lexicon.latents(motion)
     labels = lexicon.quantizer.labels(latents)
     quantised = torch.cat([lexicon.decode(lexicon.vectors[part]) for part in labels.split(4096)])
     plain = torch.cat([lexicon.decode(part) for part in latents.split(4096)])
     size = lexicon.quantizer.size
-    return {"quantised": float((quantised - motion).pow(2).mean()), "unquantised": float((plain - motion).pow(2).mean()),
+    return {"quantised": float((quantised - motion).pow(2).mean()),
+            "unquantised": float((plain - motion).pow(2).mean()),
             "usage": float((torch.bincount(labels, minlength=size) > 0).float().mean()),
             "perplexity": perplexity(labels, size)}
 
@@ -209,7 +214,8 @@ def train_generator(run: Run, lexicon: Lexicon, labelled: Labelled) -> tuple[Gen
                 "perceptual": float(sum(t[1] for t in totals)) / len(totals)}
 
     def train(folder: Path) -> dict[str, float]:
-        return run.fit("generator", model, lambda rng: with_vectors(windows.drawn(rng, config.schedules.generator.batch)),
+        return run.fit("generator", model,
+                       lambda rng: with_vectors(windows.drawn(rng, config.schedules.generator.batch)),
                        lambda batch, progress: model.losses(batch, progress, frozen.encode), folder, validate)
 
     return model, run.stage("generator", model, train)
@@ -323,7 +329,7 @@ def _claim(work: Path, store: Store) -> None:
 def _provenance(store: Store, corpus: Corpus) -> dict[str, Any]:
     hours = {split: round(float(corpus.durations[corpus.select(split)].sum()) / 3600, 3)
              for split in ("train", "val", "test")}
-    return {"store": store.name, "fingerprint": store.fingerprint, "licence": store.licence, "seed": store.seed,
+    return {"store": store.corpus, "fingerprint": store.fingerprint, "licence": store.licence, "seed": store.seed,
             "hours": hours, "blocks": len(corpus.silent)}
 
 

@@ -38,8 +38,8 @@ class LexemeInterpreter(Protocol):
         ...
 
 
-def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperature: float = 0.0, top: int | None = None,
-           rng: np.random.Generator | None = None) -> int:
+def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperature: float = 0.0,
+           top: int | None = None, rng: np.random.Generator | None = None) -> int:
     """One lexeme from scores [S]: the best (temperature 0), or one drawn from softmax(scores / temperature).
 
     allowed: indices to choose among (the silent mask); None or empty allows all. top: draw among the best `top` only.

@@ -59,7 +59,10 @@ class LstmInterpreter(nn.Module):
         self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
         self.classify = nn.Linear(config.width, len(lexemes))
 
-    weights = {"cross_entropy": 1.0}
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return {"cross_entropy": 1.0}
 
     def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None
                ) -> tuple[Tensor, Hidden]:

@@ -50,7 +50,10 @@ class StyleInterpreter(nn.Module):
         self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
         self.to_code = nn.Linear(config.width, code_width)
 
-    weights = {"code": 1.0}
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return {"code": 1.0}
 
     def codes(self, previous: Tensor, lexeme: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None
               ) -> tuple[Tensor, Hidden]:
@@ -67,7 +70,8 @@ class StyleInterpreter(nn.Module):
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """Mean squared error of the codes.
 
-        batch: code [B, N + 1, d_z] (learned), lexeme [B, N + 1], audio_low [B, N + 1, 3K, d], speaker, valid [B, N + 1].
+        batch: code [B, N + 1, d_z] (learned), lexeme [B, N + 1], audio_low [B, N + 1, 3K, d], speaker,
+        valid [B, N + 1].
         """
         code = batch["code"]
         previous = code[:, :-1]

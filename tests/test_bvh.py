@@ -17,7 +17,7 @@ from data_module import kinematics, rotation
 from data_module.bvh import BvhWarning, bvh_text, read_bvh, write_bvh
 from data_module.errors import InputError
 from data_module.skeletons import CHARACTER, scaled
-from data_module.types import Array, Motion
+from data_module.types import Array, Motion, Skeleton
 
 ORDERS = ["".join(order) for order in itertools.permutations("XYZ")]
 
@@ -84,6 +84,17 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         assert np.allclose(back.skeleton.end_sites[joint], tip, atol=1e-8)
 
 
+def test_joints_in_another_order_than_the_files_keep_their_own_angles(tmp_path: Path) -> None:
+    # Both arms' roots, then both tips: a file can only hold arm by arm.
+    skeleton = Skeleton(("root", "left", "right", "left_tip", "right_tip"), (-1, 0, 0, 1, 2), np.eye(5, 3))
+    turns = rotation.from_exponential_map(np.arange(15.0).reshape(1, 5, 3) / 15)
+    write_bvh(tmp_path / "out.bvh", Motion(skeleton, turns, np.zeros((1, 3)), 30.0))
+    back = read_bvh(tmp_path / "out.bvh")
+    assert back.skeleton.names == ("root", "left", "left_tip", "right", "right_tip")
+    for joint, name in enumerate(skeleton.names):
+        assert rotation.angle_between(back.rotations[0, back.skeleton.index(name)], turns[0, joint]) < 1e-7
+
+
 def test_writing_what_was_read_gives_the_same_motion_again_and_again(tmp_path: Path) -> None:
     first = bvh_text(lively(seed=4))
     second = bvh_text(read_bvh(stored(tmp_path, first)))
@@ -94,10 +105,10 @@ def test_writing_what_was_read_gives_the_same_motion_again_and_again(tmp_path: P
     assert max(np.abs(turn).max() for turn in turns) < 1e-5
 
 
-@given(st.sampled_from([12.0, 15.0, 20.0, 23.976, 24.0, 25.0, 29.97, 30.0, 50.0, 59.94, 60.0, 100.0, 120.0, 240.0]))
-def test_frame_rates_survive(fps: float) -> None:
-    line = next(line for line in bvh_text(lively(2, fps)).splitlines() if line.startswith("Frame Time"))
-    assert 1.0 / float(line.split()[2]) == pytest.approx(fps, rel=1e-6)
+@pytest.mark.parametrize("fps", [12.0, 15.0, 20.0, 23.976, 24.0, 25.0, 29.97, 30.0, 59.94, 60.0, 120.0, 240.0])
+def test_frame_rates_survive(tmp_path: Path, fps: float) -> None:
+    write_bvh(tmp_path / "out.bvh", lively(2, fps))
+    assert read_bvh(tmp_path / "out.bvh").fps == pytest.approx(fps, rel=1e-6)
 
 
 @pytest.mark.parametrize(("time", "fps"), [("0.033333", 30.0), ("0.0333667", 29.97), ("0.008333", 120.0),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,9 @@ from gesticulator.fit import Batch, FitSettings, fit, rate_factor
 class Model(nn.Module):
     """Dropout, batch statistics and a sparse table: all the state that a resume can lose."""
 
-    weights = {"error": 1.0, "ignored": 0.0}
+    @property
+    def weights(self) -> dict[str, float]:
+        return {"error": 1.0, "ignored": 0.0}
 
     def __init__(self) -> None:
         super().__init__()
@@ -98,5 +101,5 @@ def test_rate_schedule() -> None:
     factors = [rate_factor(cosine, s) for s in range(1000)]
     assert factors[0] == pytest.approx(1 / 20) and max(factors) == pytest.approx(1)
     assert factors[-1] == pytest.approx(0.01, abs=1e-3)
-    assert all(a >= b for a, b in zip(factors[20:], factors[21:], strict=False))
+    assert all(a >= b for a, b in pairwise(factors[20:]))
     assert rate_factor(FitSettings(steps=10, batch=1), 9) == 1.0

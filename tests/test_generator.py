@@ -52,7 +52,8 @@ def test_gumbel_is_one_hot_with_a_gradient_in_training_and_arg_max_in_evaluation
     codes = GumbelCodes(5, groups=3, classes=4, group_width=2)
     hidden = torch.randn(50, 5, requires_grad=True)
     vectors, choice = codes(hidden, temperature=1.0)
-    assert torch.allclose(choice.sum(-1), torch.ones(50, 3)) and torch.allclose(choice.max(-1).values, torch.ones(50, 3))
+    assert torch.allclose(choice.sum(-1), torch.ones(50, 3))
+    assert torch.allclose(choice.max(-1).values, torch.ones(50, 3))
     vectors.pow(2).sum().backward()
     assert hidden.grad is not None and hidden.grad.abs().sum() > 0
     codes.eval()

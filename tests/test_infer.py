@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_a_recording_becomes_motion_page_and_plan(recording: Path, tiny_bundle: 
     assert motion.fps == pytest.approx(60) and motion.duration == pytest.approx(8.0, abs=0.02)
     blocks = json.loads(out[".json"].read_text())["blocks"]
     assert blocks[0]["start"] == 0 and blocks[-1]["end"] == pytest.approx(8.0)
-    assert all(a["end"] == b["start"] for a, b in zip(blocks, blocks[1:], strict=False))
+    assert all(a["end"] == b["start"] for a, b in pairwise(blocks))
     assert all(len(b["lexemes"]) == 5 for b in blocks)
     assert any(b["silent"] for b in blocks) and not all(b["silent"] for b in blocks)
     assert "<html" in out[".html"].read_text()[:2000].lower()
@@ -194,13 +195,14 @@ def test_broken_and_foreign_bundles_are_refused_by_name(tiny_bundle: Path, tmp_p
     data = bytearray((copy / "generator.safetensors").read_bytes())
     data[-1] ^= 1
     (copy / "generator.safetensors").write_bytes(data)
-    with pytest.raises(InputError, match="generator.safetensors.*SHA-256"):
+    with pytest.raises(InputError, match=r"generator\.safetensors.*SHA-256"):
         bundles.load(copy)
     (copy / "generator.safetensors").unlink()
     with pytest.raises(InputError, match="missing"):
         bundles.load(copy)
     index = json.loads((copy / "bundle.json").read_text())
-    for change, said in (({"format": 99}, "format 99"), ({"skeleton": {**index["skeleton"], "names": ["A"]}}, "skeleton")):
+    foreign = {"skeleton": {**index["skeleton"], "names": ["A"]}}
+    for change, said in (({"format": 99}, "format 99"), (foreign, "skeleton")):
         (copy / "bundle.json").write_text(json.dumps({**index, **change}))
         with pytest.raises(InputError, match=said):
             bundles.load(copy)

@@ -75,7 +75,8 @@ def test_lstm_streams_as_it_trains() -> None:
 
 def test_lstm_is_causal_in_windows_and_hears_each() -> None:
     model = lstm().eval()
-    previous, audio, speaker = torch.zeros(1, 4, dtype=torch.long), torch.randn(1, 4, 3 * FRAMES, AUDIO), torch.eye(2)[:1]
+    previous, speaker = torch.zeros(1, 4, dtype=torch.long), torch.eye(2)[:1]
+    audio = torch.randn(1, 4, 3 * FRAMES, AUDIO)
     changed = audio.clone()
     changed[:, 2] += 1
     a, b = model.scores(previous, audio, speaker)[0], model.scores(previous, changed, speaker)[0]

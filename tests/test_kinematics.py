@@ -46,10 +46,11 @@ def test_positions_and_world_rotations_are_pymotions() -> None:
     pose, root = random_pose(20, len(CHARACTER)), np.random.default_rng(1).normal(size=(20, 3))
     parents = np.array([max(parent, 0) for parent in CHARACTER.parents])  # pymotion's root is its own parent
     expected, matrices = oracle.fk(pose, root, CHARACTER.offsets, parents)
-    assert np.allclose(kinematics.joint_positions(CHARACTER, pose, root), expected, atol=1e-9)
+    # pymotion adds 1e-8 to the length of a quaternion, which shows in the seventh digit down a chain.
+    assert np.allclose(kinematics.joint_positions(CHARACTER, pose, root), expected, atol=1e-6)
     world = kinematics.global_rotations(CHARACTER, pose)
     ours = Rotation.from_quat(world.reshape(-1, 4), scalar_first=True).as_matrix().reshape(20, -1, 3, 3)
-    assert np.allclose(ours, matrices, atol=1e-9)
+    assert np.allclose(ours, matrices, atol=1e-6)
 
 
 def test_local_rotations_undo_global_rotations() -> None:

@@ -1,4 +1,4 @@
-"""The codebook and the VQ-VAE: invariants of quantisation, an independent oracle, and what a lexicon must be able to do."""
+"""The codebook and the VQ-VAE: invariants of quantisation, an independent oracle, and what a lexicon must do."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_ema_vectors_converge_to_the_means_of_their_clusters() -> None:
     quantizer = Quantizer(3, 2, decay=0.8, revive_below=0.0)
     quantizer.set_vectors(centres + 0.5)
     for _ in range(60):
-        quantizer((centres[torch.randint(3, (300,))] + 0.1 * torch.randn(300, 2)))
+        quantizer(centres[torch.randint(3, (300,))] + 0.1 * torch.randn(300, 2))
     torch.testing.assert_close(quantizer.vectors, centres, atol=0.05, rtol=0)
 
 

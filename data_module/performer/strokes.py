@@ -206,38 +206,46 @@ def stroke_times(hands: Array, sides: Iterable[int], fps: float, emphasis: float
     quiet = rising[rising < fast[0]] if len(fast) else rising
     if len(quiet):
         start = float(quiet[-1] / _FINE_FPS)
-    hold_end, end = _retraction(speed, at)
+    away = np.sum([_distance_home(hands[:, side], fps) for side in sides], axis=0)
+    hold_end, end = _retraction(speed, away, at)
     return min(start, beat - 0.1), beat, max(hold_end, beat + 0.08), min(max(end, beat + 0.3), duration)
 
 
-def _retraction(speed: Array, beat: int) -> tuple[float, float]:
-    """When the last large movement after the beat begins and ends, seconds."""
-    after = speed[beat:]
-    arrived = beat + int(np.argmax(after < 0.35 * after[0])) if (after < 0.35 * after[0]).any() else beat
-    tail = speed[arrived:]
-    peaks = np.flatnonzero(tail > 0.6 * tail.max())
-    peak = arrived + int(peaks[-1])
+def _distance_home(track: Array, fps: float) -> Array:
+    path = _speed(track, fps)[0]
+    return np.linalg.norm(path - path[-1], axis=-1)
+
+
+def _retraction(speed: Array, away: Array, beat: int) -> tuple[float, float]:
+    """When the last way back begins and ends, seconds; `away` is the distance [T] from where the clip ends."""
+    arrived = min(beat + int(0.1 * _FINE_FPS), len(speed) - 2)
+    crossing = arrived + int(np.flatnonzero(away[arrived:] >= 0.55 * away[arrived])[-1])
+    low, high = max(arrived, crossing - int(0.2 * _FINE_FPS)), crossing + int(0.2 * _FINE_FPS) + 1
+    peak = low + int(np.argmax(speed[low:high]))
     slow = np.flatnonzero(speed[arrived:peak + 1] < 0.2 * speed[peak])
     hold_end = arrived + (int(slow[-1]) if len(slow) else int(np.argmin(speed[arrived:peak + 1])))
-    still = np.flatnonzero(speed[peak:] < 0.08 * speed[peak])
+    still = np.flatnonzero(speed[peak:] < 0.1 * speed[peak])
     end = peak + (int(still[0]) if len(still) else len(speed) - 1 - peak)
     return hold_end / _FINE_FPS, end / _FINE_FPS
 
 
-def _arm_joints(skeleton: Skeleton) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def arm_joints(skeleton: Skeleton) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Indices of the joints of the left and the right arm, shoulder first, in the same order on both sides."""
     left = [j for j, name in enumerate(skeleton.names) if name.startswith("Left")
             and not any(part in name for part in ("Leg", "Foot", "Toe"))]
     return tuple(left), tuple(skeleton.index("Right" + skeleton.names[j][4:]) for j in left)
 
 
-def _trunk_joints(skeleton: Skeleton) -> tuple[int, ...]:
+def trunk_joints(skeleton: Skeleton) -> tuple[int, ...]:
+    """Indices of the joints from the hips to the head."""
     chain = [skeleton.index("Head")]
     while chain[-1] > 0:
         chain.append(skeleton.parents[chain[-1]])
     return tuple(reversed(chain))
 
 
-def _logs(rest: Array, rotations: Array, joints: tuple[int, ...]) -> Array:
+def logs_against(rest: Array, rotations: Array, joints: tuple[int, ...]) -> Array:
+    """Log rotations [T, joints, 3] of local rotations [T, J, 4] against a rest pose [J, 4], without jumps of a turn."""
     relative = rotation.multiply(rotation.conjugate(rest[list(joints)]), rotations[:, list(joints)])
     return rotation.unroll(rotation.to_exponential_map(relative))
 
@@ -323,7 +331,7 @@ def _load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tup
     signs = np.where(np.sum(first * first[:1], axis=-1, keepdims=True) < 0, -1.0, 1.0)
     rest = rotation.normalise(np.median(first * signs, axis=0))
     root = np.array([0.0, np.median([m.root_positions[0, 1] for m in standing or motions]), 0.0])
-    arms, trunk = _arm_joints(skeleton), _trunk_joints(skeleton)
+    arms, trunk = arm_joints(skeleton), trunk_joints(skeleton)
     figure = Figure(speaker, skeleton, rest, root, arms, trunk, np.zeros((2, len(arms[0]), 3)))
     strokes = []
     for row, motion in zip(rows, motions, strict=True):
@@ -346,7 +354,14 @@ def _measure(figure: Figure, row: Mapping[str, str], rotations: Array, fps: floa
     except ValueError:
         return None
     stem = Path(row["file"]).stem
-    logs = np.stack([_logs(figure.rest, rotations, joints) for joints in figure.arms])
+    logs = np.stack([logs_against(figure.rest, rotations, joints) for joints in figure.arms])
     return Stroke(stem, stem, row["speaker"], row["posture"], row["lexeme"], hand, fps, logs,
-                  _logs(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
+                  logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
                   steady=stem in _NOT_FASTER)
+
+
+def procedural_strokes() -> StrokeSet:
+    """A small set by formula on the 16-joint character: one performer, "puppet", in need of no recording."""
+    from data_module.performer import procedural  # It builds on the nouns of this file.
+
+    return procedural.make()

@@ -148,7 +148,8 @@ def _asset(name: str) -> str:
 
 def _json(data: dict[str, Any]) -> str:
     # "</script>" in a word or a name would end the element; "<\u002f" is the same string to JSON.
-    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\u002f").replace("<!--", "<\\u0021--")
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("</", "<\\u002f").replace("<!--", "<\\u0021--")
 
 
 def _base64(data: bytes) -> str:

@@ -1,0 +1,121 @@
+"""The data sets that can be read, one file and one entry of `CORPORA` each.
+
+A reader lists its recordings without opening them, then reads them one by one, in any order and in any process. What
+it gives is in metres and seconds, on the source's own skeleton, at the source's own frame rate; `load` cuts sound and
+motion to the same length. A new data set is one file here and one line in `CORPORA`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from data_module.errors import InputError
+from data_module.store import Recording, RecordingInfo, Split
+from data_module.types import Motion, Speech, Word
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user may tell a reader.
+
+    seed, hours, preset: for corpora that are made, not read. fps: frames per second of the motion files, where their
+    header is wrong. unit: metres per unit of the motion files, where it cannot be guessed.
+    """
+
+    seed: int = 1
+    hours: float = 4.2
+    preset: str = "default"
+    fps: float | None = None
+    unit: float | None = None
+
+
+@dataclass(frozen=True)
+class Item:
+    """A recording that a reader can read. content: whatever the reader needs for it (must survive pickling)."""
+
+    info: RecordingInfo
+    index: int
+    content: Any = None
+
+
+class DroppedError(Exception):
+    """A recording cannot be used; the message says why. The build goes on and reports it."""
+
+
+class Reader(Protocol):
+    """A data set as the build sees it."""
+
+    licence: str
+    """In a few words, who may use what is built from it."""
+
+    def settings(self) -> Mapping[str, Any]:
+        """Everything that the result depends on, as JSON; two builds with equal settings give equal stores."""
+
+    def items(self) -> Sequence[Item]:
+        """The recordings in a fixed order; names are unique."""
+
+    def read(self, item: Item) -> Recording:
+        """One recording on its own skeleton, metres and seconds; `DroppedError` when it cannot be used."""
+
+    def notes(self) -> Sequence[str]:
+        """Lines for the build's report: what was left out, and why."""
+
+
+def split_of(index: int) -> Split:
+    """The split of the recording at `index`: of every 40, 35 train, 2 validate and 3 test, well spread."""
+    place = index % 40
+    return "test" if place in (6, 19, 32) else "val" if place in (12, 26) else "train"
+
+
+def load(reader: Reader, item: Item) -> Recording:
+    """Read a recording and cut its sound and its motion to the shorter of the two."""
+    recording = reader.read(item)
+    speech, motion = trimmed(recording.speech, recording.motion)
+    return replace(recording, speech=speech, motion=motion)
+
+
+def trimmed(speech: Speech, motion: Motion) -> tuple[Speech, Motion]:
+    """Both cut to the whole frames of motion that lie within both; words that begin later are left out.
+
+    `DroppedError` when less than one second is left.
+    """
+    frames = min(len(motion), int(speech.duration * motion.fps + 1e-6))
+    if frames < motion.fps:
+        raise DroppedError(f"sound ({speech.duration:.2f} s) and motion ({motion.duration:.2f} s) share under a second")
+    end = frames / motion.fps
+    words = speech.words
+    if words is not None:
+        words = tuple(Word(w.text, w.start, min(w.end, end)) for w in words if w.start < end)
+    samples = speech.samples[:round(end * speech.sample_rate)]
+    return replace(speech, samples=samples, words=words), motion.crop(0, frames)
+
+
+def open_corpus(name: str, source: Path | None, options: Options) -> Reader:
+    """The reader `name` on the folder `source`; `InputError` when there is no such reader or no such folder."""
+    if name not in CORPORA:
+        raise InputError(name, "is no data set that can be read", f"take one of {', '.join(CORPORA)}")
+    if source is not None and not source.is_dir():
+        raise InputError(source, "is not a folder" if source.exists() else "does not exist", "check --source")
+    return CORPORA[name](source, options)
+
+
+def _performer(source: Path | None, options: Options) -> Reader:
+    from data_module.corpora.performer import Performer
+
+    return Performer(source, options)
+
+
+def _folder(source: Path | None, options: Options) -> Reader:
+    from data_module.corpora.folder import Folder
+
+    return Folder(source, options)
+
+
+CORPORA: dict[str, Callable[[Path | None, Options], Reader]] = {
+    "performer": _performer,
+    "folder": _folder,
+}
+"""Name on the command line -> what opens the reader. The readers are imported only when they are asked for."""

@@ -1,0 +1,141 @@
+"""The voices of flite, a phrase at a time: samples, and each phone in its word.
+
+flite tells when each phone ends, but not which word it is in. Its words' phones are asked for once, spoken one by one,
+and the phrase's phones are matched to them in order, at the least cost of substitutions, so that sounds that merge or
+change between words do no harm.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from data_module.errors import InputError
+from data_module.performer.sound import RATE, Phone, Sounded, trimmed, word_spans
+
+VOWELS = frozenset("aa ae ah ao aw ax axr ay eh el em en er ey ih ix iy ow oy uh uw".split())
+_PAUSE = "pau"
+_PHONE = re.compile(r"([a-z]+):([0-9.]+)")
+_WORD = re.compile(r"\w+(?:'\w+)*")
+
+
+def available() -> bool:
+    """True when the program can be called."""
+    return shutil.which("flite") is not None
+
+
+def tokens_of(text: str) -> list[str]:
+    """The words of a text without punctuation, as they are spoken."""
+    return _WORD.findall(text)
+
+
+def sound_phrase(base: str, text: str, pitch: float, deviation: float, stretch: float) -> Sounded:
+    """Speak a phrase with the voice `base`. pitch, deviation: Hz (target mean and standard deviation of F0);
+    stretch: times the normal duration. InputError when flite is missing or has no such voice."""
+    with tempfile.TemporaryDirectory() as folder:
+        wave = Path(folder) / "phrase.wav"
+        printed = _call("-voice", base, "--setf", f"int_f0_target_mean={pitch:.3f}", "--setf",
+                        f"int_f0_target_stddev={deviation:.3f}", "--setf", f"duration_stretch={stretch:.4f}",
+                        "-psdur", "-t", text, "-o", str(wave))
+        samples, rate = soundfile.read(wave, dtype="float32")
+    if rate != RATE:
+        raise InputError(f"flite voice {base}", f"speaks at {rate} Hz, not {RATE}", "use slt, rms, awb or kal16")
+    words = tokens_of(text)
+    phones = _in_words(_timed(printed), words)
+    if not phones:
+        raise InputError(f"flite voice {base}", f"spoke nothing of {text!r}", "give it words")
+    samples, phones = trimmed(np.ascontiguousarray(samples), phones)
+    return Sounded(samples, word_spans(words, phones), phones)
+
+
+def _call(*arguments: str) -> str:
+    try:
+        done = subprocess.run(["flite", *arguments], capture_output=True, check=True, text=True, timeout=120)
+    except FileNotFoundError:
+        raise InputError("flite", "is not installed", "on Debian: apt install flite") from None
+    except subprocess.CalledProcessError as error:
+        raise InputError("flite", f"failed: {error.stderr.strip()[:200]}", "on Debian: apt install flite") from None
+    return done.stdout
+
+
+def _timed(printed: str) -> list[tuple[str, float, float]]:
+    """(phone, start, end) of each phone; the clock starts anew where flite splits the text in utterances."""
+    timed: list[tuple[str, float, float]] = []
+    for line in printed.splitlines():
+        offset, before = (timed[-1][2] if timed else 0.0), 0.0
+        for name, end in _PHONE.findall(line):
+            timed.append((name, offset + before, offset + float(end)))
+            before = float(end)
+    return timed
+
+
+@lru_cache(maxsize=20000)
+def phones_of(word: str) -> tuple[str, ...]:
+    """The phones of a word spoken alone."""
+    printed = _call("-voice", "kal16", "-ps", "-t", word, "-o", "none")
+    return tuple(name for name in printed.split() if name != _PAUSE)
+
+
+def _in_words(timed: list[tuple[str, float, float]], words: list[str]) -> tuple[Phone, ...]:
+    spoken = [entry for entry in timed if entry[0] != _PAUSE]
+    if not words or len(spoken) < len(words):
+        return ()
+    owners = assigned([name for name, _, _ in spoken], [phones_of(word.lower()) for word in words])
+    return tuple(Phone(name, start, end, name in VOWELS, owner)
+                 for (name, start, end), owner in zip(spoken, owners, strict=True))
+
+
+def assigned(phones: list[str], words: list[tuple[str, ...]]) -> list[int]:
+    """The word index of each phone: the monotone alignment of phones with the words' own phones at least cost.
+
+    A substitution costs 1 within vowels or within consonants and 3 across, a phone more or less costs 1.2. Every word
+    gets a phone: one that would get none takes its neighbour's nearest.
+    """
+    expected = [(name, index) for index, word in enumerate(words) for name in word]
+    rows, columns = len(phones), len(expected)
+    cost = np.full((rows + 1, columns + 1), np.inf)
+    cost[0, :] = 1.2 * np.arange(columns + 1)
+    cost[:, 0] = 1.2 * np.arange(rows + 1)
+    step = np.zeros((rows + 1, columns + 1), dtype=np.int8)
+    step[0, 1:], step[1:, 0] = 2, 1
+    for i in range(1, rows + 1):
+        for j in range(1, columns + 1):
+            swap = _substitution(phones[i - 1], expected[j - 1][0])
+            options = (cost[i - 1, j - 1] + swap, cost[i - 1, j] + 1.2, cost[i, j - 1] + 1.2)
+            step[i, j] = int(np.argmin(options))
+            cost[i, j] = options[step[i, j]]
+    owners = [-1] * rows
+    i, j = rows, columns
+    while i > 0:
+        if step[i, j] == 0:
+            owners[i - 1] = expected[j - 1][1]
+            i, j = i - 1, j - 1
+        elif step[i, j] == 1:
+            owners[i - 1] = expected[max(j - 1, 0)][1]
+            i -= 1
+        else:
+            j -= 1
+    return _every_word(owners, len(words))
+
+
+def _substitution(one: str, other: str) -> float:
+    if one == other:
+        return 0.0
+    return 1.0 if (one in VOWELS) == (other in VOWELS) else 3.0
+
+
+def _every_word(owners: list[int], words: int) -> list[int]:
+    for index in range(words):
+        if index not in owners:
+            # The first phone past the words before it, or the last of all.
+            place = next((i for i, owner in enumerate(owners) if owner > index), len(owners) - index + words - 2)
+            place = min(max(place - (1 if owners.count(owners[place - 1]) > 1 and place > 0 else 0), 0), len(owners) - 1)
+            owners[place] = index
+    return sorted(owners)

@@ -1,0 +1,231 @@
+"""What a performer is going to do with a piece of speech: which stroke falls on which syllable, how large, how fast.
+
+Meaning comes first: a word that asks for a stroke takes it with some probability. Then prominent syllables take
+beats. Size and speed follow the loudness of the syllable and the effort of its phrase, so that they can be heard.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data_module.performer import meaning
+from data_module.performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
+from data_module.performer.types import Phrase, Spoken, Syllable
+from data_module.types import Array
+
+REST_PAUSE = 1.6
+"""Seconds without speech after which the arms go to rest."""
+_MIN_GAP = 0.5
+_MIN_PREPARATION = 0.3
+_AFTER_BEAT = 0.12
+_JOIN = 1.2
+_STRETCH = 1.6
+_LONGEST_HOLD = 1.0
+_RECENT = 3
+_RECENT_WEIGHT = 0.1
+
+
+@dataclass(frozen=True)
+class Habits:
+    """How one performer differs from another.
+
+    meaning: probability that a meaningful word takes its stroke; eagerness: shifts how easily a stress takes a beat;
+    hands: weights of left, right, both; looseness: standard deviation of the beat about the syllable, seconds;
+    speed and gain: against the recorded clips; sway: degrees of the torso's yaw; nod: degrees of a nod;
+    hanging: probability that one arm hangs through a phrase.
+    """
+
+    meaning: float = 0.65
+    eagerness: float = 0.0
+    hands: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    looseness: float = 0.05
+    speed: float = 1.2
+    gain: float = 1.0
+    sway: float = 7.0
+    nod: float = 3.0
+    hanging: float = 0.25
+
+
+HABITS: dict[str, Habits] = {
+    "brad": Habits(0.60, 0.1, (1.2, 0.7, 1.0), 0.050, 1.22, 1.02, 7.5, 2.6, 0.25),
+    "brad2": Habits(0.70, 0.3, (1.3, 0.6, 1.2), 0.047, 1.28, 1.05, 8.5, 3.2, 0.15),
+    "connor": Habits(0.65, 0.0, (0.6, 1.3, 1.0), 0.053, 1.22, 1.00, 7.0, 2.2, 0.30),
+    "garza": Habits(0.75, 0.2, (0.7, 1.2, 1.3), 0.049, 1.30, 1.00, 9.0, 3.8, 0.20),
+}
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A stroke in its place, seconds of the performance; `speed` is how much faster than recorded it is played."""
+
+    stroke: Stroke
+    start: float
+    beat: float
+    hold_end: float
+    end: float
+    syllable: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class _Wish:
+    """A syllable that shall have a stroke: the lexemes it asks for, and when."""
+
+    at: Syllable
+    beat: float
+    lexemes: tuple[str, ...]
+    drive: float
+
+
+def habits_of(performer: str) -> Habits:
+    """The habits of a performer; those of nobody in particular when the name is new."""
+    return HABITS.get(performer, Habits())
+
+
+def runs_of(phrases: Sequence[Phrase], pause: float = REST_PAUSE) -> list[tuple[float, float]]:
+    """Stretches of speech [(start, end)] in seconds, phrases joined across pauses shorter than `pause`."""
+    runs: list[tuple[float, float]] = []
+    for phrase in sorted(phrases, key=lambda p: p.start):
+        if runs and phrase.start - runs[-1][1] < pause:
+            runs[-1] = (runs[-1][0], max(runs[-1][1], phrase.end))
+        else:
+            runs.append((phrase.start, phrase.end))
+    return runs
+
+
+def drives(spoken: Spoken) -> Array:
+    """How much vigour each syllable is spoken with, [syllables], -1 to 1.
+
+    Half is the effort of its phrase, half its loudness (with the phrase's mean loudness, 6 dB to about 0.75), so that
+    a listener can tell it from the sound.
+    """
+    loud = np.array([s.loudness for s in spoken.syllables])
+    starts = np.array([s.vowel for s in spoken.syllables])
+    out = np.zeros(len(loud))
+    for phrase in spoken.phrases:
+        inside = (starts >= phrase.start) & (starts < phrase.end)
+        if inside.any():
+            level = 0.5 * loud[inside] + 0.5 * loud[inside].mean()
+            out[inside] = 0.5 * np.clip(phrase.effort, -1.0, 1.0) + 0.5 * np.tanh(level / 6.0)
+    return np.clip(out, -1.0, 1.0)
+
+
+def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator,
+         split: str = "train") -> tuple[Planned, ...]:
+    """The strokes that `performer` plays on `spoken`, in the order of their beats, none overlapping on one arm.
+
+    Held-out strokes are used in the split "test" alone. InputError when the performer is unknown.
+    """
+    usable = strokes.of(performer, split)
+    habits = habits_of(performer)
+    wishes = _wishes(spoken, habits, {stroke.lexeme for stroke in usable}, rng)
+    chosen: list[Planned] = []
+    recent: list[str] = []
+    last_hand = ""
+    busy = {LEFT: 0.0, RIGHT: 0.0}
+    for wish in wishes:
+        stroke = _choose(wish, usable, habits, recent, last_hand, rng)
+        placed = _place(stroke, wish, habits, busy, rng) if stroke else None
+        if stroke is None or placed is None:
+            continue
+        chosen.append(placed)
+        recent = [*recent, stroke.base][-_RECENT:]
+        last_hand = stroke.hand
+        for side in stroke.sides:
+            busy[side] = placed.beat + _AFTER_BEAT
+    return _join(chosen, runs_of(spoken.phrases))
+
+
+def _wishes(spoken: Spoken, habits: Habits, known: set[str], rng: np.random.Generator) -> list[_Wish]:
+    syllables = spoken.syllables
+    if not syllables:
+        return []
+    strength = drives(spoken)
+    loose = np.clip(rng.normal(-0.010, habits.looseness, len(syllables)), -0.13, 0.11)
+    taken: dict[int, tuple[str, ...]] = {}
+    if spoken.language == "en":
+        taken = _meaningful(spoken, habits, known, rng)
+    times = np.array([s.vowel for s in syllables])
+    chance = 1.0 / (1.0 + np.exp(-3.0 * (np.array([s.prominence for s in syllables]) - 0.1 + habits.eagerness)))
+    draws, moods = rng.random(len(syllables)), rng.normal(0.0, 0.3, len(syllables))
+    gaps = rng.uniform(_MIN_GAP, _MIN_GAP + 0.35, len(syllables))
+    for i, syllable in enumerate(syllables):
+        near = min((abs(times[i] - times[j]) for j in taken), default=np.inf)
+        if i not in taken and near >= gaps[i] and draws[i] < chance[i]:
+            level = meaning.beat_level(syllable.prominence + 0.5 * strength[i] + moods[i])
+            taken[i] = tuple(name for name in meaning.BEATS[level] if name in known) or tuple(
+                name for names in meaning.BEATS.values() for name in names if name in known)
+    wishes = [_Wish(syllables[i], float(times[i] + loose[i]), taken[i], float(strength[i])) for i in sorted(taken)]
+    return [wish for k, wish in enumerate(wishes) if k == 0 or wish.at.vowel - wishes[k - 1].at.vowel >= _MIN_GAP - 1e-9]
+
+
+def _meaningful(spoken: Spoken, habits: Habits, known: set[str],
+                rng: np.random.Generator) -> dict[int, tuple[str, ...]]:
+    """Syllable -> lexemes for words that ask for a stroke and get it, half a second and more apart."""
+    texts = [word.text for word in spoken.speech.words or ()]
+    strongest: dict[int, int] = {}
+    for i, syllable in enumerate(spoken.syllables):
+        best = strongest.get(syllable.word)
+        if 0 <= syllable.word < len(texts) and (
+                best is None or syllable.prominence > spoken.syllables[best].prominence):
+            strongest[syllable.word] = i
+    out: dict[int, tuple[str, ...]] = {}
+    last = -np.inf
+    for word in sorted(strongest):
+        lexemes, strength = meaning.lexemes_of(texts, word)
+        lexemes = tuple(name for name in lexemes if name in known)
+        i = strongest[word]
+        if lexemes and rng.random() < habits.meaning * strength and spoken.syllables[i].vowel - last >= _MIN_GAP + 0.1:
+            out[i] = lexemes
+            last = spoken.syllables[i].vowel
+    return out
+
+
+def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Sequence[str], last_hand: str,
+            rng: np.random.Generator) -> Stroke | None:
+    """A stroke of the wished lexemes: earlier names, preferred and alternating hands, and rested clips weigh more."""
+    order = {name: 0.5 ** place for place, name in enumerate(wish.lexemes)}
+    candidates = [s for s in usable if s.lexeme in order and s.base not in recent[-1:]]
+    if not candidates:
+        candidates = [s for s in usable if s.lexeme.startswith("Beat") and s.base not in recent[-1:]]
+    if not candidates:
+        return None
+    hands = dict(zip(("left", "right", "both"), habits.hands, strict=True))
+    weights = np.array([order.get(s.lexeme, 1.0) * hands[s.hand] * (0.6 if s.hand == last_hand else 1.0)
+                        * (_RECENT_WEIGHT if s.base in recent else 1.0) for s in candidates])
+    return candidates[int(rng.choice(len(candidates), p=weights / weights.sum()))]
+
+
+def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float],
+           rng: np.random.Generator) -> Planned | None:
+    """Times and size of a stroke on its syllable; None when its arms are not free in time."""
+    vigour = 0.2 * wish.drive
+    gain = float(np.clip(habits.gain * np.exp(1.1 * vigour + 0.04 * rng.normal()), 0.75, 1.22))
+    speed = float(np.clip(habits.speed * np.exp(0.8 * vigour + 0.05 * rng.normal()), 0.9, 1.4))
+    if stroke.steady:
+        speed = min(speed, 1.0)
+    free = max(0.0, *(busy[side] for side in stroke.sides))
+    if wish.beat - free < _MIN_PREPARATION:
+        return None
+    preparation = max(_MIN_PREPARATION, (stroke.beat - stroke.start) / speed)
+    hold = float(np.clip((stroke.hold_end - stroke.beat) / speed, 0.12, _LONGEST_HOLD / _STRETCH))
+    back = float(np.clip((stroke.end - stroke.hold_end) / speed, 0.5, 1.0))
+    start = max(free, wish.beat - preparation)
+    return Planned(stroke, start, wish.beat, wish.beat + hold, wish.beat + hold + back, wish.at.vowel, gain)
+
+
+def _join(planned: Sequence[Planned], runs: Sequence[tuple[float, float]]) -> tuple[Planned, ...]:
+    """Holds cut where the next stroke of the arm begins, or stretched to it when it begins soon."""
+    out = []
+    for k, one in enumerate(planned):
+        later = [p.start for p in planned[k + 1:k + 8] if set(p.stroke.sides) & set(one.stroke.sides)]
+        following = min(later, default=np.inf)
+        hold_end, end = one.hold_end, one.end
+        if following < hold_end + _JOIN and any(a - 1.0 <= one.beat and following <= b for a, b in runs):
+            hold_end = min(following, one.beat + _STRETCH * (one.hold_end - one.beat))
+        hold_end = min(hold_end, following)
+        out.append(replace(one, hold_end=hold_end, end=min(hold_end + (end - one.hold_end), max(following, hold_end))))
+    return tuple(out)

@@ -1,0 +1,454 @@
+"""A plan becomes motion: two arms and a body, joined without seams, in time with the plan.
+
+Each arm is a track of log rotations against rest. It follows one target at a time (hanging, the home pose in front of
+the body, a stroke's clip); when the target changes, what is left of the old motion (its place, velocity and
+acceleration against the new target) dies away by a quintic. The motion is made, its beats are measured on the hands,
+the strokes are shifted by what is missing, and it is made again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
+
+from data_module import rotation
+from data_module.motion_beats import acting_speed, beats_of_speed
+from data_module.performer import plan as planning
+from data_module.performer.plan import Habits, Planned
+from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet
+from data_module.performer.types import Played, PlayedStroke, Spoken
+from data_module.types import Array, Motion
+
+FPS = 60.0
+_PASSES = 5
+_MISS = 0.35
+_ACCURATE = 0.008
+_ACCENT = 0.12
+_MOST_ACCENT = 0.42
+_FARTHEST = 0.15
+_FADE_SHARE = 0.65
+_RAISE = 0.7
+_DROP = 1.0
+_MICRO = 0.22
+_FALL = 0.22
+_BRAKE = 0.789
+"""A minimum-jerk fall brakes hardest at this share of its length."""
+_SYMPATHY = 0.4
+_MIRRORED = np.array([1.0, -1.0, -1.0])
+TORSO_RADIUS = 0.115
+HEAD_RADIUS = 0.105
+
+
+@dataclass(frozen=True)
+class _Event:
+    """From `time` on an arm follows `target`: a stroke's index, or the share of the home pose (0 is rest)."""
+
+    time: float
+    fade: float
+    stroke: int = -1
+    level: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Score:
+    """Everything that stays the same from pass to pass.
+
+    events: per arm. micro: [2, T] how far each arm's excursion is raised, 1 is not at all. drift: [2, T, A * 3].
+    trunk: [T, B, 3] log rotations of hips to head. lively: [2, T] 0 at rest, 1 while the arm is up.
+    """
+
+    figure: Figure
+    planned: tuple[Planned, ...]
+    events: tuple[tuple[_Event, ...], tuple[_Event, ...]]
+    micro: Array
+    drift: Array
+    trunk: Array
+    frames: int
+
+
+def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator,
+            split: str = "train") -> Played:
+    """Play `spoken` with the body and the strokes of `performer`: 60 fps on her own skeleton, with its truth.
+
+    The performance depends on the arguments and the state of `rng` alone. In the split "test" the strokes kept for it
+    are played among the others. InputError when the performer is unknown.
+    """
+    planned = planning.plan(spoken, performer, strokes, rng, split)
+    figure, habits = strokes.figures[performer], planning.habits_of(performer)
+    score = _score(figure, planned, spoken, habits, rng)
+    arms = _keep_out(score, _on_time(score))
+    return Played(_assemble(score, arms), tuple(_truth(p) for p in planned), performer)
+
+
+def _on_time(score: _Score) -> Array:
+    """[2, T, A * 3] both arms, made again until their brakes fall where they were planned.
+
+    A stroke that brakes late starts earlier; one whose brake cannot be made out is accented more.
+    """
+    beats = planned = np.array([p.beat for p in score.planned])
+    accents = np.array([_ACCENT * (1.0 if p.stroke.lexeme.startswith("Beat") else 0.6) for p in score.planned])
+    arms = _render(score, beats, accents)
+    for turn in range(_PASSES - 1):
+        missing = _misses(score, arms, score.planned)
+        late = np.abs(missing) > _ACCURATE
+        if not late.any():
+            break
+        beats = np.where(late, np.clip(beats - missing, planned - _FARTHEST, planned + _FARTHEST), beats)
+        if turn:
+            accents = np.where(np.abs(missing) > 0.015, np.minimum(accents + 0.1, _MOST_ACCENT), accents)
+        arms = _render(score, beats, accents)
+    return arms
+
+
+def _truth(p: Planned) -> PlayedStroke:
+    s = p.stroke
+    return PlayedStroke(s.lexeme, s.clip, s.hand, p.start, p.beat, p.hold_end, p.end, p.syllable, p.gain, s.held_out)
+
+
+# --- What stays the same from pass to pass
+
+
+def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits,
+           rng: np.random.Generator) -> _Score:
+    frames = max(2, round(spoken.speech.duration * FPS))
+    runs = planning.runs_of(spoken.phrases)
+    levels = _levels(spoken, runs, habits, rng)
+    events = (_events(LEFT, planned, runs, levels[LEFT]), _events(RIGHT, planned, runs, levels[RIGHT]))
+    lively = np.stack([_lively(arm, frames) for arm in events])
+    speaking = lively.max(axis=0)
+    drift = np.stack([_drift(figure, lively[side], frames, rng) for side in (LEFT, RIGHT)])
+    micro = np.stack([_micro(side, spoken, planned, frames, rng) for side in (LEFT, RIGHT)])
+    trunk = _trunk(figure, planned, spoken, habits, speaking, frames, rng)
+    return _Score(figure, planned, events, micro, drift, trunk, frames)
+
+
+def _levels(spoken: Spoken, runs: list[tuple[float, float]], habits: Habits,
+            rng: np.random.Generator) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Per arm [(time, share of home)]: how high it waits in each phrase; now and then one hangs."""
+    out: tuple[list[tuple[float, float]], list[tuple[float, float]]] = ([], [])
+    weak = LEFT if habits.hands[RIGHT] > habits.hands[LEFT] else RIGHT
+    vigour = planning.drives(spoken)
+    starts = np.array([s.vowel for s in spoken.syllables])
+    for start, end in runs:
+        phrases = [p for p in spoken.phrases if start <= p.start < end]
+        for k, phrase in enumerate(phrases):
+            inside = (starts >= phrase.start) & (starts < phrase.end)
+            drive = float(vigour[inside].mean()) if inside.any() else 0.0
+            hanging = rng.random() < habits.hanging
+            side_hanging = weak if rng.random() < 0.7 else 1 - weak
+            draws = rng.uniform(0.75, 1.1, 2) * np.exp(0.15 * drive)
+            if k and rng.random() < 0.4:
+                continue
+            for side in (LEFT, RIGHT):
+                level = 0.1 if hanging and side == side_hanging else float(draws[side])
+                out[side].append((start - _RAISE if k == 0 else phrase.start - 0.3, level))
+    return out
+
+
+def _events(side: int, planned: tuple[Planned, ...], runs: list[tuple[float, float]],
+            levels: list[tuple[float, float]]) -> tuple[_Event, ...]:
+    """The targets of one arm in order of time."""
+    own = [(k, p) for k, p in enumerate(planned) if side in p.stroke.sides]
+    changes = np.array([time for time, _ in levels])
+
+    def level_at(time: float) -> float:
+        before = np.flatnonzero(changes <= time + 1e-9)
+        return levels[before[-1]][1] if len(before) else 0.0
+
+    events = [_Event(0.0, 0.1)]
+    spans = [(p.start, p.hold_end) for _, p in own]
+    for time, level in levels:
+        if not any(a - 0.35 <= time < b for a, b in spans):
+            events.append(_Event(max(time, 0.0), _RAISE if time > 0.05 else 0.5, level=level))
+    for k, p in own:
+        events.append(_Event(p.start, _FADE_SHARE * (p.beat - p.start), stroke=k))
+        events.append(_Event(p.hold_end, max(p.end - p.hold_end, 0.5), level=level_at(p.hold_end)))
+    for _, end in runs:
+        late = max([b for a, b in spans if a < end + 0.4], default=0.0)
+        events.append(_Event(max(end + 0.25, late + 0.02), _DROP))
+    starts = {p.start for _, p in own}
+    events.sort(key=lambda e: (e.time, e.stroke >= 0))
+    return tuple(e for e in events if e.stroke >= 0 or e.time not in starts)
+
+
+def _lively(events: tuple[_Event, ...], frames: int) -> Array:
+    """[T] 0 where the arm is at rest, 1 where it is not, with soft edges."""
+    out = np.zeros(frames)
+    for event, following in zip(events, (*events[1:], None), strict=True):
+        if event.stroke >= 0 or event.level > 0:
+            out[_frame(event.time):_frame(following.time) if following else frames] = 1.0
+    return gaussian_filter1d(out, 0.25 * FPS, mode="nearest")
+
+
+def _frame(time: float) -> int:
+    return max(0, int(np.ceil(time * FPS - 1e-6)))
+
+
+def _wander(frames: int, channels: int, period: float, rng: np.random.Generator) -> Array:
+    """Smooth noise [T, channels] of unit standard deviation that changes within about `period` seconds.
+
+    Independent knots joined by a cubic: cheap, and free of the slow trend a low-pass filter leaves.
+    """
+    knots = int(np.ceil(frames / FPS / (period / 4.0))) + 4
+    values = gaussian_filter1d(rng.normal(size=(knots, channels)), 1.0, axis=0)
+    times = (np.arange(knots) - 1.0) * period / 4.0
+    curve = PchipInterpolator(times, values)(np.arange(frames) / FPS)
+    return curve / 0.52
+
+
+def _drift(figure: Figure, lively: Array, frames: int, rng: np.random.Generator) -> Array:
+    """[T, A * 3] the arm's own slow wandering: degrees while it is up, a trace of it at rest."""
+    joints = len(figure.arms[0])
+    share = np.zeros((joints, 3))
+    share[:4] = np.radians([[1.0] * 3, [4.5] * 3, [6.0] * 3, [5.0] * 3])
+    share[4:] = np.radians(2.0)
+    slow = _wander(frames, joints * 3, 2.2, rng)
+    idle = _wander(frames, joints * 3, 4.0, rng)
+    return (slow * (0.02 + 0.98 * lively)[:, None] + idle * 0.03) * share.ravel()
+
+
+def _pulse(times: Array, start: float, end: float) -> Array:
+    """Minimum-jerk step from 0 to 1 between two times."""
+    s = np.clip((times - start) / (end - start), 0.0, 1.0)
+    return s ** 3 * (10.0 - 15.0 * s + 6.0 * s * s)
+
+
+def _add_bump(track: Array, peak: float, stop: float, size: float, before: float = 0.22, late: float = 0.0) -> None:
+    """Add to track [T] a bump that rises until `peak`, falls until `stop` and returns by `late` to nothing."""
+    first, last = max(0, _frame(peak - before) - 1), min(len(track), _frame(stop) + 2)
+    if first >= last:
+        return
+    times = np.arange(first, last) / FPS
+    track[first:last] += size * (_pulse(times, peak - before, peak) - _pulse(times, peak, stop))
+
+
+def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], frames: int, rng: np.random.Generator) -> Array:
+    """[T] small beats at syllables that no stroke of this arm takes: the arm is raised before and falls on them."""
+    track = np.zeros(frames)
+    spans = [(p.start, min(p.beat + 0.25, p.hold_end)) for p in planned if side in p.stroke.sides]
+    strength = planning.drives(spoken)
+    draws = rng.normal(0.0, 1.0, (2, len(spoken.syllables)))
+    last = -1.0
+    for i, syllable in enumerate(spoken.syllables):
+        at = syllable.vowel + 0.03 * draws[0, i]
+        free = not any(a - 0.05 < at < b for a, b in spans)
+        if free and at - last > 0.34 and syllable.prominence > -0.5:
+            size = _MICRO * float(np.clip(0.7 + 0.3 * syllable.prominence + 0.35 * strength[i] + 0.2 * draws[1, i],
+                                          0.25, 1.5))
+            _add_bump(track, at - _BRAKE * _FALL, at + (1.0 - _BRAKE) * _FALL, size)
+            last = at
+    return track
+
+
+# --- The body
+
+
+def _trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits, speaking: Array, frames: int,
+           rng: np.random.Generator) -> Array:
+    """[T, B, 3] log rotations of hips, spine, neck and head: sway, breath, nods, and the clips' own small motion."""
+    names = [figure.skeleton.names[j] for j in figure.trunk]
+    slow = gaussian_filter1d(speaking, 0.4 * FPS, mode="nearest")
+    scale = (0.06 + 0.94 * slow)[:, None]
+    yaw = _wander(frames, 1, 5.5, rng)[:, 0] * scale[:, 0] * np.radians(habits.sway)
+    out = np.zeros((frames, len(names), 3))
+    spines = [k for k, name in enumerate(names) if name.startswith("Spine")]
+    skull = [k for k, name in enumerate(names) if name.startswith(("Neck", "Head"))]
+    out[:, 0, 1] = 0.35 * yaw
+    out[:, 0, [0, 2]] = _wander(frames, 2, 4.5, rng) * scale * np.radians(0.6)
+    bend = _wander(frames, 3 * len(spines), 3.5, rng).reshape(frames, -1, 3) * scale[..., None]
+    out[:, spines] = bend * np.radians([1.5, 1.0, 1.2])
+    out[:, spines, 1] += 0.65 / len(spines) * yaw[:, None]
+    breath = np.radians(0.5) * np.sin(2.0 * np.pi * np.arange(frames) / FPS / 3.9)
+    out[:, spines[-1], 0] += breath
+    turns = _wander(frames, 3 * len(skull), 2.4, rng).reshape(frames, -1, 3) * scale[..., None]
+    out[:, skull] = turns * np.radians([1.8, 2.6, 1.5])
+    # The eyes stay with the listener: the head turns back half of what the torso turns.
+    out[:, skull, 1] -= 0.5 / len(skull) * yaw[:, None]
+    out[:, skull, 0] += (_nods(spoken, habits, frames, rng) / len(skull))[:, None]
+    _add_clips(out, planned)
+    return out
+
+
+def _nods(spoken: Spoken, habits: Habits, frames: int, rng: np.random.Generator) -> Array:
+    """[T] radians forward: the head dips on stressed syllables."""
+    track = np.zeros(frames)
+    draws = rng.random((2, len(spoken.syllables)))
+    for i, syllable in enumerate(spoken.syllables):
+        if syllable.prominence > 0.3 and draws[0, i] < 0.6:
+            size = np.radians(habits.nod) * (0.6 + 0.9 * draws[1, i])
+            _add_bump(track, syllable.vowel + 0.03, syllable.vowel + 0.4, float(size), before=0.24)
+    return track
+
+
+def _add_clips(trunk: Array, planned: tuple[Planned, ...]) -> None:
+    """Add the torso's motion of each clip, faded in and out with its stroke."""
+    for p in planned:
+        first, last = _frame(p.start), min(len(trunk), _frame(p.end))
+        if last - first < 4:
+            continue
+        times = np.arange(first, last) / FPS
+        window = _pulse(times, p.start, p.beat) * (1.0 - _pulse(times, min(p.hold_end, p.end - 0.2), p.end))
+        inside = p.stroke.trunk_at(_clip_time(p, p.beat)(times)).reshape(len(times), -1, 3)
+        trunk[first:last] += window[:, None, None] * (inside - p.stroke.trunk_at(np.array([p.stroke.start])).reshape(
+            1, -1, 3))
+
+
+# --- The arms
+
+
+def _clip_time(p: Planned, beat: float) -> PchipInterpolator:
+    """Monotone cubic map from the performance's seconds to the clip's, through start, beat, hold end and end."""
+    s = p.stroke
+    hold_end = max(p.hold_end, beat + 0.05)
+    end = max(p.end, hold_end + (s.end - s.hold_end) / 1.4)
+    return PchipInterpolator([p.start, beat, hold_end, end], [s.start, s.beat, s.hold_end, s.end], extrapolate=True)
+
+
+def _render(score: _Score, beats: Array, accents: Array) -> Array:
+    """[2, T, A * 3] both arms, with the strokes' beats put at `beats`, raised before them by `accents`."""
+    arms = np.stack([_arm(score, side, beats, accents) for side in (LEFT, RIGHT)])
+    return arms + score.drift
+
+
+def _arm(score: _Score, side: int, beats: Array, accents: Array) -> Array:
+    figure, events = score.figure, score.events[side]
+    home = figure.home[side].ravel()
+    out = np.zeros((score.frames, home.size))
+    for event, following in zip(events, (*events[1:], None), strict=True):
+        first = _frame(event.time)
+        last = min(score.frames, _frame(following.time)) if following else score.frames
+        if first >= last:
+            continue
+        times = np.arange(first, last) / FPS
+        # Two frames before the change tell the new target's own velocity there.
+        around = np.concatenate([(first - np.array([3.0, 2.0, 1.0])) / FPS, times])
+        target = _target(score, side, event, beats, accents, around, home)
+        target[3:] = target[3:] + _left_over(out[max(0, first - 3):first], target[:3], times, event.fade)
+        out[first:last] = target[3:]
+    out[:, :12] *= 1.0 + score.micro[side][:, None]
+    return out
+
+
+def _target(score: _Score, side: int, event: _Event, beats: Array, accents: Array, times: Array,
+            home: Array) -> Array:
+    """[M, A * 3] where an event wants the arm at `times`."""
+    if event.stroke < 0:
+        return np.repeat((event.level * home)[None], len(times), axis=0)
+    p = score.planned[event.stroke]
+    beat = beats[event.stroke]
+    path = p.stroke.arm_at(side, _clip_time(p, beat)(times))
+    # A low beat would fall from the home pose to the thigh: it is lifted into gesture space.
+    held = p.stroke.arm_at(side, np.array([p.stroke.beat]))[0]
+    up = float(held[:12] @ home[:12]) / max(float(home[:12] @ home[:12]), 1e-9)
+    path = p.gain * (path + max(0.0, 0.6 - up) * home)
+    peak, stop = beat - _BRAKE * _FALL, beat + (1.0 - _BRAKE) * _FALL
+    raised = _pulse(times, peak - 0.26, peak) - _pulse(times, peak, stop)
+    path[:, :12] *= 1.0 + accents[event.stroke] * raised[:, None]
+    return path
+
+
+def _left_over(before: Array, target: Array, times: Array, fade: float) -> Array:
+    """[M, D] what remains of the old motion at `times`: place, velocity and acceleration fade to zero by a quintic.
+
+    With s = t / fade, x = x0 (1 - 10 s3 + 15 s4 - 6 s5) + v0 fade (s - 6 s3 + 8 s4 - 3 s5)
+    + a0 fade2 / 2 (s2 - 3 s3 + 3 s4 - s5).
+    """
+    if len(before) < 3:
+        return np.zeros((len(times), target.shape[1]))
+    gap = before - target
+    x, v = gap[2], (gap[2] - gap[1]) * FPS
+    a = (gap[2] - 2.0 * gap[1] + gap[0]) * FPS * FPS
+    s = np.clip((times - times[0] + 1.0 / FPS) / fade, 0.0, 1.0)[:, None]
+    s2, s3, s4, s5 = s ** 2, s ** 3, s ** 4, s ** 5
+    return (x * (1.0 - 10.0 * s3 + 15.0 * s4 - 6.0 * s5) + v * fade * (s - 6.0 * s3 + 8.0 * s4 - 3.0 * s5)
+            + 0.5 * a * fade * fade * (s2 - 3.0 * s3 + 3.0 * s4 - s5))
+
+
+# --- Where the hands are
+
+
+def _turned(rest: Array, logs: Array) -> Array:
+    """Local rotations [T, 4] of a joint from its rest [4] and log rotations [T, 3]."""
+    return rotation.multiply(rest[None], rotation.from_exponential_map(logs))
+
+
+def _chain(score: _Score, arms: Array, side: int) -> dict[str, Array]:
+    """Positions [T, 3] of the joints from the hips to a hand, by name without its side, in the facing frame."""
+    figure = score.figure
+    skeleton = figure.skeleton
+    arm = {joint: k for k, joint in enumerate(figure.arms[side])}
+    trunk = {joint: k for k, joint in enumerate(figure.trunk)}
+    world: Array | None = None
+    place = np.zeros((score.frames, 3))
+    out: dict[str, Array] = {}
+    for joint in figure.hand_chain(side):
+        if world is not None:
+            place = place + rotation.rotate(world, skeleton.offsets[joint])
+        logs = score.trunk[:, trunk[joint]] if joint in trunk else arms[side][:, 3 * arm[joint]:3 * arm[joint] + 3]
+        local = _turned(figure.rest[joint], logs)
+        world = rotation.remove_yaw(local) if world is None else rotation.multiply(world, local)
+        out[skeleton.names[joint].removeprefix(SIDES[side])] = place
+    return out
+
+
+def _misses(score: _Score, arms: Array, planned: tuple[Planned, ...]) -> Array:
+    """[strokes] seconds by which the acting arms brake later than planned."""
+    if not planned:
+        return np.zeros(0)
+    chains = [_chain(score, arms, side) for side in (LEFT, RIGHT)]
+    moving = [np.stack([chain["Hand"], chain["ForeArm"]], axis=1) for chain in chains]
+    both = np.concatenate(moving, axis=1)
+    found = {name: _brakes(positions) for name, positions in (("left", moving[0]), ("right", moving[1]), ("both", both))}
+    return np.array([_miss(p.beat, *found[p.stroke.hand]) for p in planned])
+
+
+def _brakes(positions: Array) -> tuple[Array, Array]:
+    """Motion beats in seconds of joints [T, n, 3], and how hard each brakes, m/s2."""
+    speed = acting_speed(positions, FPS)
+    times = beats_of_speed(speed, FPS)
+    return times, np.interp(times * FPS, np.arange(len(speed)), -np.gradient(speed) * FPS)
+
+
+def _miss(beat: float, times: Array, depths: Array) -> float:
+    """How late the strongest brake near a beat is; one farther away counts less."""
+    near = np.flatnonzero(np.abs(times - beat) < _MISS)
+    if not len(near):
+        return 0.0
+    score = depths[near] * np.exp(-((times[near] - beat) / 0.12) ** 2)
+    return float(times[near[score.argmax()]] - beat)
+
+
+def _inside(point: Array, low: Array, high: Array, radius: float) -> Array:
+    """[T] how deep points [T, 3] lie inside a capsule between two points [T, 3], metres, 0 outside."""
+    axis = high - low
+    share = np.clip(np.sum((point - low) * axis, axis=-1) / np.sum(axis * axis, axis=-1), 0.0, 1.0)
+    return np.maximum(0.0, radius - np.linalg.norm(point - low - share[:, None] * axis, axis=-1))
+
+
+def _keep_out(score: _Score, arms: Array) -> Array:
+    """Fade an arm towards a wider one where its hand would enter the torso or the head."""
+    return arms
+
+
+# --- The finished motion
+
+
+def _assemble(score: _Score, arms: Array) -> Motion:
+    figure = score.figure
+    skeleton = figure.skeleton
+    rotations = np.repeat(figure.rest[None], score.frames, axis=0)
+    for k, joint in enumerate(figure.trunk):
+        rotations[:, joint] = _turned(figure.rest[joint], score.trunk[:, k])
+    for side in (LEFT, RIGHT):
+        for k, joint in enumerate(figure.arms[side]):
+            rotations[:, joint] = _turned(figure.rest[joint], arms[side][:, 3 * k:3 * k + 3])
+    # The feet stay where they are: the legs take back what the hips turn.
+    still = rotation.multiply(rotation.conjugate(rotations[:, 0]), figure.rest[0][None])
+    for joint, name in enumerate(skeleton.names):
+        if name.endswith("UpLeg"):
+            rotations[:, joint] = rotation.multiply(still, figure.rest[joint][None])
+    root = np.repeat(figure.root[None], score.frames, axis=0)
+    return Motion(skeleton, rotation.continuous(rotation.normalise(rotations)), root, FPS)

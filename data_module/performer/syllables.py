@@ -1,0 +1,208 @@
+"""What a performer hears: where each syllable's vowel begins, how loud, long and high it is, and how much it stands out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, find_peaks, resample_poly, sosfiltfilt
+
+from data_module.performer.types import Phrase, Spoken, Syllable
+from data_module.types import Array, Samples, Speech, Word
+
+HOP = 0.01
+LOWEST, HIGHEST = 60.0, 420.0
+# Words that carry grammar rather than meaning; pointing words, negations and quantities are left out on purpose.
+FUNCTION_WORDS = frozenset("""
+a an the of to in on at by for from with into onto as than and or so if that which who whom whose what while until
+is are was were be been being am do does did done has have had having can could may might must shall should will would
+it its he him his she her they them their it's i'm he's she's i my your our us
+about after before during between under over through near again also just very too more most some any such
+der die das ein eine einen einem einer und oder in im an am auf zu von mit ist sind war er sie es den dem des dass wie
+el la los las un una y o de del al en con por para que se es son era lo su sus le como
+""".split())
+
+
+@dataclass(frozen=True)
+class Nucleus:
+    """A syllable's place: its start, the onset of its vowel, its end (seconds), and the word it is in (-1: unknown)."""
+
+    start: float
+    vowel: float
+    end: float
+    word: int
+
+
+def is_function_word(text: str) -> bool:
+    """True for articles, prepositions, auxiliaries and pronouns of English, German and Spanish."""
+    return re.sub(r"[^\w']", "", text.lower()) in FUNCTION_WORDS
+
+
+def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] | None = None) -> tuple[Syllable, ...]:
+    """The syllables of speech with their prominence.
+
+    nuclei: where the syllables are, when it is known; otherwise vowels are found in the signal, inside the words where
+    there are words, else inside the phrases. prominence = .5 loudness + .4 duration + .5 pitch (each a z-score over the
+    recording), content words +.3, function words -.9.
+    """
+    level, pitch = loudness(speech), pitch_track(speech.samples, speech.sample_rate)
+    places = list(nuclei) if nuclei is not None else find_nuclei(speech, phrases, pitch)
+    if not places:
+        return ()
+    loud = np.array([level[_frames(p.vowel, min(p.end, p.vowel + 0.2), len(level))].max() for p in places])
+    high = _semitones(pitch, places)
+    long = np.log(np.array([max(p.end - p.start, 0.03) for p in places]))
+    loud -= np.median(loud)
+    score = 0.5 * _z(loud) + 0.4 * _z(long) + 0.5 * _z(high)
+    words = speech.words or ()
+    for index, place in enumerate(places):
+        if place.word >= 0:
+            score[index] += -0.9 if is_function_word(words[place.word].text) else 0.3
+    return tuple(Syllable(p.start, p.vowel, p.end, p.word, float(a), float(b), float(c))
+                 for p, a, b, c in zip(places, loud, high, score, strict=True))
+
+
+def hear(name: str, speech: Speech, voice: str, language: str) -> Spoken:
+    """A recording of a real voice, with everything found in its signal (and in its words, where it has them)."""
+    phrases = find_phrases(speech)
+    return Spoken(name, speech, listen(speech, phrases), phrases, voice, language)
+
+
+def loudness(speech: Speech) -> Array:
+    """[T] dB of the RMS of 20 ms every 10 ms; frame t is centred on t * 10 ms."""
+    hop = round(HOP * speech.sample_rate)
+    count = len(speech.samples) // hop + 1
+    padded = np.pad(speech.samples.astype(np.float64) ** 2, (hop, 2 * hop))
+    total = np.concatenate(([0.0], np.cumsum(padded)))
+    first = np.arange(count) * hop
+    power = np.maximum(total[first + 2 * hop] - total[first], 0) / (2 * hop)
+    return np.asarray(10 * np.log10(power + 1e-9))
+
+
+def pitch_track(samples: Samples, sample_rate: int) -> Array:
+    """[T] Hz every 10 ms, frame t centred on t * 10 ms, 0 where unvoiced: the peak of the autocorrelation, normalised by
+    that of the window (Boersma's remedy for its slope), with a slight preference for short lags."""
+    rate = 8000
+    low = resample_poly(samples, rate, sample_rate) if sample_rate != rate else samples
+    size, hop, padded_size = 320, round(HOP * rate), 1024
+    count = len(samples) * rate // sample_rate // hop + 1
+    padded = np.pad(np.asarray(low, dtype=np.float32), (size // 2, size + hop))
+    window = np.hanning(size).astype(np.float32)
+    shape = np.fft.irfft(np.abs(np.fft.rfft(window, padded_size)) ** 2)
+    shortest, longest = int(rate / HIGHEST), int(rate / LOWEST)
+    lags = np.arange(shortest, longest + 1)
+    weight = shape[0] / shape[lags] * (1 - 0.12 * np.log2(lags / shortest) / np.log2(longest / shortest))
+    found = np.zeros(count)
+    frames = np.lib.stride_tricks.sliding_window_view(padded, size)[::hop][:count]
+    for first in range(0, count, 4096):
+        block = frames[first:first + 4096]
+        block = (block - block.mean(axis=1, keepdims=True)) * window
+        power = np.abs(np.fft.rfft(block, padded_size, axis=1)) ** 2
+        correlation = np.fft.irfft(power, axis=1)
+        quiet = correlation[:, 0] < 1e-3
+        score = correlation[:, lags] / (correlation[:, :1] + 1e-12) * weight
+        best = score.argmax(axis=1)
+        inner = np.clip(best, 1, len(lags) - 2)
+        row = np.arange(len(block))
+        left, middle, right = score[row, inner - 1], score[row, inner], score[row, inner + 1]
+        bend = left - 2 * middle + right
+        shift = np.where(np.abs(bend) > 1e-9, 0.5 * (left - right) / np.where(bend == 0, 1, bend), 0)
+        hertz = rate / (lags[inner] + np.clip(shift, -0.5, 0.5))
+        found[first:first + len(block)] = np.where((score[row, best] > 0.5) & ~quiet, hertz, 0)
+    return found
+
+
+def find_nuclei(speech: Speech, phrases: Sequence[Phrase], pitch: Array) -> list[Nucleus]:
+    """Vowels from the signal: peaks of 3 dB or more in the voiced energy of 300 to 2500 Hz, 90 ms apart at least.
+
+    The vowel's onset is where the energy rises fastest before its peak; syllables meet at the valleys between.
+    """
+    band = butter(2, (300, 2500), "bandpass", fs=speech.sample_rate, output="sos")
+    voice = Speech(sosfiltfilt(band, speech.samples).astype(np.float32), speech.sample_rate)
+    level = gaussian_filter1d(loudness(voice), 2.0)
+    spans = [(w.start, w.end, i) for i, w in enumerate(speech.words) if w.text] if speech.words else \
+            [(p.start, p.end, -1) for p in phrases]
+    floor = float(np.percentile(level, 95)) - 30
+    peaks, _ = find_peaks(level, prominence=3, distance=9, height=floor)
+    voiced = gaussian_filter1d((pitch > 0).astype(float), 2.0)
+    peaks = peaks[voiced[np.minimum(peaks, len(voiced) - 1)] > 0.3]
+    rise = np.gradient(level)
+    nuclei: list[Nucleus] = []
+    for start, end, word in spans:
+        inside = peaks[(peaks * HOP >= start) & (peaks * HOP < end)]
+        if len(inside) == 0 and word >= 0:
+            inside = np.array([_loudest(level, start, end)])
+        cuts = [start, *(HOP * _valley(level, a, b) for a, b in zip(inside, inside[1:], strict=False)), end]
+        for peak, left, right in zip(inside, cuts, cuts[1:], strict=False):
+            first = min(max(int(np.ceil(left / HOP)), peak - 15), peak)
+            onset = first + int(rise[first:peak + 1].argmax())
+            nuclei.append(Nucleus(left, float(np.clip(onset * HOP, left, right)), right, word))
+    return nuclei
+
+
+def find_phrases(speech: Speech, gap: float = 0.25) -> tuple[Phrase, ...]:
+    """Stretches between pauses of `gap` seconds or more, from the words where there are words, else from loudness.
+
+    effort: the phrase's loudness against the median phrase, 6 dB for 1, within [-1, 1].
+    """
+    level = loudness(speech)
+    spans = _joined([w for w in speech.words if w.text], gap) if speech.words else _loud_spans(level, gap)
+    louds = np.array([np.percentile(level[_frames(start, end, len(level))], 80) for start, end in spans])
+    efforts = np.clip((louds - np.median(louds)) / 6, -1, 1) if len(louds) else louds
+    return tuple(Phrase(start, end, float(effort)) for (start, end), effort in zip(spans, efforts, strict=True))
+
+
+def _joined(words: Sequence[Word], gap: float) -> list[tuple[float, float]]:
+    spans: list[tuple[float, float]] = []
+    for word in words:
+        if spans and word.start - spans[-1][1] < gap:
+            spans[-1] = (spans[-1][0], max(word.end, spans[-1][1]))
+        else:
+            spans.append((word.start, word.end))
+    return spans
+
+
+def _loud_spans(level: Array, gap: float) -> list[tuple[float, float]]:
+    smooth = gaussian_filter1d(level, 3.0)
+    threshold = max(float(np.percentile(smooth, 95)) - 28, float(np.percentile(smooth, 5)) + 6)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], (smooth > threshold).astype(int), [0]))))
+    pieces = [Word("x", a * HOP, b * HOP) for a, b in edges.reshape(-1, 2)]
+    return [(start, end) for start, end in _joined(pieces, gap) if end - start > 0.08]
+
+
+def _frames(start: float, end: float, count: int) -> slice:
+    first = min(max(round(start / HOP), 0), count - 1)
+    return slice(first, min(max(round(end / HOP), first + 1), count))
+
+
+def _loudest(level: Array, start: float, end: float) -> int:
+    frames = _frames(start, end, len(level))
+    return frames.start + int(level[frames].argmax())
+
+
+def _valley(level: Array, left: int, right: int) -> int:
+    return int(left) + int(level[left:right + 1].argmin())
+
+
+def _semitones(pitch: Array, places: Sequence[Nucleus]) -> Array:
+    """[S] the median pitch of each syllable from its vowel on, against the recording's; 0 where unvoiced."""
+    voiced = pitch[pitch > 0]
+    if len(voiced) == 0:
+        return np.zeros(len(places))
+    middle = float(np.median(voiced))
+    found = np.zeros(len(places))
+    for index, place in enumerate(places):
+        inside = pitch[_frames(place.vowel, place.end, len(pitch))]
+        inside = inside[inside > 0]
+        if len(inside):
+            semitones = 12 * np.log2(inside / middle)
+            # A jump of an octave is the tracker's slip, not the speaker's.
+            found[index] = float(np.median(np.where(np.abs(semitones) > 9, semitones - 12 * np.sign(semitones), semitones)))
+    return found
+
+
+def _z(values: Array) -> Array:
+    return np.asarray(np.clip((values - values.mean()) / (values.std() + 1e-6), -3, 3))

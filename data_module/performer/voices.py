@@ -1,0 +1,197 @@
+"""Voices that speak our text: who they are, how effort changes them, and the recording they are heard on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.performer import espeak, flite, source_filter
+from data_module.performer.sound import RATE, Phone, Sounded, decibels, read_at, recorded, with_tilt, word_spans
+from data_module.performer.syllables import Nucleus, listen, pitch_track
+from data_module.performer.text import Part, Utterance, compose
+from data_module.performer.types import Phrase, Spoken
+from data_module.types import Array, Samples, Speech, Word
+
+# At effort 1: decibels louder, times faster, times the pitch range (log), semitones higher. At -1 the reverse.
+LOUDER, FASTER, WIDER, HIGHER = 9.0, 0.10, 0.55, 1.5
+LEAD = 0.4
+
+
+@dataclass(frozen=True)
+class Voice:
+    """A voice. engine: "flite", "espeak" or "numpy"; base: the engine's own name of it.
+
+    pitch: Hz; spread: the engine's measure of pitch range (flite: Hz; espeak: 0 to 99; numpy: semitones);
+    tract: formants times this (flite, numpy); rate: times the engine's normal speed; language: ISO 639-1.
+    """
+
+    name: str
+    engine: str
+    base: str
+    pitch: float
+    spread: float
+    tract: float = 1.0
+    rate: float = 1.0
+    language: str = "en"
+
+
+def _by_name(*voices: Voice) -> dict[str, Voice]:
+    return {voice.name: voice for voice in voices}
+
+
+VOICES = _by_name(
+    Voice("slt", "flite", "slt", 172, 45),
+    Voice("slt_deep", "flite", "slt", 140, 38, tract=0.89, rate=0.95),
+    Voice("slt_high", "flite", "slt", 205, 55, tract=1.07, rate=1.07),
+    Voice("rms", "flite", "rms", 105, 15),
+    Voice("rms_light", "flite", "rms", 118, 15, tract=1.12, rate=0.96),
+    Voice("rms_deep", "flite", "rms", 96, 15, tract=0.93, rate=1.05),
+    Voice("kal", "flite", "kal16", 105, 22, rate=1.0),
+    Voice("us_f3", "espeak", "en-us+f3", 50, 60),
+    Voice("gb_m3", "espeak", "en+m3", 45, 60, rate=0.96),
+    Voice("scot_f2", "espeak", "en-gb-scotland+f2", 45, 60, rate=1.05),
+    Voice("de_f2", "espeak", "de+f2", 50, 60, language="de"),
+    Voice("es_m3", "espeak", "es+m3", 45, 60, language="es"),
+    Voice("awb", "flite", "awb", 131, 22),
+    Voice("awb_high", "flite", "awb", 165, 27, tract=1.12, rate=1.05),
+    Voice("rp_m7", "espeak", "en-gb-x-rp+m7", 40, 60, rate=0.95),
+    Voice("de_m5", "espeak", "de+m5", 45, 60, language="de"),
+    Voice("numpy_low", "numpy", "", 115, 3.0),
+    Voice("numpy_high", "numpy", "", 195, 3.5, tract=1.15, rate=1.05),
+)
+TRAIN_VOICES = ("slt", "rms", "kal", "us_f3", "slt_deep", "rms_light", "gb_m3", "slt_high", "rms_deep", "scot_f2")
+TEST_VOICES = ("awb", "rp_m7", "awb_high")
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """Speech with what the voice knows of it: words in `speech`, phones and phrases in seconds."""
+
+    speech: Speech
+    phones: tuple[Phone, ...]
+    phrases: tuple[Phrase, ...]
+
+
+def synthesise(utterances: Sequence[Utterance], voice: Voice, rng: np.random.Generator) -> Synthesis:
+    """Speak the utterances and record them: 16 kHz, word times, phone times, phrases with their effort.
+
+    Effort drives loudness (9 dB either way), brightness, pitch, pitch range and rate together. Phrases are spoken one by
+    one and placed by counting samples. The generator decides the room, the noise and the level.
+    InputError names the Debian package of a program that is missing.
+    """
+    parts = [part for utterance in utterances for part in utterance.parts]
+    if not parts:
+        raise InputError("text", "is empty", "give a sentence to speak")
+    sounded = _sound_all(parts, voice, rng)
+    return _on_the_clock(parts, sounded, voice, rng)
+
+
+def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random.Generator) -> Spoken:
+    """Speak with a voice of `VOICES`, and listen to it: what the performer performs to. Same generator, same bytes."""
+    if voice not in VOICES:
+        raise InputError(f"voice {voice!r}", "is not known", f"choose one of {', '.join(VOICES)}")
+    made = synthesise(utterances, VOICES[voice], rng)
+    syllables = listen(made.speech, made.phrases, nuclei_of(made.phones))
+    return Spoken(name, made.speech, syllables, made.phrases, voice, VOICES[voice].language)
+
+
+def numpy_speech(seconds: float, seed: int, split: str = "train") -> Spoken:
+    """A made-up speech of about `seconds` by our own numpy speaker: no program, no data."""
+    rng = np.random.default_rng(seed)
+    voice = "numpy_low" if rng.random() < 0.5 else "numpy_high"
+    return speak(f"numpy_{seed}", compose(rng, seconds, split), voice, rng)
+
+
+def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:
+    """The syllables of phones: each vowel with the consonant before it; the rest closes the syllable before.
+
+    A word without a vowel ("hm") is one syllable, whose "vowel" is its first phone.
+    """
+    nuclei: list[Nucleus] = []
+    for word in sorted({phone.word for phone in phones}):
+        inside = [phone for phone in phones if phone.word == word]
+        vowels = [i for i, phone in enumerate(inside) if phone.vowel] or [0]
+        # Between two vowels one consonant goes with the second; none when they touch.
+        cuts = [max(vowel - 1, before + 1) for before, vowel in zip(vowels, vowels[1:], strict=False)]
+        bounds = [inside[0].start, *(inside[cut].start for cut in cuts), inside[-1].end]
+        nuclei += [Nucleus(left, inside[vowel].start, right, word)
+                   for vowel, left, right in zip(vowels, bounds, bounds[1:], strict=False)]
+    return nuclei
+
+
+def _sound_all(parts: Sequence[Part], voice: Voice, rng: np.random.Generator) -> list[Sounded]:
+    if voice.engine == "numpy":
+        return [source_filter.sound_phrase(p.text, p.effort, voice.pitch * 2 ** (HIGHER * p.effort / 12), voice.tract,
+                                           voice.rate * _faster(p.effort), voice.spread * _wider(p.effort), rng)
+                for p in parts]
+    if voice.engine == "espeak":
+        # espeak's pitch unit is about a sixth of a semitone; its range 50 is normal.
+        return espeak.sound_phrases([espeak.Line(
+            voice.base, part.text, round(165 * voice.rate * _faster(part.effort)), round(voice.pitch + 6 * part.effort),
+            round(min(99, voice.spread * _wider(part.effort)))) for part in parts])
+    return [_flite_phrase(part, voice) for part in parts]
+
+
+def _flite_phrase(part: Part, voice: Voice) -> Sounded:
+    pitch = voice.pitch * 2 ** (HIGHER * part.effort / 12)
+    # The tract is changed by playing faster or slower, so flite speaks slower or faster, lower or higher, for it.
+    stretch = voice.tract / (voice.rate * _faster(part.effort))
+    said = flite.sound_phrase(voice.base, part.text, pitch / voice.tract, voice.spread * _wider(part.effort) / voice.tract,
+                              stretch)
+    speed = np.full(len(said.samples), voice.tract)
+    if voice.base == "rms":
+        # This voice takes no pitch from outside; its own contour is widened, and raised, by playing at a varying speed.
+        speed = speed * _widened(said.samples, _wider(part.effort)) * 2 ** (HIGHER * part.effort / 24)
+    if np.ptp(speed) == 0 and speed[0] == 1:
+        return said
+    samples, phones = read_at(said.samples, speed, said.phones)
+    spans = word_spans([word.text for word in said.words], phones)
+    return Sounded(samples, spans, phones)
+
+
+def _widened(samples: Samples, times: float) -> Array:
+    """[N] the playing speed that makes a pitch contour `times` as wide around its median; 1 where it is unknown."""
+    track = pitch_track(samples, RATE)
+    voiced = np.flatnonzero(track > 0)
+    if len(voiced) < 5:
+        return np.ones(len(samples))
+    height = np.log(track[voiced] / np.median(track[voiced]))
+    height = np.clip(height, -0.35, 0.35)
+    frames = np.interp(np.arange(len(track)), voiced, height)
+    smooth = np.convolve(np.pad(frames, 4, mode="edge"), np.hanning(11)[1:-1] / np.hanning(11).sum(), "valid")
+    return np.exp((times - 1) * np.interp(np.arange(len(samples)) / 160, np.arange(len(smooth)), smooth))
+
+
+def _faster(effort: float) -> float:
+    return float(np.exp(FASTER * effort))
+
+
+def _wider(effort: float) -> float:
+    return float(np.exp(WIDER * effort))
+
+
+def _on_the_clock(parts: Sequence[Part], sounded: Sequence[Sounded], voice: Voice,
+                  rng: np.random.Generator) -> Synthesis:
+    """Phrases and pauses laid one after the other, at the loudness of their effort, and recorded."""
+    lengths = [len(s.samples) + round(p.pause * RATE) for s, p in zip(sounded, parts, strict=True)]
+    starts = np.cumsum([round(LEAD * RATE), *lengths])
+    dry = np.zeros(int(starts[-1]), dtype=np.float32)
+    active = np.zeros(len(dry), dtype=bool)
+    words: list[Word] = []
+    phones: list[Phone] = []
+    phrases: list[Phrase] = []
+    # One gain for the whole recording brings the voice to -20 dBFS, so that effort alone decides between phrases.
+    level = float(np.sqrt(np.mean(np.concatenate([s.samples for s in sounded]) ** 2))) + 1e-9
+    for part, said, start in zip(parts, sounded, starts.tolist(), strict=False):
+        offset, stop = start / RATE, start + len(said.samples)
+        tilted = with_tilt(said.samples, part.effort)
+        dry[start:stop] = tilted * np.float32(0.1 / level * decibels(LOUDER * part.effort))
+        active[start:stop] = True
+        phones += [phone.moved(offset, len(words)) for phone in said.phones]
+        words += [replace(word, start=word.start + offset, end=word.end + offset) for word in said.words]
+        phrases.append(Phrase(offset, stop / RATE, part.effort))
+    samples = recorded(dry, active, rng)
+    return Synthesis(Speech(samples, RATE, tuple(words), voice.name), tuple(phones), tuple(phrases))

@@ -1,0 +1,338 @@
+"""A store: motion, speech and words on one clock, not yet cut into blocks.
+
+A store is a folder. `store.json` says what is in it, `recordings/NAME.flac` is the sound and `recordings/NAME.npz` the
+motion on the 16-joint character at the corpus's own frame rate, the words and, for a scripted performance, the truth.
+It appears whole or not at all: it grows as `OUT.partial`, keeps its finished recordings when the work is stopped, and
+is renamed at the end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module import rotation
+from data_module.audio import load_speech, write_flac
+from data_module.errors import InputError
+from data_module.files import write_bytes, write_text
+from data_module.performer.types import Phrase, PlayedStroke, Syllable
+from data_module.skeletons import CHARACTER, JOINTS
+from data_module.types import Motion, Speech, Word
+
+FORMAT = 1
+Split = Literal["train", "val", "test"]
+SPLITS: tuple[Split, ...] = get_args(Split)
+_LISTING, _FOLDER, _BEGUN = "store.json", "recordings", "begun.json"
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """What a store tells about a recording without opening it.
+
+    speaker: who gestures (the performer); voice: who speaks; language: ISO 639-1; absent: joints the source lacks;
+    group: recordings of one group share their sound or their text, so an interval over them counts it once.
+    """
+
+    name: str
+    split: Split
+    speaker: str
+    voice: str
+    language: str
+    seconds: float = 0.0
+    frames: int = 0
+    fps: float = 0.0
+    absent: tuple[str, ...] = ()
+    group: str = ""
+
+    def __post_init__(self) -> None:
+        if self.split not in SPLITS:
+            raise InputError(self.name, f"has the split '{self.split}'", f"use one of {', '.join(SPLITS)}")
+        if not self.name or any(mark in self.name for mark in "/\\:") or self.name.startswith("."):
+            raise InputError(repr(self.name), "cannot name a recording", "use letters, digits, '_' and '-'")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a scripted performance meant to do: known here, and nowhere else."""
+
+    strokes: tuple[PlayedStroke, ...] = ()
+    syllables: tuple[Syllable, ...] = ()
+    phrases: tuple[Phrase, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Speech (with its words, where known) and motion that start together and last equally long."""
+
+    info: RecordingInfo
+    speech: Speech
+    motion: Motion
+    truth: Truth | None = None
+
+
+class Store:
+    """A finished store, opened for reading."""
+
+    def __init__(self, path: Path, listing: Mapping[str, Any]) -> None:
+        self.path = path
+        self.corpus: str = listing["corpus"]
+        self.settings: dict[str, Any] = listing["settings"]
+        self.seed: int = listing["seed"]
+        self.licence: str = listing["licence"]
+        self.fingerprint: str = listing["fingerprint"]
+        self.recordings: tuple[RecordingInfo, ...] = tuple(_info(entry) for entry in listing["recordings"])
+        self._hashes: dict[str, dict[str, str]] = {e["name"]: e["sha256"] for e in listing["recordings"]}
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> Store:
+        """Open the store at `path`; `InputError` when it is missing, not a store, of another format or unfinished."""
+        folder = Path(path)
+        listing = folder / _LISTING
+        if not listing.is_file():
+            raise InputError(folder, *_why_not_a_store(folder))
+        try:
+            content = json.loads(listing.read_text(encoding="utf-8"))
+            number = content["format"]
+        except (ValueError, TypeError, KeyError):
+            raise InputError(listing, "is not the listing of a store", "build it again") from None
+        if number != FORMAT:
+            raise InputError(folder, f"is a store of format {number}, and this version reads format {FORMAT}",
+                             "build it again")
+        try:
+            store = cls(folder, content)
+            found = _fingerprint(content["recordings"])
+        except (AttributeError, TypeError, KeyError):
+            raise InputError(listing, "lacks entries that a store has", "build it again") from None
+        if found != store.fingerprint:
+            raise InputError(listing, "does not match its own fingerprint", "it was edited: build it again")
+        for info in store.recordings:
+            for file in _files(folder, info.name):
+                if not file.is_file():
+                    raise InputError(file, "is missing from its store", "build it again")
+        return store
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the recordings, in order."""
+        return tuple(info.name for info in self.recordings)
+
+    def of_split(self, split: Split) -> tuple[RecordingInfo, ...]:
+        """The recordings of one split."""
+        return tuple(info for info in self.recordings if info.split == split)
+
+    def load(self, name: str) -> Recording:
+        """Read one recording: its motion on the 16-joint character at the corpus's own rate."""
+        for info in self.recordings:
+            if info.name == name:
+                break
+        else:
+            raise InputError(name, f"is not in the store {self.path}", f"it holds {len(self.recordings)} recordings")
+        sound, arrays = _files(self.path, name)
+        for file, wanted in zip((sound, arrays), (self._hashes[name]["flac"], self._hashes[name]["npz"]), strict=True):
+            if _sha256(file) != wanted:
+                raise InputError(file, "is not the file that its store was made with", "build it again")
+        return _read(info, sound, arrays)
+
+
+class StoreWriter:
+    """Writes a store, recording by recording, in any order and from several processes at once.
+
+    Work that was stopped is taken up again: recordings that are already finished in `OUT.partial` are kept when the
+    corpus, its settings and its seed are the same, and refused by `InputError` when they are not.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], corpus: str, settings: Mapping[str, Any], seed: int,
+                 licence: str) -> None:
+        self.path = Path(path)
+        self.partial = self.path.with_name(self.path.name + ".partial")
+        self._head = {"format": FORMAT, "corpus": corpus, "settings": json.loads(json.dumps(settings)), "seed": seed,
+                      "licence": licence}
+        if self.path.exists() and not (self.path.is_dir() and not any(self.path.iterdir())):
+            raise InputError(self.path, "is already there", "delete it or choose another folder")
+        begun = self.partial / _BEGUN
+        if begun.is_file():
+            before = json.loads(begun.read_text(encoding="utf-8"))
+            if before != self._head:
+                raise InputError(self.partial, f"was begun with {_difference(before, self._head)}",
+                                 "delete it, or use what it was begun with")
+        elif self.partial.exists() and any(self.partial.iterdir()):
+            raise InputError(self.partial, "stands in the way", "delete it or choose another folder")
+        (self.partial / _FOLDER).mkdir(parents=True, exist_ok=True)
+        if not begun.is_file():
+            write_text(begun, json.dumps(self._head, indent=1))
+
+    def has(self, name: str) -> bool:
+        """Whether the recording is finished already."""
+        return self._entry(name).is_file()
+
+    def add(self, recording: Recording, character: Motion | None = None) -> None:
+        """Write one recording with its motion, or `character` in its place, on the 16-joint character.
+
+        The motion must last as long as the speech, to a frame.
+        """
+        recording = recording if character is None else replace(recording, motion=character)
+        motion, info = recording.motion, recording.info
+        if not motion.skeleton.same_joints(CHARACTER):
+            raise ValueError(f"{info.name}: a store keeps motion on the 16-joint character")
+        if abs(motion.duration - recording.speech.duration) > 1.0 / motion.fps:
+            raise ValueError(f"{info.name}: {motion.duration:.3f} s of motion for "
+                             f"{recording.speech.duration:.3f} s of speech")
+        sound, arrays = _files(self.partial, info.name)
+        write_flac(sound, recording.speech)
+        write_bytes(arrays, _pack(_arrays(recording)))
+        entry = asdict(info) | {"seconds": round(recording.speech.duration, 6), "frames": len(motion),
+                                "fps": motion.fps, "absent": list(motion.absent),
+                                "sha256": {"flac": _sha256(sound), "npz": _sha256(arrays)}}
+        write_text(self._entry(info.name), json.dumps(entry))
+
+    def finish(self, names: Sequence[str]) -> Store:
+        """List the recordings in the order of `names`, which must all be there, and give the store its name."""
+        entries = [json.loads(self._entry(name).read_text(encoding="utf-8")) for name in names]
+        kept = {file for name in names for file in _files(self.partial, name)}
+        for file in sorted((self.partial / _FOLDER).iterdir()):
+            if file not in kept:
+                file.unlink()
+        listing = self._head | {"fingerprint": _fingerprint(entries), "recordings": entries}
+        write_text(self.partial / _LISTING, json.dumps(listing, indent=1))
+        (self.partial / _BEGUN).unlink()
+        if self.path.exists():
+            self.path.rmdir()
+        os.replace(self.partial, self.path)
+        return Store.open(self.path)
+
+    def discard(self) -> None:
+        """Remove what was written so far."""
+        shutil.rmtree(self.partial, ignore_errors=True)
+
+    def _entry(self, name: str) -> Path:
+        return self.partial / _FOLDER / f"{name}.json"
+
+
+def matching(path: str | os.PathLike[str], corpus: str, settings: Mapping[str, Any], seed: int) -> Store | None:
+    """The store at `path` when it was built with just these settings, None when there is nothing yet.
+
+    `InputError` when something else is there, or a store of other settings.
+    """
+    folder = Path(path)
+    if not (folder / _LISTING).is_file():
+        return None
+    store = Store.open(folder)
+    mine = {"corpus": corpus, "settings": json.loads(json.dumps(settings)), "seed": seed}
+    theirs = {"corpus": store.corpus, "settings": store.settings, "seed": store.seed}
+    if mine != theirs:
+        raise InputError(folder, f"was built with {_difference(theirs, mine)}", "delete it or choose another folder")
+    return store
+
+
+def _why_not_a_store(folder: Path) -> tuple[str, str]:
+    if not folder.exists():
+        if folder.with_name(folder.name + ".partial").is_dir():
+            return "is half-written", "run the same build again to finish it"
+        return "does not exist", "build it with python -m data_module.build"
+    if (folder / _BEGUN).is_file():
+        return "is half-written", "run the same build again to finish it"
+    return "is not a store (no store.json)", "give a folder made by python -m data_module.build"
+
+
+def _difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Which settings differ, as "hours 4.2 (now 1.0)"."""
+    old, new = _flat(before), _flat(now)
+    changed = [key for key in {**old, **new} if old.get(key) != new.get(key)]
+    return ", ".join(f"{key} {old.get(key, 'unset')} (now {new.get(key, 'unset')})" for key in changed)
+
+
+def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for key, value in tree.items():
+        out.update(_flat(value) if isinstance(value, Mapping) else {key: value})
+    return out
+
+
+def _info(entry: Mapping[str, Any]) -> RecordingInfo:
+    known = {field.name: entry[field.name] for field in fields(RecordingInfo)}
+    return RecordingInfo(**known | {"absent": tuple(known["absent"])})
+
+
+def _files(folder: Path, name: str) -> tuple[Path, Path]:
+    return folder / _FOLDER / f"{name}.flac", folder / _FOLDER / f"{name}.npz"
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _fingerprint(entries: Sequence[Mapping[str, Any]]) -> str:
+    """One hash for everything in the store but the settings that it was made with."""
+    return hashlib.sha256(json.dumps(list(entries), sort_keys=True).encode()).hexdigest()
+
+
+# Tuples of flat dataclasses become one array per field: columns, so that nothing needs pickle.
+_TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phrases": Phrase}
+_WORDS = ("text", "start", "end")
+
+
+def _columns(prefix: str, rows: Sequence[Any], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    return {f"{prefix}_{name}": np.array([getattr(row, name) for row in rows]) for name in names}
+
+
+def _rows(arrays: Mapping[str, NDArray[Any]], prefix: str, kind: type, names: Sequence[str]) -> tuple[Any, ...]:
+    columns = [arrays[f"{prefix}_{name}"].tolist() for name in names]
+    return tuple(kind(**dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True))
+
+
+def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
+    motion, speech = recording.motion, recording.speech
+    arrays: dict[str, NDArray[Any]] = {
+        "rotations": motion.rotations.astype(np.float32),
+        "root_positions": motion.root_positions.astype(np.float32),
+        "fps": np.array(motion.fps), "joints": np.array(JOINTS), "absent": np.array(motion.absent, dtype=str),
+    }
+    if speech.words is not None:
+        arrays |= _columns("word", speech.words, _WORDS)
+    if recording.truth is not None:
+        for name, kind in _TABLES.items():
+            rows = getattr(recording.truth, name)
+            arrays |= _columns(name, rows, [field.name for field in fields(kind)])
+    return arrays
+
+
+def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
+    try:
+        with np.load(file, allow_pickle=False) as content:
+            arrays = {key: content[key] for key in content.files}
+        if tuple(arrays["joints"]) != JOINTS:
+            raise ValueError("other joints")
+        motion = Motion(CHARACTER, rotation.normalise(arrays["rotations"].astype(np.float64)),
+                        arrays["root_positions"].astype(np.float64), float(arrays["fps"]),
+                        tuple(arrays["absent"].tolist()))
+        words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
+        tables = {name: _rows(arrays, name, kind, [field.name for field in fields(kind)])
+                  for name, kind in _TABLES.items()} if f"strokes_{fields(PlayedStroke)[0].name}" in arrays else None
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        raise InputError(file, "is not a recording of a store", "build the store again") from None
+    speech = load_speech(sound)
+    return Recording(info, Speech(speech.samples, speech.sample_rate, words, info.speaker), motion,
+                     Truth(**tables) if tables is not None else None)
+
+
+def _pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """An .npz whose bytes depend on its arrays alone (no time of writing), refusing anything that needs pickle."""
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w") as archive:
+        for name, array in arrays.items():
+            column = io.BytesIO()
+            np.lib.format.write_array(column, np.asarray(array), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), column.getvalue())
+    return memory.getvalue()

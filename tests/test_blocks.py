@@ -1,0 +1,277 @@
+"""Blocks: what is cut and stretched comes back, exactly on the beats."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from data_module import rotation, skeletons
+from data_module.beats import BeatSettings
+from data_module.blocks import (
+    METHODS,
+    BlockSettings,
+    cut,
+    denormalise,
+    first_pose,
+    hermite,
+    normalise_motion,
+    samples_per_frame,
+    smooth,
+    stretch_speech,
+    windows_of,
+)
+from data_module.errors import InputError
+from data_module.types import Array, Blocks, Motion, Samples, Speech
+
+RATE = 16000
+DURATIONS = st.lists(st.integers(4, 10), min_size=1, max_size=12).map(lambda ticks: np.array(ticks) * 0.05)
+
+
+def blocks_of(durations: Array, frames: int = 10, fps: float = 20.0) -> Blocks:
+    count = len(durations)
+    edges = np.concatenate([[0.0], np.cumsum(durations)])
+    return Blocks(edges, np.ones(count, np.int8), np.zeros(count, bool), frames, fps)
+
+
+def smooth_motion(seconds: float, fps: float, seed: int = 0, size: float = 0.6) -> Motion:
+    """Every joint swings about its own axes, slowly and smoothly."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * fps) + 1) / fps
+    rate, phase = rng.uniform(0.2, 1.0, (2, len(skeletons.JOINTS), 3))
+    maps = size * np.sin(2 * np.pi * (rate * time[:, None, None] + phase))
+    return Motion(skeletons.CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(time), 3)), fps)
+
+
+def buzz(seconds: float) -> Samples:
+    time = np.arange(round(seconds * RATE)) / RATE
+    return (0.1 * np.sum([np.sin(2 * np.pi * 130 * h * time) / h for h in range(1, 12)], axis=0)).astype(np.float32)
+
+
+def rms(sound: Array, axis: int | None = None) -> Array:
+    return np.sqrt(np.mean(np.square(sound.astype(np.float64)), axis=axis))
+
+
+def test_a_block_has_room_for_the_longest_interval() -> None:
+    assert BlockSettings().frames == 10
+    assert BlockSettings(BeatSettings(0.3, 0.6)).frames == 12
+    assert BlockSettings(fps=15.0).frames == 8
+    assert BlockSettings(BeatSettings(0.2, 0.7), fps=10.0).frames == 7  # 0.7 x 10 is a little more than 7 in floats
+    for fps in (0.0, -1.0, float("nan"), 1.0):
+        with pytest.raises(InputError):
+            BlockSettings(fps=fps)
+
+
+def test_cut_tiles_the_recording() -> None:
+    syllables = np.abs(np.sin(np.pi * np.arange(6 * RATE) / RATE / 0.25)).astype(np.float32)
+    sound = np.concatenate([buzz(2.0), np.zeros(3 * RATE, np.float32), buzz(1.0)]) * syllables
+    blocks = cut(Speech(sound, RATE))
+    assert blocks.edges[0] == 0
+    assert blocks.edges[-1] == 6.0
+    assert (blocks.durations <= 0.5 + 1e-9).all()
+    middle = (blocks.edges[:-1] > 2.1) & (blocks.edges[1:] < 4.9)
+    assert middle.sum() >= 4
+    assert blocks.silent[middle].all()
+    assert not blocks.silent[blocks.edges[1:] < 1.9].any()
+
+
+@pytest.mark.parametrize("hertz", [110.0, 220.0, 440.0, 1000.0])
+@pytest.mark.parametrize("method", METHODS)
+def test_stretching_keeps_pitch_level_and_length(hertz: float, method: str) -> None:
+    time = np.arange(3 * RATE) / RATE
+    blocks = blocks_of(np.array([0.5, 0.2, 0.25, 0.3, 0.45, 0.4, 0.5, 0.4]))
+    out = stretch_speech(Speech(np.sin(2 * np.pi * hertz * time).astype(np.float32), RATE), blocks, method)
+    assert out.shape == (8, 8000)
+    assert out.dtype == np.float32
+    spectra = np.abs(np.fft.rfft(out * np.hanning(8000), 80000, axis=1))
+    assert (np.abs(spectra.argmax(axis=1) * RATE / 80000 / hertz - 1) < 0.02).all()
+    assert np.abs(rms(out[1:], 1) * np.sqrt(2) - 1).max() < (0.02 if method == "wsola" else 0.2)
+
+
+def test_a_block_of_full_length_is_untouched_and_zeros_stay_zeros() -> None:
+    sound = np.concatenate([buzz(0.5), np.zeros(8000, np.float32), buzz(0.4)])
+    sound[16000 + 1600:16000 + 3200] = 0.0
+    out = stretch_speech(Speech(sound, RATE), blocks_of(np.array([0.5, 0.3, 0.2, 0.4])))
+    assert np.array_equal(out[0], sound[:8000])
+    assert not out[1:3].any()
+    assert not out[3, 2000:4000].any()
+    assert rms(out[3, :1900]) > 0.05
+    assert np.isfinite(out).all()
+
+
+def test_speech_like_sound_keeps_its_loudness() -> None:
+    rng = np.random.default_rng(0)
+    sound = (buzz(20.0) * np.repeat(rng.uniform(0.2, 1.0, 200), 1600) + 0.01 * rng.standard_normal(320000))
+    durations = rng.integers(4, 10, 60) * 0.05
+    blocks = blocks_of(durations[np.cumsum(durations) < 20])
+    out = stretch_speech(Speech(sound.astype(np.float32), RATE), blocks)
+    edges = np.round(blocks.edges * RATE).astype(int)
+    before = np.array([rms(sound[a:b]) for a, b in itertools.pairwise(edges)])
+    ratio = rms(out, 1) / before
+    assert abs(np.median(ratio) - 1) < 0.03
+    assert (np.abs(ratio - 1) < 0.25).all()
+
+
+def test_a_click_on_a_beat_stays_at_its_end_of_the_block() -> None:
+    rng = np.random.default_rng(0)
+    blocks = blocks_of(np.array([0.4, 0.2, 0.3, 0.45, 0.25]))
+    sound = 1e-5 * rng.standard_normal(round(blocks.edges[-1] * RATE))
+    for edge in blocks.edges[1:-1]:
+        place = round(edge * RATE)
+        sound[place - 32:place] += rng.standard_normal(32)
+    power = stretch_speech(Speech(sound.astype(np.float32), RATE), blocks).astype(np.float64) ** 2
+    away = (np.arange(8000) - 4000) / RATE  # seconds from the seam
+    for block in range(4):
+        seam = np.concatenate([power[block, 4000:], power[block + 1, :4000]])
+        # WSOLA may shift a frame by 8 ms and repeats a click in frames 16 ms apart.
+        assert abs(away[np.argmax(seam)]) < 0.020
+        assert abs(np.sum(seam * away) / seam.sum()) < 0.013
+        assert seam[np.abs(away) < 0.04].sum() > 0.98 * seam.sum()
+
+
+def test_a_block_is_stretched_from_its_surroundings_alone() -> None:
+    sound = buzz(3.0) * np.linspace(0.2, 1, 3 * RATE, dtype=np.float32)
+    blocks = blocks_of(np.array([0.3, 0.4, 0.25, 0.45, 0.3]))
+    whole = stretch_speech(Speech(sound, RATE), blocks)
+    assert np.array_equal(whole, stretch_speech(Speech(sound, RATE), blocks))
+    elsewhere = sound.copy()
+    elsewhere[:round((0.7 - 0.04) * RATE)] = 0.5
+    elsewhere[round((0.95 + 0.04) * RATE):] = -0.5
+    assert np.array_equal(stretch_speech(Speech(elsewhere, RATE), blocks)[2], whole[2])
+
+
+def test_recordings_shorter_than_a_block_can_be_stretched() -> None:
+    blocks = Blocks(np.array([0.0, 0.1]), np.zeros(1, np.int8), np.zeros(1, bool), 10, 20.0)
+    out = stretch_speech(Speech(buzz(0.1), RATE), blocks)
+    assert out.shape == (1, 8000)
+    assert rms(out[0, 1000:7000]) == pytest.approx(float(rms(buzz(0.1))), rel=0.1)
+    with pytest.raises(InputError):
+        stretch_speech(Speech(buzz(0.1), RATE), blocks, "other")
+
+
+def test_windows_hold_three_blocks_and_zeros_outside() -> None:
+    stretched = np.arange(1, 13, dtype=np.float32).reshape(4, 3)
+    windows = windows_of(stretched)
+    assert windows.tolist() == [[0, 0, 0, 1, 2, 3, 4, 5, 6], [1, 2, 3, 4, 5, 6, 7, 8, 9],
+                                [4, 5, 6, 7, 8, 9, 10, 11, 12], [7, 8, 9, 10, 11, 12, 0, 0, 0]]
+    assert windows_of(stretched[:1]).tolist() == [[0, 0, 0, 1, 2, 3, 0, 0, 0]]
+    assert samples_per_frame(16000, 20.0) == 800
+
+
+@given(durations=DURATIONS, seed=st.integers(0, 5))
+def test_motion_comes_back_exactly_on_the_beats(durations: Array, seed: int) -> None:
+    blocks = blocks_of(durations)
+    motion = smooth_motion(float(durations.sum()), 60.0, seed)
+    knots = normalise_motion(motion, blocks)
+    assert knots.shape == (len(blocks), 10, 48)
+    out = denormalise(knots, first_pose(motion), blocks, 20.0, smooth_over=0)
+    assert len(out) == round(durations.sum() * 20)
+    wanted = rotation.from_exponential_map(skeletons.to_vector(motion)[::3].reshape(-1, 16, 3))[:len(out)]
+    found = rotation.from_exponential_map(out.reshape(-1, 16, 3))
+    error = rotation.angle_between(wanted, found).max(axis=1)
+    beats = np.round(blocks.edges[:-1] * 20).astype(int)
+    assert error[beats].max() < 1e-6
+    assert error.max() < 0.002  # elsewhere within the error of interpolation
+
+
+def test_full_blocks_are_the_identity() -> None:
+    blocks = blocks_of(np.full(6, 0.5))
+    motion = smooth_motion(3.0, 20.0)
+    knots = normalise_motion(motion, blocks)
+    vectors = skeletons.to_vector(motion)
+    assert np.allclose(knots.reshape(-1, 48), vectors[1:], atol=1e-9)
+    back = denormalise(knots, first_pose(motion), blocks, 20.0, smooth_over=0)
+    assert np.allclose(back, vectors[:-1], atol=1e-9)
+
+
+@given(durations=DURATIONS, fps=st.sampled_from([10.0, 15.0, 24.0, 30.0, 60.0, 120.0]))
+def test_any_frame_rate_tells_the_same_motion(durations: Array, fps: float) -> None:
+    blocks = blocks_of(durations)
+    motion = smooth_motion(float(durations.sum()), 120.0, size=0.4)
+    out = denormalise(normalise_motion(motion, blocks), first_pose(motion), blocks, fps, smooth_over=0)
+    assert len(out) == max(1, round(durations.sum() * fps))
+    step = round(120 / fps)
+    assert np.abs(out - skeletons.to_vector(motion)[::step][:len(out)]).max() < 0.005
+
+
+def test_yaw_and_place_do_not_count_and_a_motion_that_ends_early_holds() -> None:
+    motion = smooth_motion(2.0, 60.0)
+    turn = rotation.from_euler(np.array([0.0, 1.1, 0.0]), "XYZ")
+    turned = motion.rotations.copy()
+    turned[:, 0] = rotation.multiply(turn, turned[:, 0])
+    moved = Motion(motion.skeleton, turned, motion.root_positions + np.array([1.0, 2.0, 3.0]), 60.0)
+    blocks = blocks_of(np.full(5, 0.4))
+    assert np.allclose(normalise_motion(moved, blocks), normalise_motion(motion, blocks), atol=1e-9)
+    held = normalise_motion(motion.crop(0, 61), blocks)
+    assert np.allclose(held[3:], held[3, 0], atol=1e-9)
+
+
+def test_turns_past_pi_do_not_jump() -> None:
+    time = np.arange(121) / 60
+    rotations = np.zeros((121, 16, 4))
+    rotations[..., 0] = 1
+    rotations[:, 9] = Rotation.from_rotvec(np.outer(2.5 * time, [1, 0, 0])).as_quat(scalar_first=True)
+    motion = Motion(skeletons.CHARACTER, rotations, np.zeros((121, 3)), 60.0)
+    blocks = blocks_of(np.full(5, 0.4))
+    angle = normalise_motion(motion, blocks).reshape(-1, 16, 3)[:, 9, 0]
+    assert np.allclose(angle, 2.5 * blocks.knot_times, atol=1e-6)
+
+
+@given(gaps=st.lists(st.floats(0.02, 0.06), min_size=6, max_size=20), seed=st.integers(0, 99))
+def test_the_cubic_is_exact_at_knots_smooth_and_local(gaps: list[float], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(gaps)
+    values = rng.standard_normal((len(times), 2))
+    assert np.allclose(hermite(times, values, times), values, atol=1e-9)
+    inner = times[1:-1]
+    tiny = 1e-7
+    before = (hermite(times, values, inner) - hermite(times, values, inner - tiny)) / tiny
+    after = (hermite(times, values, inner + tiny) - hermite(times, values, inner)) / tiny
+    assert np.allclose(before, after, atol=1e-3 * np.abs(before).max())
+    parabola = np.stack([1 + 2 * times - 3 * times ** 2], axis=1)
+    at = np.linspace(times[1], times[-2], 50)
+    assert np.allclose(hermite(times, parabola, at)[:, 0], 1 + 2 * at - 3 * at ** 2, atol=1e-9)
+    knot = len(times) // 2
+    changed = values.copy()
+    changed[knot] += 5
+    dense = np.linspace(times[0], times[-1], 400)
+    apart = np.abs(hermite(times, changed, dense) - hermite(times, values, dense)).max(axis=1) > 1e-9
+    assert (dense[apart] > times[knot - 2]).all()
+    assert (dense[apart] < times[min(knot + 2, len(times) - 1)]).all()
+
+
+def test_smoothing_is_five_taps_at_20_fps_and_the_same_in_seconds_elsewhere() -> None:
+    impulse = np.zeros((21, 1))
+    impulse[10] = 1
+    weights = np.exp(-0.5 * np.array([2, 1, 0, 1, 2]) ** 2)
+    assert np.allclose(smooth(impulse, 20.0)[8:13, 0], weights / weights.sum())
+    assert smooth(impulse, 20.0)[[7, 13]].max() == 0
+    for fps in (30.0, 60.0, 120.0):
+        time = np.arange(200) / fps
+        line = np.stack([3 * time], axis=1)
+        assert np.allclose(smooth(line, fps)[20:-20], line[20:-20])
+        step = (time >= 100 / fps).astype(float)[:, None]
+        rise = smooth(step, fps)
+        assert np.count_nonzero((rise > 1e-12) & (rise < 1 - 1e-12)) == 2 * round(0.1 * fps)
+    mirrored = np.array([[1.0], [5.0], [2.0], [7.0]])
+    wide = np.concatenate([mirrored[2:0:-1], mirrored, mirrored[-2:-4:-1]])
+    assert np.allclose(smooth(mirrored, 20.0)[:, 0], np.convolve(wide[:, 0], weights / weights.sum(), "valid"))
+    assert np.array_equal(smooth(mirrored[:1], 20.0), mirrored[:1])
+
+
+def test_knots_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="knots"):
+        denormalise(np.zeros((19, 4)), np.zeros(4), blocks_of(np.full(2, 0.4)), 20.0)
+
+
+@pytest.mark.parametrize("change", [lambda s: s, lambda s: s * 0.5])
+def test_cutting_is_deterministic(change: Callable[[Samples], Samples]) -> None:
+    speech = Speech(change(buzz(3.0)), RATE)
+    one, two = cut(speech), cut(speech)
+    assert np.array_equal(one.edges, two.edges)
+    assert np.array_equal(one.flags, two.flags)

@@ -1,0 +1,71 @@
+"""docs/coverage.md cannot say more than the files and the tests show."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "coverage.md"
+STATES = {"todo", "partial", "done"}
+IDS = [f"{part}-{number:02}" for part, last in (("RG", 52), ("RA", 22), ("JX", 11)) for number in range(1, last + 1)]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the page. A cell may name several files or tests, parted by commas."""
+
+    id: str
+    what: str
+    state: str
+    files: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+def names(cell: str) -> tuple[str, ...]:
+    return tuple(name for part in cell.split(",") if (name := part.strip().strip("`")))
+
+
+def rows() -> list[Row]:
+    found = []
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
+        if line.startswith("|") and cells[0][:2] in ("RG", "RA", "JX"):
+            assert len(cells) == 6, f"six cells are expected: {line}"
+            found.append(Row(cells[0], cells[1], cells[3], names(cells[4]), names(cells[5])))
+    return found
+
+
+@cache
+def functions(path: Path) -> frozenset[str]:
+    """The tests that a file defines, those in classes as Class::test."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    plain = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    inner = {f"{group.name}::{node.name}" for group in tree.body if isinstance(group, ast.ClassDef)
+             for node in group.body if isinstance(node, ast.FunctionDef)}
+    return frozenset(name for name in plain | inner if name.rsplit("::", 1)[-1].startswith("test"))
+
+
+def test_every_part_of_both_papers_stands_there_once_and_in_order() -> None:
+    assert [row.id for row in rows()] == IDS
+
+
+@pytest.mark.parametrize("row", rows(), ids=lambda row: row.id)
+def test_a_row_says_only_what_is_there(row: Row) -> None:
+    assert row.what
+    assert row.state in STATES
+    for file in row.files:
+        assert (ROOT / file).is_file(), f"{row.id} names a file that is not there: {file}"
+    for test in row.tests:
+        file, _, name = test.partition("::")
+        assert (ROOT / file).is_file(), f"{row.id} names a test file that is not there: {file}"
+        assert name in functions(ROOT / file), f"{row.id} names a test that is not there: {test}"
+    if row.state == "done":
+        assert row.files, f"{row.id} is done without a file"
+        assert row.tests, f"{row.id} is done without a test"
+    if row.state == "partial":
+        assert row.files, f"{row.id} is partial without a file"

@@ -1,0 +1,148 @@
+"""Features: known levels of known sounds, and nothing that depends on the company a window is in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module.blocks import windows_of
+from data_module.features import FRONT_ENDS, TYPICAL_LEVEL, Levels, MelFrontEnd, Normaliser, reference_level
+from data_module.types import Array, Samples
+
+RATE = 16000
+MEL = MelFrontEnd()
+
+
+def noise(count: int, rms: float, seed: int = 0) -> Samples:
+    return (rms * np.random.default_rng(seed).standard_normal((count, 24000))).astype(np.float32)
+
+
+@given(st.integers(0, 99), st.floats(0.01, 50), st.floats(-100, 100))
+def test_a_normaliser_gives_zero_mean_unit_spread_and_comes_back(seed: int, scale: float, shift: float) -> None:
+    values = np.random.default_rng(seed).standard_normal((40, 5, 3)) * scale + shift
+    values[..., 1] = shift
+    normaliser = Normaliser.fit(values)
+    out = normaliser.apply(values)
+    assert np.allclose(out.mean(axis=(0, 1)), 0, atol=1e-6)
+    assert np.allclose(out.std(axis=(0, 1)), [1, 0, 1], atol=1e-6)
+    assert np.allclose(normaliser.invert(out), values)
+    again = Normaliser.from_dict(normaliser.to_dict())
+    assert np.array_equal(again.apply(values), out)
+
+
+def test_a_normaliser_keeps_types_and_obeys_its_mask() -> None:
+    values = np.arange(12, dtype=np.float32).reshape(3, 2, 2)
+    mask = np.array([[True, True], [True, True], [False, False]])
+    assert np.allclose(Normaliser.fit(values, mask).mean, [3, 4])
+    assert Normaliser.fit(values).apply(values).dtype == np.float32
+    for wrong in ({"mean": np.zeros(2), "spread": np.zeros(2)}, {"mean": np.zeros(2), "spread": np.ones(3)}):
+        with pytest.raises(ValueError):
+            Normaliser.from_dict(wrong)
+    with pytest.raises(ValueError):
+        Normaliser.fit(values, np.zeros((3, 2), bool))
+
+
+@pytest.mark.parametrize("rms", [0.3, 0.01, 0.001])
+def test_white_noise_has_its_power_in_every_band(rms: float) -> None:
+    low = MEL.encode(noise(4, rms)).low
+    assert np.allclose(low[:, :, -1].mean(), 2 * np.log(rms), atol=0.02)
+    # the mean of a logarithm lies below the logarithm of the mean, most in the narrow bands
+    bands = low[:, 2:-2, :-2].mean(axis=(0, 1)) - 2 * np.log(rms)
+    assert (bands < 0.0).all()
+    assert (bands > -0.65).all()
+    assert (bands[16:] > -0.3).all()
+
+
+@pytest.mark.parametrize("hertz", [150.0, 700.0, 3000.0])
+def test_a_tone_is_loudest_in_the_band_at_its_frequency(hertz: float) -> None:
+    time = np.arange(24000) / RATE
+    low = MEL.encode(np.sin(2 * np.pi * hertz * time).astype(np.float32)[None]).low[0]
+    # mel as Slaney's toolbox has it: linear to 1 kHz, then logarithmic; 34 corners from 0 to 8 kHz
+    mel = hertz * 3 / 200 if hertz < 1000 else 15 + 27 * np.log(hertz / 1000) / np.log(6.4)
+    top = 15 + 27 * np.log(8) / np.log(6.4)
+    assert abs(np.argmax(low[15, :32]) + 1 - mel / top * 33) < 1
+    assert np.allclose(low[2:-2, 33], np.log(0.5), atol=0.02)
+
+
+def test_silence_is_the_floor_and_a_click_is_an_onset_in_its_own_frame() -> None:
+    windows = np.zeros((30, 24000), np.float32)
+    for frame in range(30):
+        windows[frame, frame * 800 + 400] = 0.5
+    low = MEL.encode(windows).low
+    assert np.allclose(MEL.encode(np.zeros((1, 24000), np.float32)).low[0, :, [0, 20, 33]], np.log(1e-8))
+    for frame in range(30):
+        assert np.argmax(low[frame, :, 33]) == frame
+        if frame:
+            assert abs(np.argmax(low[frame, :, 32]) - frame) <= 1
+
+
+def test_rows_move_with_the_sound() -> None:
+    sound = noise(1, 0.1)[0] * np.repeat(np.random.default_rng(1).uniform(0.1, 1, 30), 800).astype(np.float32)
+    moved = np.concatenate([np.zeros(1600, np.float32), sound[:-1600]])
+    low = MEL.encode(np.stack([sound, moved])).low
+    assert np.allclose(low[1, 4:28], low[0, 2:26], atol=1e-3)
+
+
+def test_a_window_is_heard_alone() -> None:
+    windows = windows_of(noise(400, 0.1)[:, :8000])
+    reference = np.linspace(-40, -20, 400)
+    whole = MEL.encode(windows, reference)
+    for part in (slice(0, 1), slice(130, 133), slice(250, 400)):
+        assert np.allclose(MEL.encode(windows[part], reference[part]).low, whole.low[part], atol=1e-4)
+    assert isinstance(whole, Levels)
+    assert whole.low.shape == (400, 30, MEL.width_low)
+    assert whole.high.shape == (400, 30, MEL.width_high)
+
+
+def test_level_is_kept_and_a_reference_takes_gain_off() -> None:
+    windows = noise(2, 0.05)
+    low = MEL.encode(windows).low
+    louder = MEL.encode(2 * windows).low - low
+    assert np.allclose(louder[..., [0, 31, 33]], np.log(4), atol=1e-3)
+    assert np.allclose(louder[..., 32], 0, atol=1e-3)
+    at = np.full(2, TYPICAL_LEVEL)
+    assert np.allclose(MEL.encode(windows, at).low, low, atol=1e-6)
+    assert np.allclose(MEL.encode(2 * windows, at + 20 * np.log10(2)).low, low, atol=1e-3)
+
+
+def test_other_settings_fit_other_blocks() -> None:
+    front = FRONT_ENDS["mel"](bands=20, frames=24, samples_per_frame=1067)
+    assert front.encode(np.zeros((2, 24 * 1067), np.float32)).low.shape == (2, 24, 22)
+    assert front.name == "mel"
+    with pytest.raises(ValueError, match="windows"):
+        MEL.encode(np.zeros((2, 8000), np.float32))
+
+
+def voice(gains: Array, block: float = 0.4) -> Samples:
+    """Blocks of buzz, each with its gain in dB, a sixth of each block quiet."""
+    time = np.arange(round(block * RATE)) / RATE
+    buzz = np.sum([np.sin(2 * np.pi * 125 * h * time) / h for h in range(1, 12)], axis=0)
+    buzz = buzz / np.sqrt(np.mean(buzz ** 2)) * (time < block * 5 / 6) * 10 ** (TYPICAL_LEVEL / 20)
+    return np.concatenate([buzz * 10 ** (gain / 20) for gain in gains]).astype(np.float32)
+
+
+def test_the_reference_finds_the_gain_and_leaves_the_effort() -> None:
+    edges = np.arange(301) * 0.4
+    flat = reference_level(voice(np.zeros(300)), RATE, edges)
+    assert np.abs(flat - TYPICAL_LEVEL).max() < 1.0
+    quiet = reference_level(voice(np.full(300, -15.0)), RATE, edges)
+    assert quiet[0] > TYPICAL_LEVEL - 2
+    assert quiet[15] < TYPICAL_LEVEL - 4
+    assert np.abs(quiet[120:] - (TYPICAL_LEVEL - 15)).max() < 2
+    effort = np.repeat(np.tile([9.0, -9.0], 15), 10)  # phrases of 4 s, 18 dB apart
+    level = reference_level(voice(effort), RATE, edges)
+    assert np.ptp(level[150:]) < 4
+    assert np.abs(np.diff(level)).max() < 1
+
+
+def test_the_reference_knows_only_the_past_and_waits_in_silence() -> None:
+    gains = np.random.default_rng(0).uniform(-9, 9, 60)
+    edges = np.arange(61) * 0.4
+    whole = reference_level(voice(gains), RATE, edges)
+    part = reference_level(voice(gains[:30]), RATE, edges[:31])
+    assert np.allclose(part[:28], whole[:28])
+    pause = np.concatenate([voice(gains), np.zeros(20 * RATE, np.float32)])
+    after = reference_level(pause, RATE, np.arange(110) * 0.4)
+    assert np.allclose(after[61:], after[61])

@@ -1,0 +1,258 @@
+"""Any upper body is brought onto the character by its joints' names; poses, axes and units vary, the gesture stays."""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from data_module import kinematics, rotation, skeletons
+from data_module.bvh import BvhWarning, read_bvh
+from data_module.errors import InputError
+from data_module.skeletons import CHARACTER, JOINTS, NAME_TABLES, REQUIRED, find_table, to_character
+from data_module.types import Array, Motion, Skeleton
+
+ARM_BONES = [(f"{side}{bone}", f"{side}{tip}") for side in ("Left", "Right")
+             for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand"))]
+
+
+def calm(frames: int = 40, seed: int = 0) -> Motion:
+    """The character moving gently, every joint, at 20 fps."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(frames)[:, None, None] / 20.0
+    size, rate, phase = (rng.uniform(low, high, (1, len(JOINTS), 3)) for low, high in ((0, .5), (.2, 1), (0, 6)))
+    vectors = size * np.sin(2 * np.pi * rate * time + phase)
+    return Motion(CHARACTER, rotation.from_exponential_map(vectors), rng.normal(size=(frames, 3)), 20.0)
+
+
+def re_rested(motion: Motion, by: Mapping[str, Array]) -> Motion:
+    """The same movement in space, told on a skeleton whose rest pose is another.
+
+    by: joint -> the rotation of its bones at the new rest pose, against the old one, in world axes.
+    """
+    old = motion.skeleton
+    world = kinematics.global_rotations(old, motion.rotations)
+    turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(old), 1))
+    for joint, name in enumerate(old.names):
+        turn[joint] = by.get(name, turn[joint])
+    offsets = old.offsets.copy()
+    for joint, parent in enumerate(old.parents):
+        if parent >= 0:
+            offsets[joint] = rotation.rotate(turn[parent], old.offsets[joint])
+    # The bone in space is world * old offset = (world * turn^-1) * new offset.
+    local = kinematics.local_rotations(old, rotation.multiply(world, rotation.conjugate(turn)))
+    return Motion(Skeleton(old.names, old.parents, offsets), local, motion.root_positions, motion.fps)
+
+
+def directions(motion: Motion, names: Mapping[str, int], bones: list[tuple[str, str]]) -> Array:
+    """[T, bones, 3] unit vectors."""
+    positions = kinematics.positions_of(motion)
+    ways = np.stack([positions[:, names[tip]] - positions[:, names[bone]] for bone, tip in bones], axis=1)
+    return ways / np.linalg.norm(ways, axis=-1, keepdims=True)
+
+
+def own_table() -> dict[str, int]:
+    return {name: index for index, name in enumerate(JOINTS)}
+
+
+def renamed(motion: Motion, names: Mapping[str, str], prefix: str = "") -> Motion:
+    """The motion with only the joints in `names`, so called; a joint left out is folded into its parent."""
+    kept = [index for index, name in enumerate(JOINTS) if name in names]
+    world = kinematics.global_rotations(CHARACTER, motion.rotations)[:, kept]
+    rest = kinematics.joint_positions(CHARACTER, np.tile([1.0, 0, 0, 0], (len(JOINTS), 1)))
+    parents, offsets = [], []
+    for index in kept:
+        above = CHARACTER.parents[index]
+        while above >= 0 and above not in kept:
+            above = CHARACTER.parents[above]
+        parents.append(kept.index(above) if above >= 0 else -1)
+        offsets.append(rest[index] - rest[max(above, 0)])
+    skeleton = Skeleton(tuple(prefix + names[JOINTS[index]] for index in kept), tuple(parents), np.array(offsets))
+    return Motion(skeleton, kinematics.local_rotations(skeleton, world), motion.root_positions, motion.fps)
+
+
+def test_the_character_is_an_adult_with_level_arms() -> None:
+    rest = kinematics.joint_positions(CHARACTER, np.tile([1.0, 0, 0, 0], (16, 1)))
+    at = dict(zip(JOINTS, rest, strict=True))
+    assert len(JOINTS) == 16
+    assert np.allclose(at["LeftHand"] * [-1, 1, 1], at["RightHand"])
+    assert at["LeftHand"][0] > 0.5
+    assert at["LeftHand"][1] == pytest.approx(at["LeftArm"][1])
+    assert 0.5 < at["Head"][1] < 0.75
+
+
+def test_the_characters_own_motion_is_left_as_it_is() -> None:
+    motion = calm()
+    there = to_character(motion)
+    assert rotation.angle_between(there.rotations, motion.rotations).max() < 1e-7
+    assert np.allclose(there.root_positions, motion.root_positions)
+    assert there.absent == ()
+
+
+@pytest.mark.parametrize("droop", [20.0, 45.0, 80.0])
+def test_an_a_pose_and_a_t_pose_source_agree(droop: float) -> None:
+    motion = calm()
+    down = np.radians(droop)
+    # The character's left is +X: turning +X down is a negative turn about Z; the right arm mirrors it.
+    turns = {side + bone: rotation.from_euler(np.array([sign * down, 0, 0]), "ZXY")
+             for side, sign in (("Left", -1), ("Right", 1)) for bone in ("Arm", "ForeArm", "Hand")}
+    a_pose = re_rested(motion, turns)
+    rest = kinematics.joint_positions(a_pose.skeleton, np.tile([1.0, 0, 0, 0], (16, 1)))
+    assert rest[JOINTS.index("LeftHand"), 1] < rest[JOINTS.index("LeftArm"), 1] - 0.5 * np.sin(down)
+    assert np.allclose(kinematics.positions_of(a_pose), kinematics.positions_of(motion), atol=1e-9)
+    there = to_character(a_pose)
+    assert rotation.angle_between(there.rotations, motion.rotations).max() < 1e-6
+
+
+@pytest.mark.parametrize(("euler", "axes"), [((90.0, 0, 0), "z up"), ((0, 180.0, 0), "facing -Z"),
+                                             ((90.0, 0, 90.0), "z up, facing X")])
+def test_other_axes_are_brought_onto_ours(euler: tuple[float, float, float], axes: str) -> None:
+    motion = calm()
+    change = Rotation.from_euler("xyz", euler, degrees=True).as_quat(scalar_first=True)
+    back = rotation.conjugate(change)
+    skeleton = Skeleton(JOINTS, CHARACTER.parents, rotation.rotate(change, CHARACTER.offsets))
+    turned = Motion(skeleton, rotation.multiply(rotation.multiply(change, motion.rotations), back),
+                    rotation.rotate(change, motion.root_positions), motion.fps)
+    there = to_character(turned)
+    assert rotation.angle_between(there.rotations, motion.rotations).max() < 1e-7, axes
+    assert np.allclose(there.root_positions, motion.root_positions, atol=1e-9)
+
+
+@pytest.mark.parametrize("source", NAME_TABLES)
+@pytest.mark.parametrize("prefix", ["", "mixamorig:", "scene:Actor1:"])
+def test_every_table_of_names_brings_its_joints_back(source: str, prefix: str) -> None:
+    names = NAME_TABLES[source]
+    motion = calm()
+    there = to_character(renamed(motion, names, prefix))
+    lacking = [name for name in JOINTS if name not in names]
+    assert list(there.absent) == lacking
+    world = kinematics.global_rotations(CHARACTER, motion.rotations)
+    ours = kinematics.global_rotations(CHARACTER, there.rotations)
+    kept = [index for index, name in enumerate(JOINTS) if name in names]
+    assert rotation.angle_between(world[:, kept], ours[:, kept]).max() < 1e-6
+    absent = [JOINTS.index(name) for name in lacking]
+    assert rotation.angle_between(there.rotations[:, absent], np.array([1.0, 0, 0, 0])).max(initial=0.0) < 1e-7
+
+
+def test_names_are_found_whatever_their_case() -> None:
+    assert find_table([name.upper() for name in JOINTS])["LeftHand"] == JOINTS.index("LeftHand")
+
+
+@pytest.mark.parametrize("missing", REQUIRED)
+def test_a_joint_that_must_be_there_is_named_when_it_is_not(missing: str) -> None:
+    names = ["Elbow_7" if name == missing else name for name in JOINTS]
+    with pytest.raises(InputError) as failure:
+        find_table(names)
+    assert missing in str(failure.value)
+    assert "unknown names are Elbow_7" in str(failure.value)
+
+
+def test_a_skeleton_of_nothing_that_is_known_lists_its_names() -> None:
+    with pytest.raises(InputError, match="unknown names are bone_a, bone_b"):
+        find_table(["bone_a", "bone_b"])
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01, 0.001])
+def test_the_unit_is_guessed_from_hips_to_head(unit: float) -> None:
+    for size in (0.7, 1.0, 1.3):
+        skeleton = Skeleton(JOINTS, CHARACTER.parents, CHARACTER.offsets * size / unit)
+        assert skeletons.guess_unit(skeleton, own_table()) == unit
+
+
+def test_a_skeleton_without_length_has_no_unit() -> None:
+    with pytest.raises(InputError, match="length"):
+        skeletons.guess_unit(Skeleton(JOINTS, CHARACTER.parents, np.zeros((16, 3))), own_table())
+
+
+def test_facing_takes_off_yaw_and_place_and_nothing_else() -> None:
+    motion = calm()
+    faced = skeletons.facing(motion)
+    heading = rotation.yaw_of(motion.rotations[:, 0])
+    positions = kinematics.positions_of(motion) - motion.root_positions[:, None]
+    expected = rotation.rotate(rotation.conjugate(heading)[:, None], positions)
+    assert np.allclose(kinematics.positions_of(faced), expected, atol=1e-9)
+    assert not faced.root_positions.any()
+
+
+def test_a_person_who_walks_and_turns_looks_the_same_to_the_models() -> None:
+    motion = calm()
+    turn = rotation.from_euler(np.stack([np.linspace(0, 8, 40), np.zeros(40), np.zeros(40)], axis=-1), "YXZ")
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = rotation.multiply(turn, rotations[:, 0])
+    walking = Motion(CHARACTER, rotations, motion.root_positions * 5, motion.fps)
+    assert np.allclose(skeletons.to_vector(walking), skeletons.to_vector(motion), atol=1e-6)
+
+
+@given(st.integers(0, 10_000))
+def test_vectors_and_motion_go_there_and_back(seed: int) -> None:
+    faced = skeletons.facing(calm(30, seed))
+    vectors = skeletons.to_vector(faced)
+    assert vectors.shape == (30, 48)
+    back = skeletons.from_vector(vectors, faced.fps)
+    assert rotation.angle_between(back.rotations, faced.rotations).max() < 1e-6
+    assert np.allclose(skeletons.to_vector(back), vectors, atol=1e-6)
+
+
+def test_vectors_do_not_jump_where_an_arm_passes_half_a_turn() -> None:
+    vectors = np.zeros((60, 16, 3))
+    vectors[:, JOINTS.index("LeftArm"), 1] = np.linspace(2.0, 4.5, 60)
+    motion = skeletons.from_vector(vectors.reshape(60, -1), 20.0)
+    assert np.abs(np.diff(skeletons.to_vector(motion), axis=0)).max() < 0.1
+
+
+def stroke_files(folder: Path, every: int) -> list[Path]:
+    with (folder / "strokes" / "manifest.csv").open(encoding="utf-8") as rows:
+        return [folder / "strokes" / row["file"] for row in csv.DictReader(rows)][::every]
+
+
+def hands_seen_from_the_shoulders(motion: Motion, names: Mapping[str, int]) -> Array:
+    """[T, 2, 3] metres in our axes, right and left hand, each from its own shoulder, on arms of the source's length."""
+    positions = kinematics.positions_of(motion)
+    return np.stack([positions[:, names[side + "Hand"]] - positions[:, names[side + "Arm"]]
+                     for side in ("Right", "Left")], axis=1)
+
+
+def reach(motion: Motion, names: Mapping[str, int]) -> float:
+    offsets = motion.skeleton.offsets
+    return float(sum(np.linalg.norm(offsets[names[name]]) for name in ("LeftForeArm", "LeftHand")))
+
+
+def assert_lands(motion: Motion) -> None:
+    """Each arm bone points where it points in the source, and the hands are where longer or shorter arms put them."""
+    names, there = find_table(motion.skeleton.names), to_character(motion)
+    theirs, ours = directions(motion, names, ARM_BONES), directions(there, own_table(), ARM_BONES)
+    assert np.degrees(np.arccos(np.clip(np.sum(theirs * ours, axis=-1), -1, 1))).max() < 1.0
+    size = reach(there, own_table()) / reach(motion, names)
+    apart = hands_seen_from_the_shoulders(there, own_table()) - size * hands_seen_from_the_shoulders(motion, names)
+    # The upper arm's share of the arm differs from person to person, which shows most when the elbow is folded.
+    assert np.linalg.norm(apart, axis=-1).max() < 0.08
+    assert np.allclose(there.root_positions, motion.root_positions, atol=1e-6)
+
+
+def test_real_strokes_of_every_speaker_land_on_the_character(outside_data: Path) -> None:
+    paths = stroke_files(outside_data, 25)
+    assert len({path.parent.name for path in paths}) == 4
+    for path in paths:
+        motion = read_bvh(path)
+        assert_lands(motion)
+        assert to_character(motion).absent == ("Spine3",)
+
+
+def test_the_real_take_lands_on_the_character(outside_data: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BvhWarning)
+        motion = read_bvh(outside_data / "takes" / "beat_scott" / "2_scott_0_1_1.bvh", fps=15.0)
+    assert_lands(motion)
+    there = to_character(motion)
+    assert there.absent == ()
+    # An upright person who faces forward: the head above the hips, the left hand mostly to the left of the right.
+    positions = kinematics.positions_of(skeletons.facing(there))
+    assert positions[:, JOINTS.index("Head"), 1].min() > 0.4
+    assert np.median(positions[:, JOINTS.index("LeftHand"), 0]) > np.median(positions[:, JOINTS.index("RightHand"), 0])
