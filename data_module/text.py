@@ -238,6 +238,7 @@ def _shared_out(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[
     if len(loud) == 0:
         loud = np.arange(max(1, len(samples) // int(FRAME * ALIGNER_RATE)))
     share = np.concatenate([[0], np.cumsum([len(word) + 1 for word in words])])
-    where = share / share[-1] * (len(loud) - 1)
-    edges = np.interp(where, np.arange(len(loud)), loud) * FRAME
-    return [(float(a), float(b)) for a, b in itertools.pairwise(edges)]
+    edges = np.floor(share / share[-1] * len(loud)).astype(int)
+    last = len(loud) - 1
+    return [(float(loud[min(a, last)] * FRAME), float((loud[min(max(a, b - 1), last)] + 1) * FRAME))
+            for a, b in itertools.pairwise(edges)]

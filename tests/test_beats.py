@@ -113,6 +113,8 @@ def test_a_longer_recording_begins_with_the_same_beats(onsets: Array, loud: Arra
     ([], np.array([0.05, 0.27, 0.28]), 0.9, [0, 0.27, 0.7, 0.9], [0, 2, 3, 0]),
     # a pseudo-beat keeps 0.2 s before the onset that follows
     ([0.6], NOWHERE, 1.1, [0, 0.4, 0.6, 1.1], [0, 3, 1, 0]),
+    # and so it does where the onset comes just too late to be taken at once
+    ([0.53], NOWHERE, 1.0, [0, 0.33, 0.53, 1.0], [0, 3, 1, 0]),
     # a recording shorter than a block
     ([0.05], NOWHERE, 0.15, [0, 0.15], [0, 0]),
 ])
@@ -173,6 +175,18 @@ def test_clicks_are_the_beats(step: float, noise: float) -> None:
 def test_steady_sound_has_no_onsets() -> None:
     for name in ("silence", "noise", "tone", "full scale"):
         assert len(detect_onsets(sounds()[name], RATE)) <= (1 if name in ("tone", "full scale") else 0), name
+
+
+def test_a_recording_that_begins_in_noise_has_no_onset_there() -> None:
+    for seed in range(5):
+        noise = 0.1 * np.random.default_rng(seed).standard_normal(RATE)
+        assert len(detect_onsets(noise.astype(np.float32), RATE)) == 0
+
+
+def test_what_nobody_hears_is_no_onset() -> None:
+    at = np.arange(0.4, 5.5, 0.5)
+    assert len(detect_onsets(clicks(at, 6.0), RATE)) == len(at)
+    assert len(detect_onsets(clicks(at, 6.0) * np.float32(1e-3), RATE)) == 0
 
 
 def test_an_onset_closer_than_50_ms_is_the_same_onset() -> None:

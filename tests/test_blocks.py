@@ -117,21 +117,24 @@ def test_speech_like_sound_keeps_its_loudness() -> None:
     assert (np.abs(ratio - 1) < 0.25).all()
 
 
-def test_a_click_on_a_beat_stays_at_its_end_of_the_block() -> None:
-    rng = np.random.default_rng(0)
-    blocks = blocks_of(np.array([0.4, 0.2, 0.3, 0.45, 0.25]))
-    sound = 1e-5 * rng.standard_normal(round(blocks.edges[-1] * RATE))
-    for edge in blocks.edges[1:-1]:
-        place = round(edge * RATE)
-        sound[place - 32:place] += rng.standard_normal(32)
-    power = stretch_speech(Speech(sound.astype(np.float32), RATE), blocks).astype(np.float64) ** 2
-    away = (np.arange(8000) - 4000) / RATE  # seconds from the seam
-    for block in range(4):
-        seam = np.concatenate([power[block, 4000:], power[block + 1, :4000]])
-        # WSOLA may shift a frame by 8 ms and repeats a click in frames 16 ms apart.
-        assert abs(away[np.argmax(seam)]) < 0.020
-        assert abs(np.sum(seam * away) / seam.sum()) < 0.013
-        assert seam[np.abs(away) < 0.04].sum() > 0.98 * seam.sum()
+def test_clicks_at_the_beats_stay_at_the_ends_of_their_blocks() -> None:
+    """WSOLA may shift a frame by 8 ms, and repeats a click in frames 16 ms apart: that is the spread allowed here."""
+    away = (np.arange(8000) - 4000) / RATE  # seconds from the seam of two blocks
+    centres = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        blocks = blocks_of(rng.integers(4, 10, 12) * 0.05)
+        sound = 1e-5 * rng.standard_normal(round(blocks.edges[-1] * RATE))
+        for edge in blocks.edges[1:-1]:
+            place = round(edge * RATE)
+            sound[place - 32:place] += rng.standard_normal(32)
+        power = stretch_speech(Speech(sound.astype(np.float32), RATE), blocks).astype(np.float64) ** 2
+        for before, after in itertools.pairwise(power):
+            seam = np.concatenate([before[4000:], after[:4000]])
+            assert seam[np.abs(away) < 0.04].sum() > 0.95 * seam.sum()
+            centres.append(np.sum(seam * away) / seam.sum())
+    assert np.median(np.abs(centres)) < 0.009
+    assert np.max(np.abs(centres)) < 0.024
 
 
 def test_a_block_is_stretched_from_its_surroundings_alone() -> None:

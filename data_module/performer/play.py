@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
@@ -23,28 +24,37 @@ from data_module.performer.types import Played, PlayedStroke, Spoken
 from data_module.types import Array, Motion
 
 FPS = 60.0
-_PASSES = 5
+_PASSES = 7
 _MISS = 0.35
 _ACCURATE = 0.008
+_TOLERANCE = 0.018
 _ACCENT = 0.12
 _MOST_ACCENT = 0.42
 _FARTHEST = 0.15
 _FADE_SHARE = 0.65
 _RAISE = 0.7
 _DROP = 1.0
-_MICRO = 0.22
+_MICRO = 0.27
 _FALL = 0.22
+_BEFORE_SMALL = 0.2
 _BRAKE = 0.789
 """A minimum-jerk fall brakes hardest at this share of its length."""
 _SYMPATHY = 0.4
+_HANGING_LEVEL = 0.1
 _MIRRORED = np.array([1.0, -1.0, -1.0])
 TORSO_RADIUS = 0.115
 HEAD_RADIUS = 0.105
 
 
+_Levels = tuple[list[tuple[float, float]], list[tuple[float, float]]]
+
+
 @dataclass(frozen=True)
 class _Event:
-    """From `time` on an arm follows `target`: a stroke's index, or the share of the home pose (0 is rest)."""
+    """From `time` on an arm follows a stroke (its index), or holds a share of the home pose (`level`; 0 is rest).
+
+    fade: seconds in which the old motion dies away; for a stroke, its preparation.
+    """
 
     time: float
     fade: float
@@ -53,11 +63,30 @@ class _Event:
 
 
 @dataclass(frozen=True)
+class _Tuning:
+    """What changes from pass to pass, per stroke.
+
+    beats: seconds that the clip's beat is put at. accents: how far the arm is raised before it falls on the beat.
+    fades: share of the preparation in which the old motion dies away.
+    """
+
+    beats: Array
+    accents: Array
+    fades: Array
+
+    def where(self, mask: NDArray[np.bool_], other: _Tuning) -> _Tuning:
+        """Its own values where `mask` holds, those of `other` elsewhere."""
+        return _Tuning(np.where(mask, self.beats, other.beats), np.where(mask, self.accents, other.accents),
+                       np.where(mask, self.fades, other.fades))
+
+
+@dataclass(frozen=True)
 class _Score:
     """Everything that stays the same from pass to pass.
 
     events: per arm. micro: [2, T] how far each arm's excursion is raised, 1 is not at all. drift: [2, T, A * 3].
-    trunk: [T, B, 3] log rotations of hips to head. lively: [2, T] 0 at rest, 1 while the arm is up.
+    trunk: [T, B, 3] log rotations of hips to head. hanging: [2, T] share of the other arm's motion that an arm takes
+    part in while it hangs. runs, levels: what the events were made of.
     """
 
     figure: Figure
@@ -66,6 +95,9 @@ class _Score:
     micro: Array
     drift: Array
     trunk: Array
+    hanging: Array
+    runs: list[tuple[float, float]]
+    levels: _Levels
     frames: int
 
 
@@ -79,28 +111,51 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.G
     planned = planning.plan(spoken, performer, strokes, rng, split)
     figure, habits = strokes.figures[performer], planning.habits_of(performer)
     score = _score(figure, planned, spoken, habits, rng)
-    arms = _keep_out(score, _on_time(score))
-    return Played(_assemble(score, arms), tuple(_truth(p) for p in planned), performer)
+    arms, misses = _on_time(score)
+    kept = tuple(p for p, miss in zip(planned, misses, strict=True) if abs(miss) <= _TOLERANCE)
+    if len(kept) < len(planned):
+        # A beat that cannot be put where it belongs is not played at all.
+        score = replace(score, planned=kept, events=_both_events(kept, score.runs, score.levels))
+        arms, _ = _on_time(score)
+    arms = _keep_out(score, arms)
+    return Played(_assemble(score, arms), tuple(_truth(p) for p in kept), performer)
 
 
-def _on_time(score: _Score) -> Array:
-    """[2, T, A * 3] both arms, made again until their brakes fall where they were planned.
+def _on_time(score: _Score) -> tuple[Array, Array]:
+    """[2, T, A * 3] both arms, made again until their brakes fall where they were planned; what is missed, seconds.
 
-    A stroke that brakes late starts earlier; one whose brake cannot be made out is accented more.
+    A stroke that brakes late is moved earlier, and the other way round. One that still misses is accented more; one
+    that brakes early, because the way to the clip is longer than the clip's own, takes all its preparation for it.
     """
-    beats = planned = np.array([p.beat for p in score.planned])
-    accents = np.array([_ACCENT * (1.0 if p.stroke.lexeme.startswith("Beat") else 0.6) for p in score.planned])
-    arms = _render(score, beats, accents)
-    for turn in range(_PASSES - 1):
-        missing = _misses(score, arms, score.planned)
-        late = np.abs(missing) > _ACCURATE
-        if not late.any():
-            break
-        beats = np.where(late, np.clip(beats - missing, planned - _FARTHEST, planned + _FARTHEST), beats)
-        if turn:
-            accents = np.where(np.abs(missing) > 0.015, np.minimum(accents + 0.1, _MOST_ACCENT), accents)
-        arms = _render(score, beats, accents)
-    return arms
+    planned = np.array([p.beat for p in score.planned])
+    preparation = planned - np.array([p.start for p in score.planned])
+    tuning = _Tuning(planned,
+                     np.array([_ACCENT * (1.0 if p.stroke.lexeme.startswith("Beat") else 0.6) for p in score.planned]),
+                     np.full(len(planned), _FADE_SHARE))
+    best, least = tuning, np.full(len(planned), np.inf)
+    for turn in range(_PASSES):
+        arms = _render(score, tuning)
+        missing = _misses(score, arms)
+        better = np.abs(missing) < np.abs(least)
+        best, least = best.where(~better, tuning), np.where(better, missing, least)
+        if not (np.abs(missing) > _ACCURATE).any():
+            return arms, missing
+        tuning = _tuned(tuning, missing, planned, preparation, turn)
+    arms = _render(score, best)
+    return arms, _misses(score, arms)
+
+
+def _tuned(tuning: _Tuning, missing: Array, planned: Array, preparation: Array, turn: int) -> _Tuning:
+    """The next try, from what the last one missed by (seconds, late is positive)."""
+    beats, accents, fades = tuning.beats, tuning.accents, tuning.fades
+    step = np.where(np.abs(missing) > _ACCURATE, missing, 0.0) * (1.0 if turn < 3 else 0.6)
+    long = fades > _FADE_SHARE
+    slow = long | (missing < -_FARTHEST) | ((missing < -0.02) & (beats > planned + 0.9 * _FARTHEST))
+    fades = np.where(slow, np.clip(np.where(long, fades - step / preparation, 1.0 / _BRAKE), 0.9, 2.0), fades)
+    beats = np.where(slow, planned, np.clip(beats - step, planned - _FARTHEST, planned + _FARTHEST))
+    if turn:
+        accents = np.where(np.abs(missing) > 0.015, np.minimum(accents + 0.08, _MOST_ACCENT), accents)
+    return _Tuning(beats, accents, fades)
 
 
 def _truth(p: Planned) -> PlayedStroke:
@@ -116,19 +171,20 @@ def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
     frames = max(2, round(spoken.speech.duration * FPS))
     runs = planning.runs_of(spoken.phrases)
     levels = _levels(spoken, runs, habits, rng)
-    events = (_events(LEFT, planned, runs, levels[LEFT]), _events(RIGHT, planned, runs, levels[RIGHT]))
+    events = _both_events(planned, runs, levels)
     lively = np.stack([_lively(arm, frames) for arm in events])
     speaking = lively.max(axis=0)
     drift = np.stack([_drift(figure, lively[side], frames, rng) for side in (LEFT, RIGHT)])
     micro = np.stack([_micro(side, spoken, planned, frames, rng) for side in (LEFT, RIGHT)])
     trunk = _trunk(figure, planned, spoken, habits, speaking, frames, rng)
-    return _Score(figure, planned, events, micro, drift, trunk, frames)
+    hanging = _SYMPATHY * np.stack([_hanging(arm, frames) for arm in events])
+    return _Score(figure, planned, events, micro, drift, trunk, hanging, runs, levels, frames)
 
 
 def _levels(spoken: Spoken, runs: list[tuple[float, float]], habits: Habits,
-            rng: np.random.Generator) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+            rng: np.random.Generator) -> _Levels:
     """Per arm [(time, share of home)]: how high it waits in each phrase; now and then one hangs."""
-    out: tuple[list[tuple[float, float]], list[tuple[float, float]]] = ([], [])
+    out: _Levels = ([], [])
     weak = LEFT if habits.hands[RIGHT] > habits.hands[LEFT] else RIGHT
     vigour = planning.drives(spoken)
     starts = np.array([s.vowel for s in spoken.syllables])
@@ -139,13 +195,18 @@ def _levels(spoken: Spoken, runs: list[tuple[float, float]], habits: Habits,
             drive = float(vigour[inside].mean()) if inside.any() else 0.0
             hanging = rng.random() < habits.hanging
             side_hanging = weak if rng.random() < 0.7 else 1 - weak
-            draws = rng.uniform(0.75, 1.1, 2) * np.exp(0.15 * drive)
+            draws = rng.uniform(0.8, 1.1, 2) * np.exp(0.15 * drive)
             if k and rng.random() < 0.4:
                 continue
             for side in (LEFT, RIGHT):
-                level = 0.1 if hanging and side == side_hanging else float(draws[side])
+                level = _HANGING_LEVEL if hanging and side == side_hanging else float(draws[side])
                 out[side].append((start - _RAISE if k == 0 else phrase.start - 0.3, level))
     return out
+
+
+def _both_events(planned: tuple[Planned, ...], runs: list[tuple[float, float]],
+                 levels: _Levels) -> tuple[tuple[_Event, ...], tuple[_Event, ...]]:
+    return _events(LEFT, planned, runs, levels[LEFT]), _events(RIGHT, planned, runs, levels[RIGHT])
 
 
 def _events(side: int, planned: tuple[Planned, ...], runs: list[tuple[float, float]],
@@ -164,7 +225,7 @@ def _events(side: int, planned: tuple[Planned, ...], runs: list[tuple[float, flo
         if not any(a - 0.35 <= time < b for a, b in spans):
             events.append(_Event(max(time, 0.0), _RAISE if time > 0.05 else 0.5, level=level))
     for k, p in own:
-        events.append(_Event(p.start, _FADE_SHARE * (p.beat - p.start), stroke=k))
+        events.append(_Event(p.start, p.beat - p.start, stroke=k))
         events.append(_Event(p.hold_end, max(p.end - p.hold_end, 0.5), level=level_at(p.hold_end)))
     for _, end in runs:
         late = max([b for a, b in spans if a < end + 0.4], default=0.0)
@@ -172,6 +233,15 @@ def _events(side: int, planned: tuple[Planned, ...], runs: list[tuple[float, flo
     starts = {p.start for _, p in own}
     events.sort(key=lambda e: (e.time, e.stroke >= 0))
     return tuple(e for e in events if e.stroke >= 0 or e.time not in starts)
+
+
+def _hanging(events: tuple[_Event, ...], frames: int) -> Array:
+    """[T] 1 where the arm hangs through a phrase, 0 elsewhere, with soft edges."""
+    out = np.zeros(frames)
+    for event, following in zip(events, (*events[1:], None), strict=True):
+        if event.stroke < 0 and 0 < event.level <= _HANGING_LEVEL:
+            out[_frame(event.time):_frame(following.time) if following else frames] = 1.0
+    return gaussian_filter1d(out, 0.2 * FPS, mode="nearest")
 
 
 def _lively(events: tuple[_Event, ...], frames: int) -> Array:
@@ -203,9 +273,9 @@ def _drift(figure: Figure, lively: Array, frames: int, rng: np.random.Generator)
     """[T, A * 3] the arm's own slow wandering: degrees while it is up, a trace of it at rest."""
     joints = len(figure.arms[0])
     share = np.zeros((joints, 3))
-    share[:4] = np.radians([[1.0] * 3, [4.5] * 3, [6.0] * 3, [5.0] * 3])
+    share[:4] = np.radians([[1.2] * 3, [6.0] * 3, [8.5] * 3, [6.0] * 3])
     share[4:] = np.radians(2.0)
-    slow = _wander(frames, joints * 3, 2.2, rng)
+    slow = _wander(frames, joints * 3, 1.7, rng)
     idle = _wander(frames, joints * 3, 4.0, rng)
     return (slow * (0.02 + 0.98 * lively)[:, None] + idle * 0.03) * share.ravel()
 
@@ -216,8 +286,8 @@ def _pulse(times: Array, start: float, end: float) -> Array:
     return s ** 3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
-def _add_bump(track: Array, peak: float, stop: float, size: float, before: float = 0.22, late: float = 0.0) -> None:
-    """Add to track [T] a bump that rises until `peak`, falls until `stop` and returns by `late` to nothing."""
+def _add_bump(track: Array, peak: float, stop: float, size: float, before: float = _BEFORE_SMALL) -> None:
+    """Add to track [T] a bump that rises for `before` seconds until `peak` and falls until `stop`."""
     first, last = max(0, _frame(peak - before) - 1), min(len(track), _frame(stop) + 2)
     if first >= last:
         return
@@ -228,14 +298,15 @@ def _add_bump(track: Array, peak: float, stop: float, size: float, before: float
 def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], frames: int, rng: np.random.Generator) -> Array:
     """[T] small beats at syllables that no stroke of this arm takes: the arm is raised before and falls on them."""
     track = np.zeros(frames)
-    spans = [(p.start, min(p.beat + 0.25, p.hold_end)) for p in planned if side in p.stroke.sides]
+    # A small beat takes _BEFORE_SMALL seconds to rise: none of it may touch a stroke's own beat.
+    spans = [(p.start - 0.05, p.beat + 0.15 + _FALL + _BEFORE_SMALL) for p in planned if side in p.stroke.sides]
     strength = planning.drives(spoken)
     draws = rng.normal(0.0, 1.0, (2, len(spoken.syllables)))
     last = -1.0
     for i, syllable in enumerate(spoken.syllables):
         at = syllable.vowel + 0.03 * draws[0, i]
-        free = not any(a - 0.05 < at < b for a, b in spans)
-        if free and at - last > 0.34 and syllable.prominence > -0.5:
+        free = not any(a < at < b for a, b in spans)
+        if free and at - last > 0.3 and syllable.prominence > -0.8:
             size = _MICRO * float(np.clip(0.7 + 0.3 * syllable.prominence + 0.35 * strength[i] + 0.2 * draws[1, i],
                                           0.25, 1.5))
             _add_bump(track, at - _BRAKE * _FALL, at + (1.0 - _BRAKE) * _FALL, size)
@@ -307,13 +378,23 @@ def _clip_time(p: Planned, beat: float) -> PchipInterpolator:
     return PchipInterpolator([p.start, beat, hold_end, end], [s.start, s.beat, s.hold_end, s.end], extrapolate=True)
 
 
-def _render(score: _Score, beats: Array, accents: Array) -> Array:
-    """[2, T, A * 3] both arms, with the strokes' beats put at `beats`, raised before them by `accents`."""
-    arms = np.stack([_arm(score, side, beats, accents) for side in (LEFT, RIGHT)])
+def _render(score: _Score, tuning: _Tuning) -> Array:
+    """[2, T, A * 3] both arms."""
+    arms = np.stack([_arm(score, side, tuning) for side in (LEFT, RIGHT)])
+    # The arm that hangs follows the other one a little, in the mirror.
+    follow = np.stack([_mirrored(arms[RIGHT]) * score.hanging[LEFT][:, None],
+                       _mirrored(arms[LEFT]) * score.hanging[RIGHT][:, None]])
+    arms = arms + follow
+    arms[..., :12] *= 1.0 + score.micro[..., None]
     return arms + score.drift
 
 
-def _arm(score: _Score, side: int, beats: Array, accents: Array) -> Array:
+def _mirrored(arm: Array) -> Array:
+    """Log rotations [T, A * 3] of an arm as the other arm has them in the mirror."""
+    return (arm.reshape(len(arm), -1, 3) * _MIRRORED).reshape(len(arm), -1)
+
+
+def _arm(score: _Score, side: int, tuning: _Tuning) -> Array:
     figure, events = score.figure, score.events[side]
     home = figure.home[side].ravel()
     out = np.zeros((score.frames, home.size))
@@ -325,20 +406,19 @@ def _arm(score: _Score, side: int, beats: Array, accents: Array) -> Array:
         times = np.arange(first, last) / FPS
         # Two frames before the change tell the new target's own velocity there.
         around = np.concatenate([(first - np.array([3.0, 2.0, 1.0])) / FPS, times])
-        target = _target(score, side, event, beats, accents, around, home)
-        target[3:] = target[3:] + _left_over(out[max(0, first - 3):first], target[:3], times, event.fade)
+        target = _target(score, side, event, tuning, around, home)
+        fade = event.fade * (tuning.fades[event.stroke] if event.stroke >= 0 else 1.0)
+        target[3:] = target[3:] + _left_over(out[max(0, first - 3):first], target[:3], times, fade)
         out[first:last] = target[3:]
-    out[:, :12] *= 1.0 + score.micro[side][:, None]
     return out
 
 
-def _target(score: _Score, side: int, event: _Event, beats: Array, accents: Array, times: Array,
-            home: Array) -> Array:
+def _target(score: _Score, side: int, event: _Event, tuning: _Tuning, times: Array, home: Array) -> Array:
     """[M, A * 3] where an event wants the arm at `times`."""
     if event.stroke < 0:
         return np.repeat((event.level * home)[None], len(times), axis=0)
     p = score.planned[event.stroke]
-    beat = beats[event.stroke]
+    beat = tuning.beats[event.stroke]
     path = p.stroke.arm_at(side, _clip_time(p, beat)(times))
     # A low beat would fall from the home pose to the thigh: it is lifted into gesture space.
     held = p.stroke.arm_at(side, np.array([p.stroke.beat]))[0]
@@ -346,7 +426,7 @@ def _target(score: _Score, side: int, event: _Event, beats: Array, accents: Arra
     path = p.gain * (path + max(0.0, 0.6 - up) * home)
     peak, stop = beat - _BRAKE * _FALL, beat + (1.0 - _BRAKE) * _FALL
     raised = _pulse(times, peak - 0.26, peak) - _pulse(times, peak, stop)
-    path[:, :12] *= 1.0 + accents[event.stroke] * raised[:, None]
+    path[:, :12] *= 1.0 + tuning.accents[event.stroke] * raised[:, None]
     return path
 
 
@@ -394,8 +474,9 @@ def _chain(score: _Score, arms: Array, side: int) -> dict[str, Array]:
     return out
 
 
-def _misses(score: _Score, arms: Array, planned: tuple[Planned, ...]) -> Array:
+def _misses(score: _Score, arms: Array) -> Array:
     """[strokes] seconds by which the acting arms brake later than planned."""
+    planned = score.planned
     if not planned:
         return np.zeros(0)
     chains = [_chain(score, arms, side) for side in (LEFT, RIGHT)]

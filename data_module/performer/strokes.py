@@ -265,7 +265,7 @@ def mirror(stroke: Stroke) -> Stroke:
                    arms=stroke.arms[::-1] * flip, trunk=stroke.trunk * flip, _splines={})
 
 
-def home_pose(strokes: Iterable[Stroke], share: float = 0.75) -> Array:
+def home_pose(strokes: Iterable[Stroke], share: float = 0.9) -> Array:
     """[2, A, 3]: `share` of the way from rest to the mean pose in the holds, per arm, over the strokes it acts in.
 
     A stroke and its mirror image both count, so that an arm that rarely acts has a home as well.

@@ -87,7 +87,7 @@ def pitch_track(samples: Samples, sample_rate: int) -> Array:
     that of the window (Boersma's remedy for its slope), with a slight preference for short lags."""
     rate = 8000
     low = resample_poly(samples, rate, sample_rate) if sample_rate != rate else samples
-    size, hop, padded_size = 320, round(HOP * rate), 1024
+    size, hop, padded_size = 320, round(HOP * rate), 512
     count = len(samples) * rate // sample_rate // hop + 1
     padded = np.pad(np.asarray(low, dtype=np.float32), (size // 2, size + hop))
     window = np.hanning(size).astype(np.float32)
@@ -116,7 +116,7 @@ def pitch_track(samples: Samples, sample_rate: int) -> Array:
 
 
 def find_nuclei(speech: Speech, phrases: Sequence[Phrase], pitch: Array) -> list[Nucleus]:
-    """Vowels from the signal: peaks of 3 dB or more in the voiced energy of 300 to 2500 Hz, 90 ms apart at least.
+    """Vowels from the signal: peaks of 2 dB or more in the voiced energy of 300 to 2500 Hz, 90 ms apart at least.
 
     The vowel's onset is where the energy rises fastest before its peak; syllables meet at the valleys between.
     """
@@ -126,7 +126,7 @@ def find_nuclei(speech: Speech, phrases: Sequence[Phrase], pitch: Array) -> list
     spans = [(w.start, w.end, i) for i, w in enumerate(speech.words) if w.text] if speech.words else \
             [(p.start, p.end, -1) for p in phrases]
     floor = float(np.percentile(level, 95)) - 30
-    peaks, _ = find_peaks(level, prominence=3, distance=9, height=floor)
+    peaks, _ = find_peaks(level, prominence=2, distance=9, height=floor)
     voiced = gaussian_filter1d((pitch > 0).astype(float), 2.0)
     peaks = peaks[voiced[np.minimum(peaks, len(voiced) - 1)] > 0.3]
     rise = np.gradient(level)

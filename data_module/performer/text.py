@@ -5,18 +5,22 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from data_module.errors import InputError
 from data_module.performer import grammar
 from data_module.performer.grammar import Topic
+from data_module.performer.other_grammars import PHRASEBOOKS, Phrasebook
 
 SPLITS = ("train", "test")
 CHARACTERS_PER_SECOND = 14.0
 # The longest pause, and what share of sentence ends gets one of a second or more.
 LONG_PAUSE, LONG_SHARE = 6.0, 0.24
 _VOWELS = "aeiou"
+_PARTICIPLES = {"threw": "thrown", "drew": "drawn", "stole": "stolen", "hid": "hidden"}
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -52,18 +56,12 @@ def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str]
     if split not in SPLITS:
         raise InputError(f"split {split!r}", "is not known", f"choose one of {', '.join(SPLITS)}")
     said = set() if used is None else used
-    topics, templates, openers = _material(split, language)
-    kinds = list(templates)
+    source = _English(split) if language == "en" else _phrasebook(split, language)
     utterances: list[Utterance] = []
     mood = float(rng.normal(0, 0.5))
-    topic, left = topics[int(rng.integers(len(topics)))], 0
     total = 0.0
     while total < seconds:
-        if left == 0:
-            topic, left = topics[int(rng.integers(len(topics)))], int(rng.integers(3, 9))
-        kind = kinds[int(rng.integers(len(kinds)))]
-        lines = _new_sentence(rng, topic, templates[kind], openers, said)
-        left -= 1
+        kind, lines = _new_sentence(rng, source, said)
         mood = 0.7 * mood + float(rng.normal(0, 0.38))
         utterance = Utterance(_paced(rng, lines, mood), kind)
         utterances.append(utterance)
@@ -76,28 +74,64 @@ def sentence_key(utterance: Utterance) -> str:
     return " ".join(re.findall(r"[^\W\d_]+(?:'[^\W\d_]+)*", utterance.text.lower()))
 
 
-def _material(split: str, language: str) -> tuple[Sequence[Topic], dict[str, tuple[str, ...]], Sequence[str]]:
-    if language != "en":
-        raise InputError(f"language {language!r}", "has no grammar here", "choose en")
-    if split == "train":
-        return grammar.TRAIN_TOPICS, grammar.TRAIN_TEMPLATES, grammar.OPENERS
-    return grammar.TEST_TOPICS, grammar.TEST_TEMPLATES, grammar.TEST_OPENERS
+class _English:
+    """Draws English sentences; a topic stays for a few of them."""
+
+    def __init__(self, split: str) -> None:
+        train = split == "train"
+        self.topics = grammar.TRAIN_TOPICS if train else grammar.TEST_TOPICS
+        self.templates = grammar.TRAIN_TEMPLATES if train else grammar.TEST_TEMPLATES
+        self.openers: Sequence[str] = grammar.OPENERS if train else grammar.TEST_OPENERS
+        self._topic, self._left = self.topics[0], 0
+
+    def draw(self, rng: np.random.Generator) -> tuple[str, str]:
+        """(kind, sentence) at random."""
+        if self._left == 0:
+            self._topic, self._left = _one(rng, self.topics), int(rng.integers(3, 9))
+        self._left -= 1
+        kind = _one(rng, tuple(self.templates))
+        return kind, _fill(rng, self._topic, _one(rng, self.templates[kind]))
 
 
-def _new_sentence(rng: np.random.Generator, topic: Topic, templates: Sequence[str], openers: Sequence[str],
-                  said: set[str]) -> list[str]:
-    """A sentence not in `said`, as its phrases; it is added there without its opener."""
-    for _ in range(1000):
-        sentence = _fill(rng, topic, templates[int(rng.integers(len(templates)))])
+class _Phrases:
+    """Draws sentences of a phrasebook."""
+
+    def __init__(self, book: Phrasebook) -> None:
+        self.book, self.openers = book, book.openers
+
+    def draw(self, rng: np.random.Generator) -> tuple[str, str]:
+        """("phrase", sentence) at random; no entry of a list stands twice in it."""
+        slots = {}
+        for name, entries in self.book.slots.items():
+            order = rng.permutation(len(entries))
+            slots |= {f"{name}{rank + 1 if rank else ''}": entries[i] for rank, i in enumerate(order[:3])}
+        return "phrase", _one(rng, self.book.templates).format(**slots)
+
+
+def _one(rng: np.random.Generator, entries: Sequence[_T]) -> _T:
+    return entries[int(rng.integers(len(entries)))]
+
+
+def _phrasebook(split: str, language: str) -> _Phrases:
+    if (language, split) not in PHRASEBOOKS:
+        known = sorted({"en"} | {name for name, _ in PHRASEBOOKS})
+        raise InputError(f"language {language!r}", "has no grammar here", f"choose one of {', '.join(known)}")
+    return _Phrases(PHRASEBOOKS[language, split])
+
+
+def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, said: set[str]) -> tuple[str, list[str]]:
+    """(kind, phrases) of a sentence not in `said`; it is added there without its opener."""
+    for _ in range(2000):
+        kind, sentence = source.draw(rng)
         if sentence not in said:
             break
     else:
-        raise InputError("text", f"has no new sentence left for the topic {topic.name}", "ask for fewer seconds")
+        raise InputError("text", "has no new sentence left", "ask for fewer seconds, or for another split or language")
     said.add(sentence)
     if rng.random() < 0.22:
-        opener = openers[int(rng.integers(len(openers)))]
+        opener = _one(rng, source.openers).strip()
         sentence = f"{opener} | {sentence}" if opener[-1] in ",." else f"{opener} {sentence}"
-    return [phrase.strip() for phrase in sentence.split("|")]
+    return kind, [phrase.strip() for phrase in sentence.split("|")]
 
 
 def _fill(rng: np.random.Generator, topic: Topic, template: str) -> str:
@@ -105,14 +139,13 @@ def _fill(rng: np.random.Generator, topic: Topic, template: str) -> str:
     things = [topic.things[i] for i in rng.permutation(len(topic.things))[:4]]
     people = [topic.people[i] for i in rng.permutation(len(topic.people))[:2]]
     places = [topic.places[i] for i in rng.permutation(len(topic.places))[:2]]
-    base, past, running = topic.verbs[int(rng.integers(len(topic.verbs)))]
     numbers = [grammar.NUMBERS[i] for i in rng.permutation(len(grammar.NUMBERS))[:2]]
+    base, past, running = _one(rng, topic.verbs)
     return template.format(
         thing=things[0], other=things[1], things=plural(things[2]), things2=plural(things[3]),
         athing=with_article(things[2]), athing2=with_article(things[3]), person=people[0], someone=people[1],
-        place=places[0], elsewhere=places[1], adj=topic.adjectives[int(rng.integers(len(topic.adjectives)))],
-        do=base, did=past, done=past, doing=running, n=numbers[0], n2=numbers[1],
-        time=grammar.TIMES[int(rng.integers(len(grammar.TIMES)))])
+        place=places[0], elsewhere=places[1], adj=_one(rng, topic.adjectives), do=base, did=past,
+        done=_PARTICIPLES.get(past, past), doing=running, n=numbers[0], n2=numbers[1], time=_one(rng, grammar.TIMES))
 
 
 def plural(noun: str) -> str:

@@ -570,12 +570,13 @@ class Stage {
 
   zoom(factor) { this.goal.distance = clamp(this.goal.distance * factor, 1.1, 12); }
 
-  /** Ease towards the goal; true while on the way. */
-  ease() {
+  /** Ease towards the goal over the seconds since the last picture; true while on the way. */
+  ease(seconds) {
     let moving = false;
+    const share = calm.matches ? 1 : 1 - Math.exp(-14 * Math.min(seconds, 0.25));
     for (const key of Object.keys(this.goal)) {
       const gap = this.goal[key] - this.view[key];
-      if (Math.abs(gap) > 1e-4) { this.view[key] += gap * (calm.matches ? 1 : 0.22); moving = true; }
+      if (Math.abs(gap) > 1e-4) { this.view[key] += gap * share; moving = true; }
       else this.view[key] = this.goal[key];
     }
     return moving;
@@ -846,11 +847,12 @@ function writeClock(time) {
 
 // ---------------------------------------------------------------- one picture after the other
 
-let stage = null, dirty = true;
+let stage = null, dirty = true, last = 0;
 function changed() { dirty = true; }
 
-function tick() {
-  const easing = stage?.ease() ?? false;
+function tick(now) {
+  const easing = stage?.ease((now - last) / 1000) ?? false;
+  last = now;
   if (dirty || easing || clock.playing) {
     dirty = false;
     const time = clamp(clock.time, 0, data.duration);

@@ -1,0 +1,192 @@
+"""Every reader keeps the same contract; readers of files give what the files hold."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module import kinematics, skeletons
+from data_module.audio import load_speech, write_flac
+from data_module.bvh import write_bvh
+from data_module.corpora import CORPORA, DroppedError, Options, Reader, load, open_corpus, split_of, trimmed
+from data_module.corpora.performer import tail_begins
+from data_module.errors import InputError
+from data_module.skeletons import CHARACTER
+from data_module.types import Motion, Speech, Word
+
+RATE = 16000
+
+
+def _motion(frames: int, fps: float = 60.0, seed: int = 0) -> Motion:
+    rng = np.random.default_rng(seed)
+    logs = 0.3 * np.sin(np.arange(frames)[:, None, None] / fps * rng.uniform(1, 4, (16, 3)))
+    vectors = logs.reshape(frames, -1)
+    return skeletons.from_vector(vectors, fps)
+
+
+def _speech(seconds: float, words: tuple[Word, ...] | None = None) -> Speech:
+    samples = 0.1 * np.sin(np.arange(round(seconds * RATE)) / 20).astype(np.float32)
+    return Speech(samples.astype(np.float32), RATE, words)
+
+
+def _folder(root: Path) -> Path:
+    source = root / "pairs"
+    source.mkdir()
+    for number, name in enumerate(("ann_1", "ann_2", "bob_1")):
+        write_bvh(source / f"{name}.bvh", _motion(150 + 30 * number, seed=number))
+        write_flac(source / f"{name}.flac", _speech(2.6))
+    return source
+
+
+SAMPLES: dict[str, Callable[[Path], Reader]] = {
+    "performer": lambda root: open_corpus("performer", None, Options(preset="tiny")),
+    "folder": lambda root: open_corpus("folder", _folder(root), Options()),
+}
+"""A small instance of every reader; a new reader brings its own."""
+
+
+def test_every_reader_has_a_sample() -> None:
+    assert set(SAMPLES) == set(CORPORA)
+
+
+@pytest.mark.parametrize("name", list(CORPORA))
+def test_contract(name: str, tmp_path: Path) -> None:
+    reader = SAMPLES[name](tmp_path)
+    assert reader.licence
+    json.dumps(dict(reader.settings()))
+    items = reader.items()
+    names = [item.info.name for item in items]
+    assert len(set(names)) == len(names) > 0
+    assert [pickle.loads(pickle.dumps(item)) for item in items] == list(reader.items())
+    recording = load(reader, items[-1])
+    assert recording.info.name == names[-1] and recording.info.split in ("train", "val", "test")
+    assert abs(recording.motion.duration - recording.speech.duration) < 1e-3
+    for word in recording.speech.words or ():
+        assert 0 <= word.start <= word.end <= recording.speech.duration + 1e-6
+    # Metres: hips to head of a person, and the motion can be brought onto the character.
+    character = skeletons.to_character(recording.motion)
+    places = kinematics.positions_of(recording.motion)
+    table = skeletons.find_table(recording.motion.skeleton.names)
+    tall = np.linalg.norm(places[:, table["Head"]] - places[:, table["Hips"]], axis=-1)
+    assert 0.4 < np.median(tall) < 0.8
+    again = load(SAMPLES[name](tmp_path / "again") if name == "performer" else reader, items[-1])
+    assert np.array_equal(again.motion.rotations, recording.motion.rotations)
+    assert np.array_equal(again.speech.samples, recording.speech.samples) and len(character) == len(again.motion)
+    assert all(isinstance(line, str) for line in reader.notes())
+
+
+def test_unknown_corpus_and_source() -> None:
+    with pytest.raises(InputError, match="performer, folder"):
+        open_corpus("nothing", None, Options())
+    with pytest.raises(InputError, match="does not exist"):
+        open_corpus("folder", Path("/no/such/folder"), Options())
+    with pytest.raises(InputError, match="tiny"):
+        open_corpus("performer", None, Options())
+
+
+@given(st.integers(60, 200), st.floats(1.0, 4.0))
+def test_trimmed_keeps_whole_frames_of_both(frames: int, seconds: float) -> None:
+    words = (Word("a", 0.1, 0.5), Word("b", 0.9, 2.0), Word("c", 3.0, 3.5))
+    speech, motion = trimmed(_speech(seconds, words), _motion(frames, 60.0))
+    assert len(motion) <= frames and speech.duration <= seconds + 1e-9
+    assert abs(motion.duration - speech.duration) <= 0.5 / RATE + 1e-9
+    assert min(frames / 60, seconds) - motion.duration < 1 / 60 + 1e-3
+    assert speech.words is not None
+    assert all(w.start < motion.duration and w.end <= motion.duration for w in speech.words)
+
+
+def test_trimmed_drops_what_hardly_overlaps() -> None:
+    with pytest.raises(DroppedError, match="under a second"):
+        trimmed(_speech(0.5), _motion(100))
+
+
+def test_splits_are_spread_and_have_their_shares() -> None:
+    count = Counter(split_of(index) for index in range(400))
+    assert count == {"train": 350, "val": 20, "test": 30}
+    # Even a corpus of an hour (27 recordings) has all three.
+    assert {split_of(index) for index in range(27)} == {"train", "val", "test"}
+
+
+def test_folder_pairs_by_name_and_reports_the_rest(tmp_path: Path) -> None:
+    source = _folder(tmp_path)
+    write_bvh(source / "lonely.bvh", _motion(100))
+    (source / "ann_2.json").write_text(json.dumps({"words": [{"text": "hello", "start": 0.5, "end": 0.9}],
+                                                   "performer": "ann", "language": "en", "split": "test"}))
+    (source / "bob_1.bvh").write_text("HIERARCHY\n broken")
+    reader = open_corpus("folder", source, Options())
+    items = {item.info.name: item for item in reader.items()}
+    assert list(items) == ["ann_1", "ann_2", "bob_1"]
+    assert "lonely" in " ".join(reader.notes())
+    with pytest.raises(DroppedError, match=r"bob_1\.bvh"):
+        reader.read(items["bob_1"])
+    assert items["ann_2"].info.split == "test" and items["ann_1"].info.language == "und"
+    recording = load(reader, items["ann_2"])
+    assert recording.speech.words == (Word("hello", 0.5, 0.9),) and recording.info.speaker == "ann"
+    # 180 frames are 3 s, the sound is 2.6 s: the shorter counts.
+    assert len(recording.motion) == 156
+    assert load(reader, items["ann_1"]).speech.words is None
+
+
+def test_folder_takes_the_frame_rate_of_a_lying_header(tmp_path: Path) -> None:
+    source = _folder(tmp_path)
+    file = source / "ann_1.bvh"
+    file.write_text(file.read_text().replace("Frames: 150", "Frames: 1200"))
+    reader = open_corpus("folder", source, Options())
+    with pytest.raises(DroppedError, match="give the frame rate"):
+        reader.read(reader.items()[0])
+    told = open_corpus("folder", source, Options(fps=50.0))
+    assert told.read(told.items()[0]).motion.fps == 50
+
+
+def test_folder_without_pairs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no BVH file"):
+        open_corpus("folder", tmp_path, Options())
+
+
+def test_sentences_voices_and_strokes_of_the_tiny_performer_do_not_leak() -> None:
+    from data_module.performer.text import sentence_key
+
+    reader = open_corpus("performer", None, Options(preset="tiny"))
+    said: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
+    voices: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
+    for item in reader.items():
+        voices[item.info.split].add(item.info.voice)
+        said[item.info.split] |= {sentence_key(utterance) for utterance in item.content.utterances}
+    assert not voices["test"] & (voices["train"] | voices["val"])
+    assert not said["test"] & said["train"] and not said["val"] & said["train"] and not said["test"] & said["val"]
+
+
+def test_plan_of_the_default_performer(outside_data: Path) -> None:
+    """Shares, leaks and kept readings of the real plan; nothing is spoken or played."""
+    pytest.importorskip("pocketsphinx")
+    reader = open_corpus("performer", outside_data, Options(hours=4.2))
+    items = reader.items()
+    talks = [item.info for item in items if item.info.name.startswith("talk")]
+    share = Counter(info.split for info in talks)
+    assert 0.85 < share["train"] / len(talks) < 0.91 and share["val"] >= 5 and share["test"] >= 7
+    train = [item.info for item in items if item.info.split != "test"]
+    test = [item.info for item in items if item.info.split == "test"]
+    assert not {info.group for info in train} & {info.group for info in test}
+    assert not {i.voice for i in train if i.name.startswith("talk")} & {i.voice for i in test}
+    assert len({i.voice for i in talks if i.split == "train"}) >= 6
+    assert {i.speaker for i in test} == {i.speaker for i in train} == {"brad", "brad2", "connor", "garza"}
+    assert not [i.name for i in train if "sonnet_3" in i.name or "austen_09" in i.name or "tail" in i.name]
+    assert {i.group for i in test if i.name.startswith("read")} == {
+        "en_sonnet_3", "en_austen_0920", "en_austen_0930", "de_prose_1_tail", "es_prose_1_tail"}
+    longer = open_corpus("performer", outside_data, Options(hours=4.4)).items()
+    assert longer[0] == items[0] and longer[-1] == items[-1]
+
+
+@pytest.mark.parametrize("name", ["de_prose_1", "es_prose_1"])
+def test_the_last_thirty_seconds_are_kept(outside_data: Path, name: str) -> None:
+    speech = load_speech(outside_data / "speech" / f"{name}.flac")
+    at = tail_begins(speech.samples, speech.sample_rate) / speech.sample_rate
+    assert 30 <= speech.duration - at <= 32

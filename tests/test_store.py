@@ -1,0 +1,201 @@
+"""Stores: the round trip, resuming, and every way a store can be wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from data_module import store as stores
+from data_module.errors import InputError
+from data_module.performer.types import Phrase, PlayedStroke, Syllable
+from data_module.skeletons import CHARACTER
+from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter, Truth
+from data_module.types import Motion, Speech, Word
+
+SETTINGS = {"preset": "test", "hours": 1.0}
+
+
+def _recording(name: str, split: Split = "train", seed: int = 0, words: bool = True, truth: bool = True) -> Recording:
+    rng = np.random.default_rng(seed)
+    frames, fps = 90, 60.0
+    rotations = Rotation.random(frames * 16, random_state=seed).as_quat(scalar_first=True).reshape(frames, 16, 4)
+    motion = Motion(CHARACTER, rotations, rng.normal(size=(frames, 3)), fps, ("Spine3",))
+    spoken = (Word("où", 0.1, 0.4), Word("l'été", 0.4, 0.9)) if words else None
+    speech = Speech(rng.uniform(-0.9, 0.9, 24000).astype(np.float32), 16000, spoken, "brad")
+    known = Truth((PlayedStroke("BeatMid", "clip", "left", 0.0, 0.5, 0.7, 1.2, 0.48, 1.03, True),),
+                  (Syllable(0.1, 0.15, 0.4, 0, -1.5, 2.5, 0.3), Syllable(0.4, 0.5, 0.9, 1, 0.0, 0.0, -1.0)),
+                  (Phrase(0.1, 0.9, -0.25),)) if truth else None
+    return Recording(RecordingInfo(name, split, "brad", "slt", "fr", group="g"), speech, motion, known)
+
+
+def _store(folder: Path, *recordings: Recording) -> Store:
+    writer = StoreWriter(folder, "test", SETTINGS, 3, "none")
+    for recording in recordings:
+        writer.add(recording)
+    return writer.finish([recording.info.name for recording in recordings])
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    first, second = _recording("a", "train", 1), _recording("b", "test", 2, words=False, truth=False)
+    _store(tmp_path / "s", first, second)
+    store = Store.open(tmp_path / "s")
+    assert store.names == ("a", "b") and store.settings == SETTINGS and (store.seed, store.corpus) == (3, "test")
+    assert [info.name for info in store.of_split("test")] == ["b"]
+    for before in (first, second):
+        after = store.load(before.info.name)
+        # 16-bit sound, 32-bit motion: what the two formats keep.
+        assert np.abs(after.speech.samples - before.speech.samples).max() <= 1.01 / 32768
+        turned = np.abs(np.sum(after.motion.rotations * before.motion.rotations, axis=-1))
+        assert turned.min() > 1 - 1e-12 and np.abs(np.linalg.norm(after.motion.rotations, axis=-1) - 1).max() < 1e-12
+        assert np.abs(after.motion.root_positions - before.motion.root_positions).max() < 1e-6
+        assert after.motion.fps == 60 and after.motion.absent == ("Spine3",)
+        assert after.speech.words == before.speech.words and after.truth == before.truth
+        assert after.info == replace(before.info, seconds=1.5, frames=90, fps=60.0, absent=("Spine3",))
+
+
+def test_no_words_and_unknown_words_are_not_the_same(tmp_path: Path) -> None:
+    silent = _recording("silent")
+    silent = replace(silent, speech=replace(silent.speech, words=()), truth=Truth())
+    store = _store(tmp_path / "s", silent, _recording("unknown", words=False, truth=False))
+    assert store.load("silent").speech.words == () and store.load("silent").truth == Truth()
+    assert store.load("unknown").speech.words is None and store.load("unknown").truth is None
+
+
+def test_bytes_and_fingerprint_depend_on_the_content_alone(tmp_path: Path) -> None:
+    one = _store(tmp_path / "one", _recording("a", seed=1), _recording("b", seed=2))
+    writer = StoreWriter(tmp_path / "two", "test", SETTINGS, 3, "none")
+    writer.add(_recording("b", seed=2))
+    writer.add(_recording("a", seed=1))
+    two = writer.finish(["a", "b"])
+    for file in sorted((tmp_path / "one").rglob("*")):
+        if file.is_file():
+            assert file.read_bytes() == (tmp_path / "two" / file.relative_to(tmp_path / "one")).read_bytes()
+    other = _store(tmp_path / "three", _recording("a", seed=1), _recording("b", seed=4))
+    assert one.fingerprint == two.fingerprint != other.fingerprint
+
+
+def test_nothing_is_there_before_the_end_and_finished_work_is_kept(tmp_path: Path) -> None:
+    writer = StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
+    writer.add(_recording("a"))
+    with pytest.raises(InputError, match="half-written"):
+        Store.open(tmp_path / "s")
+    with pytest.raises(InputError, match="half-written"):
+        Store.open(tmp_path / "s.partial")
+    again = StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
+    assert again.has("a") and not again.has("b")
+    # A recording that was interrupted has its files but not its mark.
+    (again.partial / "recordings" / "c.flac").write_bytes(b"half")
+    assert not again.has("c")
+    again.add(_recording("b", seed=1))
+    assert again.finish(["a", "b"]).names == ("a", "b")
+    assert not (tmp_path / "s.partial").exists() and not list((tmp_path / "s").rglob("c.*"))
+
+
+@pytest.mark.parametrize("change", [{"hours": 2.0}, {"seed": 4}, {"corpus": "other"}])
+def test_work_begun_with_other_settings_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+    StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none").add(_recording("a"))
+    corpus, seed = str(change.pop("corpus", "test")), int(str(change.pop("seed", 3)))
+    with pytest.raises(InputError, match="was begun with"):
+        StoreWriter(tmp_path / "s", corpus, SETTINGS | change, seed, "none")
+
+
+def test_matching_tells_what_differs(tmp_path: Path) -> None:
+    assert stores.matching(tmp_path / "s", "test", SETTINGS, 3) is None
+    made = _store(tmp_path / "s", _recording("a"))
+    same = stores.matching(tmp_path / "s", "test", SETTINGS, 3)
+    assert same is not None and same.fingerprint == made.fingerprint
+    with pytest.raises(InputError, match=r"hours 1\.0 \(now 2\.0\)"):
+        stores.matching(tmp_path / "s", "test", SETTINGS | {"hours": 2.0}, 3)
+
+
+def test_a_finished_store_and_a_foreign_folder_are_not_overwritten(tmp_path: Path) -> None:
+    _store(tmp_path / "s", _recording("a"))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    for folder in (tmp_path / "s", tmp_path / "mine"):
+        with pytest.raises(InputError, match="already there"):
+            StoreWriter(folder, "test", SETTINGS, 3, "none")
+    assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
+
+
+def _break(store: Path, how: str) -> str:
+    listing = store / "store.json"
+    content = json.loads(listing.read_text())
+    if how == "missing":
+        shutil.rmtree(store)
+        return "does not exist"
+    if how == "foreign":
+        listing.unlink()
+        return "not a store"
+    if how == "format":
+        content["format"] = 99
+        listing.write_text(json.dumps(content))
+        return "format 99"
+    if how == "not json":
+        listing.write_text("{")
+        return "not the listing"
+    if how == "a list":
+        listing.write_text("[]")
+        return "not the listing"
+    if how == "edited":
+        content["recordings"][0]["split"] = "test"
+        listing.write_text(json.dumps(content))
+        return "fingerprint"
+    if how == "lacks":
+        del content["licence"]
+        listing.write_text(json.dumps(content))
+        return "lacks"
+    (store / "recordings" / "a.npz").unlink()
+    return "is missing from its store"
+
+
+@pytest.mark.parametrize("how", ["missing", "foreign", "format", "not json", "a list", "edited", "lacks", "file"])
+def test_broken_stores_are_refused_in_one_line(tmp_path: Path, how: str) -> None:
+    _store(tmp_path / "s", _recording("a"))
+    wrong = _break(tmp_path / "s", how)
+    with pytest.raises(InputError, match=wrong) as caught:
+        Store.open(tmp_path / "s")
+    assert "\n" not in str(caught.value) and str(tmp_path / "s") in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "flac"])
+def test_a_changed_file_is_refused(tmp_path: Path, suffix: str) -> None:
+    store = _store(tmp_path / "s", _recording("a"))
+    file = tmp_path / "s" / "recordings" / f"a.{suffix}"
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(bytes(content))
+    with pytest.raises(InputError, match="is not the file"):
+        store.load("a")
+    with pytest.raises(InputError, match="not in the store"):
+        store.load("nobody")
+
+
+def test_arrays_hold_nothing_that_needs_pickle(tmp_path: Path) -> None:
+    _store(tmp_path / "s", _recording("a"))
+    with np.load(tmp_path / "s" / "recordings" / "a.npz", allow_pickle=False) as arrays:
+        kinds = {key: arrays[key].dtype for key in arrays.files}
+    assert all(kind.kind in "fiubU" for kind in kinds.values()) and kinds["rotations"] == np.float32
+    with pytest.raises(ValueError, match="Object arrays"):
+        stores._pack({"bad": np.array([object()])})
+
+
+def test_names_and_splits_are_checked() -> None:
+    with pytest.raises(InputError, match="split"):
+        RecordingInfo("a", "dev", "x", "y", "en")  # type: ignore[arg-type]
+    for name in ("", "../a", ".hidden", "a:b"):
+        with pytest.raises(InputError, match="cannot name"):
+            RecordingInfo(name, "train", "x", "y", "en")
+
+
+def test_motion_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    writer = StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
+    recording = _recording("a")
+    with pytest.raises(ValueError, match="s of motion"):
+        writer.add(replace(recording, motion=recording.motion.crop(0, 60)))

@@ -1,0 +1,69 @@
+"""Strips: what is drawn lies where the motion says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from performances import perform
+
+from data_module import bvh, kinematics
+from data_module.errors import InputError
+from data_module.skeletons import CHARACTER, HIP_HEIGHT, facing
+from eval import strips
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+
+
+def test_points_are_the_joints_of_the_facing_character() -> None:
+    motion = perform().motion
+    times = np.array([5, 40]) / motion.fps
+    points = strips.figure_points(motion, times)
+    told = kinematics.positions_of(facing(motion))[[5, 40]] + [0, HIP_HEIGHT, 0]
+    for joint, name in enumerate(CHARACTER.names):
+        np.testing.assert_allclose(points[name], told[:, joint], atol=1e-9)
+    reach = np.linalg.norm(points["LeftHandTip"] - points["LeftHand"], axis=1)
+    np.testing.assert_allclose(reach, 0.16, atol=1e-9)
+
+
+def test_outline_is_a_hull_around_both_circles() -> None:
+    start, end = np.array([0.0, 0.0]), np.array([3.0, 4.0])
+    outline = strips.capsule_outline(start, end, (2.0, 1.0), steps=400)
+    on_first = np.isclose(np.linalg.norm(outline - start, axis=1), 1.0)
+    on_second = np.isclose(np.linalg.norm(outline - end, axis=1), 0.5)
+    assert (on_first | on_second).all() and on_first.any() and on_second.any()
+    # No point of either circle lies outside: the shoelace area is the hull's, from its parts.
+    x, y = outline.T
+    area = 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
+    touch = np.arccos(0.5 / 5.0)
+    sides = np.sqrt(25 - 0.25) * (1.0 + 0.5)
+    caps = (np.pi - touch) * 1.0**2 + touch * 0.5**2
+    assert area == pytest.approx(sides + caps, rel=1e-3)
+    inside = strips.capsule_outline(start, start + 0.1, (2.0, 0.4))
+    np.testing.assert_allclose(np.linalg.norm(inside, axis=1), 1.0)
+
+
+def test_times_cover_the_stretch_and_bad_ones_are_refused() -> None:
+    motion = perform(seconds=4.0).motion
+    np.testing.assert_allclose(strips.frame_times(motion, 1.0, 2.0, 5), [1, 1.5, 2, 2.5, 3])
+    assert strips.frame_times(motion, 3.0, 60.0, 2)[-1] == pytest.approx(4.0 - 1 / motion.fps)
+    for start, seconds, count in ((9.0, None, 3), (-1.0, None, 3), (1.0, -2.0, 3), (0.0, None, 0), (np.nan, None, 2)):
+        with pytest.raises(InputError):
+            strips.frame_times(motion, start, seconds, count)
+
+
+def test_command_draws_a_picture(tmp_path, capsys) -> None:
+    bvh.write_bvh(tmp_path / "m.bvh", perform().motion)
+    strips.main([str(tmp_path / "m.bvh"), "--frames", "3"])
+    assert capsys.readouterr().out.strip() == str(tmp_path / "m.png")
+    from matplotlib.image import imread
+
+    picture = imread(tmp_path / "m.png")
+    # Three figures leave ink in the left, the middle and the right third of both rows.
+    ink = (picture[..., :3] < 0.9).any(axis=-1)
+    for third in np.array_split(ink, 3, axis=1):
+        assert all(part.mean() > 0.05 for part in np.array_split(third, 2, axis=0))
+    with pytest.raises(SystemExit) as caught:
+        strips.main([str(tmp_path / "m.bvh"), "--out", str(tmp_path / "m.doc")])
+    assert caught.value.code == 2
+    assert "picture" in capsys.readouterr().err
+    assert not (tmp_path / "m.doc").exists()

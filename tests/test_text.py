@@ -1,0 +1,132 @@
+"""Alignment of a transcript: order, bounds, an independent aligner run as the oracle, and what happens when it fails."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module import text
+from data_module.audio import load_speech
+from data_module.errors import InputError
+from data_module.types import Speech
+
+RATE = 16000
+# The 39 sounds of the acoustic model; anything else makes the aligner refuse the word.
+ARPABET = set("AA AE AH AO AW AY B CH D DH EH ER EY F G HH IH IY JH K L M N NG OW OY P R S SH T TH UH UW V W Y Z ZH"
+              .split())
+
+
+def _bursts(starts: list[float], seconds: float, length: float = 0.6) -> Speech:
+    rng = np.random.default_rng(0)
+    samples = 0.001 * rng.standard_normal(round(seconds * RATE))
+    for start in starts:
+        at = round(start * RATE)
+        samples[at:at + round(length * RATE)] += 0.2 * rng.standard_normal(round(length * RATE))
+    return Speech(samples.astype(np.float32), RATE)
+
+
+@pytest.mark.parametrize(("word", "sounds"), [
+    ("cat", "K AE T"), ("ship", "SH IH P"), ("mate", "M EY T"), ("light", "L AY T"), ("racing", "R AE S IH NG"),
+    ("glutton", "G L AH T AA N"), ("", "AH"), ("''", "AH"),
+])
+def test_letters_to_sounds_on_known_words(word: str, sounds: str) -> None:
+    assert text.letters_to_sounds(word) == sounds
+
+
+@given(st.text(max_size=20))
+def test_any_word_has_sounds_that_the_model_knows(word: str) -> None:
+    sounds = text.letters_to_sounds(word).split()
+    assert sounds and set(sounds) <= ARPABET
+
+
+def test_spoken_words_keep_apostrophes_and_part_hyphens() -> None:
+    words = text.spoken_words("Feed’st thy light's flame — with self-substantial 42 fuel, ‘so’!")
+    assert [plain for _, plain in words] == ["feed'st", "thy", "light's", "flame", "with", "self", "substantial",
+                                             "fuel", "so"]
+    assert words[0][0] == "Feed'st" and words[7][0] == "fuel"
+
+
+def test_pieces_tile_the_recording_and_are_cut_in_pauses() -> None:
+    starts = [0.5 + 1.0 * k for k in range(32)]
+    samples = text._aligner_samples(_bursts(starts, 33.0))
+    cut = text.pieces(samples)
+    assert cut[0][0] == 0 and cut[-1][1] == len(samples)
+    assert all(a[1] == b[0] for a, b in zip(cut, cut[1:], strict=False))
+    for start, stop in cut:
+        assert (stop - start) / RATE <= text.LONGEST_PIECE + 0.02
+    for start, _ in cut[1:]:
+        assert not any(s <= start / RATE <= s + 0.6 for s in starts)
+
+
+def test_a_recording_without_pauses_is_cut_all_the_same() -> None:
+    tone = np.sin(2 * np.pi * 200 * np.arange(25 * RATE) / RATE).astype(np.float32)
+    cut = text.pieces(text._aligner_samples(Speech(tone, RATE)))
+    assert max(b - a for a, b in cut) <= text.LONGEST_PIECE * RATE and cut[-1][1] == 25 * RATE
+
+
+def test_shared_out_words_keep_to_the_loud_parts() -> None:
+    speech = _bursts([1.0, 3.0], 5.0, length=1.0)
+    found = text._shared_out(text._aligner_samples(speech), ["aaaa", "bbbb", "cccc", "dddd"])
+    starts = [a for a, _ in found]
+    assert starts[0] == pytest.approx(1.0, abs=0.05) and starts[2] == pytest.approx(3.0, abs=0.1)
+    assert found[-1][1] == pytest.approx(4.0, abs=0.05)
+
+
+def test_a_transcript_without_words_is_refused() -> None:
+    with pytest.raises(InputError, match="no words"):
+        text.align(_bursts([0.5], 2.0), "... 42 !")
+
+
+def test_without_pocketsphinx_the_advice_is_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pocketsphinx", None)
+    text._decoder.cache_clear()
+    with pytest.raises(InputError, match=r"gesticulator\[align\]"):
+        text.align(_bursts([0.5], 2.0), "hello")
+
+
+def test_noise_gets_shared_out_times_and_a_warning() -> None:
+    pytest.importorskip("pocketsphinx")
+    speech = _bursts([0.2], 0.9, length=0.5)
+    transcript = "a transcript with far too many words for so short a burst of noise " * 3
+    with pytest.warns(text.AlignmentWarning):
+        found = text.alignment(speech, transcript)
+    assert not found.heard and len(found.words) == len(transcript.split())
+    assert all(0 <= w.start <= w.end <= speech.duration for w in found.words)
+
+
+@pytest.mark.parametrize("name", ["en_austen_0870", "en_austen_0920", "en_sonnet_3"])
+def test_real_readings(outside_data: Path, name: str) -> None:
+    """Words in order and within the speech; onsets agree with one pass over the whole file with a wide beam."""
+    pytest.importorskip("pocketsphinx")
+    speech = load_speech(outside_data / "speech" / f"{name}.flac")
+    transcript = (outside_data / "speech" / f"{name}.txt").read_text(encoding="utf-8")
+    found = text.alignment(speech, transcript)
+    assert found.heard
+    assert [w.text.lower() for w in found.words][-1] == text.spoken_words(transcript)[-1][1]
+    starts, ends = np.array([[w.start, w.end] for w in found.words]).T
+    assert (np.diff(starts) > 0).all() and (starts[1:] >= ends[:-1] - 1e-9).all()
+    assert starts[0] >= 0 and ends[-1] <= speech.duration
+    if "austen" in name:  # a wide pass over a sonnet takes eight seconds; the next test watches for drift there
+        whole = text._whole(text._aligner_samples(speech), [plain for _, plain in text.spoken_words(transcript)])
+        assert whole is not None
+        apart = np.abs(starts - np.array([a for a, _ in whole]))
+        assert np.median(apart) <= 0.01 and (apart < 0.05).mean() > 0.95
+
+
+def test_words_begin_where_the_sound_rises(outside_data: Path) -> None:
+    """An oracle that knows no words: after a pause, the aligned word begins within 60 ms of the rise of the level."""
+    pytest.importorskip("pocketsphinx")
+    speech = load_speech(outside_data / "speech" / "en_sonnet_2.flac")
+    words = text.align(speech, (outside_data / "speech" / "en_sonnet_2.txt").read_text(encoding="utf-8"))
+    loud = text._loud(text._aligner_samples(speech))
+    after = [w for before, w in zip(words, words[1:], strict=False) if w.start - before.end > 0.3]
+    assert len(after) >= 8
+    apart = []
+    for word in after:
+        near = np.flatnonzero(loud[int((word.start - 0.25) * 100):int((word.start + 0.4) * 100)])
+        apart.append(abs(near[0] / 100 - 0.25) if len(near) else 1.0)
+    assert np.median(apart) < 0.06
