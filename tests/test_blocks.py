@@ -61,7 +61,7 @@ def test_a_block_has_room_for_the_longest_interval() -> None:
     assert BlockSettings().frames == 10
     assert BlockSettings(BeatSettings(0.3, 0.6)).frames == 12
     assert BlockSettings(fps=15.0).frames == 8
-    assert BlockSettings(BeatSettings(0.2, 0.7), fps=10.0).frames == 7  # 0.7 x 10 is a little more than 7 in floats
+    assert BlockSettings(BeatSettings(0.2, 0.55)).frames == 11  # 0.55 x 20 is a little more than 11 in floats
     for fps in (0.0, -1.0, float("nan"), 1.0):
         with pytest.raises(InputError):
             BlockSettings(fps=fps)

@@ -47,28 +47,32 @@ def test_tiny_store(tiny_store: Path) -> None:
 
 def test_strokes_kept_for_test_are_played_there_alone(tiny_store: Path) -> None:
     store = Store.open(tiny_store)
-    clips: dict[bool, set[str]] = {True: set(), False: set()}
+    held: set[str] = set()
+    played: set[str] = set()
     for info in store.recordings:
         truth = store.load(info.name).truth
         assert truth is not None
+        own = {stroke.clip for stroke in truth.strokes if stroke.held_out}
+        assert not own or info.split == "test"
+        held |= own
         if info.split != "test":
-            assert not any(stroke.held_out for stroke in truth.strokes)
-        clips[info.split == "test"] |= {stroke.clip for stroke in truth.strokes}
-    held = {stroke.clip for info in store.of_split("test") for stroke in store.load(info.name).truth.strokes  # type: ignore[union-attr]
-            if stroke.held_out}
-    assert held and not held & clips[False]
+            played |= {stroke.clip for stroke in truth.strokes}
+    assert held and not held & played
 
 
 def test_planned_beats_are_in_the_stored_motion(tiny_store: Path) -> None:
     """The truth is true of what was stored: strokes' planned beats are found again by the detector of motion beats."""
     store = Store.open(tiny_store)
-    near: list[float] = []
+    near: dict[float, list[float]] = {0.0: [], 0.37: []}
     for info in store.of_split("train"):
         recording = store.load(info.name)
         found = motion_beats(recording.motion, mode="A")
         assert recording.truth is not None
-        near += [float(np.abs(found - stroke.beat).min()) for stroke in recording.truth.strokes]
-    assert np.mean(np.array(near) < 0.03) > 0.8
+        for shift, apart in near.items():
+            apart += [float(np.abs(found - stroke.beat - shift).min()) for stroke in recording.truth.strokes]
+    # The detector sums both hands, so a beat of one may be moved by the other; a shifted plan shows what chance gives.
+    assert np.median(near[0.0]) < 0.015 and np.mean(np.array(near[0.0]) < 0.04) > 0.7
+    assert np.median(near[0.37]) > 0.05
 
 
 def test_the_data_set_beside_the_store_gives_the_same_store(tiny_store: Path, tmp_path: Path) -> None:
@@ -154,7 +158,7 @@ def test_what_cannot_be_used_is_dropped_and_reported(tiny_store: Path, tmp_path:
             shutil.copy(tiny_store / "dataset" / f"{name}.{suffix}", source)
     (source / "talk_0001_puppet.flac").write_bytes(b"no sound")
     motion = read_bvh(source / "talk_0000_puppet.bvh")
-    renamed = motion.skeleton.names[:-1] + ("Claw",)
+    renamed = (*motion.skeleton.names[:-1], "Claw")
     odd = type(motion.skeleton)(renamed, motion.skeleton.parents, motion.skeleton.offsets)
     write_bvh(source / "odd.bvh", type(motion)(odd, motion.rotations, motion.root_positions, motion.fps))
     shutil.copy(source / "talk_0000_puppet.flac", source / "odd.flac")

@@ -19,7 +19,6 @@ from data_module.bvh import write_bvh
 from data_module.corpora import CORPORA, DroppedError, Options, Reader, load, open_corpus, split_of, trimmed
 from data_module.corpora.performer import tail_begins
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER
 from data_module.types import Motion, Speech, Word
 
 RATE = 16000
@@ -97,8 +96,10 @@ def test_trimmed_keeps_whole_frames_of_both(frames: int, seconds: float) -> None
     words = (Word("a", 0.1, 0.5), Word("b", 0.9, 2.0), Word("c", 3.0, 3.5))
     speech, motion = trimmed(_speech(seconds, words), _motion(frames, 60.0))
     assert len(motion) <= frames and speech.duration <= seconds + 1e-9
-    assert abs(motion.duration - speech.duration) <= 0.5 / RATE + 1e-9
+    assert 0 <= speech.duration - motion.duration + 1e-9 <= 1 / RATE + 2e-9
     assert min(frames / 60, seconds) - motion.duration < 1 / 60 + 1e-3
+    again = trimmed(speech, motion)
+    assert len(again[1]) == len(motion) and len(again[0].samples) == len(speech.samples)
     assert speech.words is not None
     assert all(w.start < motion.duration and w.end <= motion.duration for w in speech.words)
 

@@ -72,8 +72,15 @@ def test_arms_that_hardly_move_have_no_beats(mode: str) -> None:
     trembling = arm_motion(5e-4 * np.cumsum(rng.standard_normal(600)) / 10, 60.0)
     assert len(motion_beats(trembling, mode)) == 0
     assert len(motion_beats(still.crop(0, 1), mode)) == 0
+    tremor = arm_motion(0.006 * np.sin(2 * np.pi * 4 * np.arange(600) / 60), 60.0)
+    assert len(motion_beats(tremor, mode)) == 0
     head = arm_motion(reaches(60.0), 60.0, joint="Head")
     assert len(motion_beats(head, mode)) == 0
+
+
+def test_a_slow_drift_brakes_too_gently_to_beat() -> None:
+    drift = arm_motion(0.6 * np.sin(2 * np.pi * 0.1 * np.arange(1800) / 60), 60.0)
+    assert len(motion_beats(drift)) == 0
 
 
 def test_rest_between_gestures_adds_no_beats() -> None:

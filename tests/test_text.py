@@ -1,4 +1,4 @@
-"""Alignment of a transcript: order, bounds, an independent aligner run as the oracle, and what happens when it fails."""
+"""Alignment of a transcript: order, bounds, a second way to align as the oracle, and what if it fails."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from data_module.types import Speech
 
 RATE = 16000
 # The 39 sounds of the acoustic model; anything else makes the aligner refuse the word.
-ARPABET = set("AA AE AH AO AW AY B CH D DH EH ER EY F G HH IH IY JH K L M N NG OW OY P R S SH T TH UH UW V W Y Z ZH"
-              .split())
+ARPABET = {
+    "AA", "AE", "AH", "AO", "AW", "AY", "B", "CH", "D", "DH", "EH", "ER", "EY", "F", "G", "HH", "IH", "IY", "JH", "K",
+    "L", "M", "N", "NG", "OW", "OY", "P", "R", "S", "SH", "T", "TH", "UH", "UW", "V", "W", "Y", "Z", "ZH",
+}
 
 
 def _bursts(starts: list[float], seconds: float, length: float = 0.6) -> Speech:

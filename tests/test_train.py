@@ -33,18 +33,21 @@ def work(tiny_bundle: Path) -> Path:
 
 
 def test_every_stage_learned(work: Path) -> None:
-    for stage, term in (("lexicon", "reconstruction"), ("generator", "reconstruction"),
+    # The generator is fed the truth at first and its own past later, so its training loss rises; what it does on
+    # unseen speech, always with its own past, must get better.
+    for stage, term in (("lexicon", "reconstruction"), ("generator", "val_reconstruction"),
                         ("interpreter", "cross_entropy"), ("style", "code")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
-        first, last = (np.mean([row[term] for row in part]) for part in (rows[:5], rows[-5:]))
-        assert last < first, f"{stage}: {first} to {last}"
+        values = [row[term] for row in rows if term in row]
+        few = min(5, len(values) // 4)
+        assert np.mean(values[-few:]) < 0.95 * np.mean(values[:few]), f"{stage}: {values[0]} to {values[-1]}"
         assert [row["step"] for row in rows] == list(range(len(rows)))
 
 
 def test_the_lexicon_uses_its_codes_and_beats_the_mean(tiny_bundle: Path) -> None:
     figures = bundles.read_index(tiny_bundle)["figures"]["lexicon"]
-    assert figures["usage"] > 0.5
+    assert figures["usage"] > 0.3  # one recording of 25 s
     assert figures["quantised"] < 0.8  # features have variance near 1
 
 

@@ -7,6 +7,7 @@ motion to the same length. A new data set is one file here and one line in `CORP
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -89,7 +90,8 @@ def trimmed(speech: Speech, motion: Motion) -> tuple[Speech, Motion]:
     words = speech.words
     if words is not None:
         words = tuple(Word(w.text, w.start, min(w.end, end)) for w in words if w.start < end)
-    samples = speech.samples[:round(end * speech.sample_rate)]
+    # Rounded up, so that what was cut once is not cut again.
+    samples = speech.samples[:math.ceil(end * speech.sample_rate - 1e-6)]
     return replace(speech, samples=samples, words=words), motion.crop(0, frames)
 
 

@@ -159,9 +159,10 @@ class Performer:
             rng = self._rng(index, _TEXT)
             seconds = _TINY_SECONDS if self._tiny else float(rng.uniform(SHORTEST, LONGEST))
             source = "test" if split == "test" else "train"
-            script = Script(tuple(text.compose(rng, seconds, source, said[source])))
+            language = voices.VOICES[voice].language
+            script = Script(tuple(text.compose(rng, seconds, source, said[source], language)))
             name = f"talk_{index:04d}_{performer}"
-            items.append(Item(RecordingInfo(name, split, performer, voice, "en", group=name), index, script))
+            items.append(Item(RecordingInfo(name, split, performer, voice, language, group=name), index, script))
         return items
 
     def _voices(self, split: Split) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
 from data_module.errors import InputError
-from data_module.performer.espeak_child import END_EVENT, NO_VOICE, PHONEME_EVENT, WORD_EVENT
+from data_module.performer.espeak_child import NO_VOICE, PHONEME_EVENT, WORD_EVENT, library
 from data_module.performer.sound import RATE, Phone, Sounded, trimmed, word_spans
 
 # The first letter of espeak's mnemonics for vowels, in English, German and Spanish.
@@ -33,6 +33,11 @@ class Line:
     rate: int
     pitch: int
     range: int
+
+
+def available() -> bool:
+    """True when the library of espeak-ng can be loaded."""
+    return library() is not None
 
 
 def sound_phrases(lines: Sequence[Line]) -> list[Sounded]:
@@ -52,8 +57,8 @@ def sound_phrases(lines: Sequence[Line]) -> list[Sounded]:
             raise InputError("espeak-ng", "its library cannot be used", "on Debian: apt install espeak-ng")
         with np.load(path) as spoken:
             rate = int(spoken["rate"])
-            return [_sounded(line.text, spoken[f"samples_{i}"], spoken[f"events_{i}"], spoken[f"names_{i}"].tolist(), rate)
-                    for i, line in enumerate(lines)]
+            return [_sounded(line.text, spoken[f"samples_{i}"], spoken[f"events_{i}"], spoken[f"names_{i}"].tolist(),
+                             rate) for i, line in enumerate(lines)]
 
 
 def _sounded(text: str, samples: NDArray[np.int16], events: NDArray[np.int64], names: list[str], rate: int) -> Sounded:
@@ -67,8 +72,6 @@ def _sounded(text: str, samples: NDArray[np.int16], events: NDArray[np.int64], n
         elif kind == PHONEME_EVENT and name and name[0] not in "_|;" and end > start:
             vowel = name[0] in _VOWEL_LETTERS or name.endswith("-")
             phones.append(Phone(name, start / rate, end / rate, vowel, max(word, 0)))
-        elif kind == END_EVENT:
-            continue
     if not phones:
         raise InputError("espeak-ng", f"spoke nothing of {text!r}", "give it words")
     common = np.gcd(RATE, rate)

@@ -34,18 +34,21 @@ class _Event(ctypes.Structure):
 _Callback = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.POINTER(_Event))
 
 
-def _library() -> ctypes.CDLL:
+def library() -> ctypes.CDLL | None:
+    """libespeak-ng, or None where it is not installed."""
     for name in _LIBRARIES:
         try:
             return ctypes.CDLL(name)
         except OSError:
             continue
-    raise SystemExit(NO_LIBRARY)
+    return None
 
 
 def speak_all(phrases: list[dict[str, Any]]) -> dict[str, np.ndarray]:
     """samples_i [n] int16, names_i and events_i [e, 3] (type, text position from 1, sample) of phrase i; rate."""
-    library = _library()
+    espeak = library()
+    if espeak is None:
+        raise SystemExit(NO_LIBRARY)
     chunks: list[np.ndarray] = []
     events: list[tuple[int, int, int, str]] = []
 
@@ -61,25 +64,24 @@ def speak_all(phrases: list[dict[str, Any]]) -> dict[str, np.ndarray]:
         return 0
 
     callback = _Callback(receive)
-    rate = library.espeak_Initialize(_SYNCHRONOUS, 0, None, _PHONEME_EVENTS | 0x8000)
+    rate = espeak.espeak_Initialize(_SYNCHRONOUS, 0, None, _PHONEME_EVENTS | 0x8000)
     if rate <= 0:
         raise SystemExit(NO_LIBRARY)
-    library.espeak_SetSynthCallback(callback)
+    espeak.espeak_SetSynthCallback(callback)
     result: dict[str, np.ndarray] = {"rate": np.array(rate)}
-    offset = 0
     for index, phrase in enumerate(phrases):
-        if library.espeak_SetVoiceByName(phrase["voice"].encode()) != 0:
+        if espeak.espeak_SetVoiceByName(phrase["voice"].encode()) != 0:
             raise SystemExit(NO_VOICE)
         for parameter, key in ((_RATE, "rate"), (_PITCH, "pitch"), (_RANGE, "range")):
-            library.espeak_SetParameter(parameter, int(phrase[key]), 0)
+            espeak.espeak_SetParameter(parameter, int(phrase[key]), 0)
         chunks.clear()
         events.clear()
         text = phrase["text"].encode("utf-8") + b"\0"
-        library.espeak_Synth(text, len(text), 0, 1, 0, _UTF8, None, None)
-        library.espeak_Synchronize()
+        espeak.espeak_Synth(text, len(text), 0, 1, 0, _UTF8, None, None)
+        espeak.espeak_Synchronize()
         spoken = [e for e in events if e[0] in (WORD_EVENT, PHONEME_EVENT, END_EVENT)]
         result[f"samples_{index}"] = np.concatenate(chunks) if chunks else np.zeros(0, np.int16)
-        result[f"events_{index}"] = np.array([e[:3] for e in spoken], dtype=np.int64).reshape(-1, 3) - [0, 0, offset]
+        result[f"events_{index}"] = np.array([e[:3] for e in spoken], dtype=np.int64).reshape(-1, 3)
         result[f"names_{index}"] = np.array([e[3] for e in spoken], dtype="U8")
     return result
 

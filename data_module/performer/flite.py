@@ -20,7 +20,8 @@ import soundfile
 from data_module.errors import InputError
 from data_module.performer.sound import RATE, Phone, Sounded, trimmed, word_spans
 
-VOWELS = frozenset("aa ae ah ao aw ax axr ay eh el em en er ey ih ix iy ow oy uh uw".split())
+_VOWEL_NAMES = "aa ae ah ao aw ax axr ay eh el em en er ey ih ix iy ow oy uh uw"
+VOWELS = frozenset(_VOWEL_NAMES.split())
 _PAUSE = "pau"
 _PHONE = re.compile(r"([a-z]+):([0-9.]+)")
 _WORD = re.compile(r"\w+(?:'\w+)*")
@@ -132,10 +133,12 @@ def _substitution(one: str, other: str) -> float:
 
 
 def _every_word(owners: list[int], words: int) -> list[int]:
-    for index in range(words):
-        if index not in owners:
-            # The first phone past the words before it, or the last of all.
-            place = next((i for i, owner in enumerate(owners) if owner > index), len(owners) - index + words - 2)
-            place = min(max(place - (1 if owners.count(owners[place - 1]) > 1 and place > 0 else 0), 0), len(owners) - 1)
-            owners[place] = index
-    return sorted(owners)
+    """The same list, rising, where a word without a phone takes one from the nearest word that has two."""
+    counts = np.bincount(owners, minlength=words)
+    while (counts == 0).any():
+        empty = int(np.flatnonzero(counts == 0)[0])
+        rich = np.flatnonzero(counts > 1)
+        giver = int(rich[np.abs(rich - empty).argmin()])
+        counts[giver] -= 1
+        counts[empty] += 1
+    return np.repeat(np.arange(words), counts).tolist()

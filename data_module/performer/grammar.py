@@ -70,7 +70,8 @@ TRAIN_TOPICS = (
            "ranger hunter keeper rider zoologist", "forest stable jungle farmyard",
            "feed/fed/feeding follow/followed/following protect/protected/protecting catch/caught/catching",
            "wild hungry tame curious fast"),
-    _topic("health", "medicine bandage appointment fever injection prescription headache thermometer vitamin diet cough plaster",
+    _topic("health", "medicine bandage appointment fever injection prescription headache thermometer vitamin diet cough"
+           " plaster",
            "nurse patient surgeon dentist pharmacist", "hospital clinic pharmacy ward",
            "treat/treated/treating check/checked/checking swallow/swallowed/swallowing describe/described/describing",
            "painful healthy serious mild dangerous"),
@@ -107,8 +108,8 @@ TEST_TOPICS = (
 )
 
 NUMBERS = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "twelve", "twenty", "fifty")
-TIMES = ("this morning", "yesterday", "last night", "on monday", "before noon", "tomorrow", "next week", "in the evening",
-         "last winter", "on friday", "after lunch", "all summer")
+TIMES = ("this morning", "yesterday", "last night", "on monday", "before noon", "tomorrow", "next week",
+         "in the evening", "last winter", "on friday", "after lunch", "all summer")
 
 _KINDS = """
 statement
@@ -350,8 +351,8 @@ away
  = who cares about {athing} in the {place}?
 """
 
-OPENERS = ("well,", "um ...", "so,", "now,", "you know,", "well ...", "and", "um,", "anyway,", "listen,", "look,", "actually,",
-           "honestly,", "uh ...", "okay,", "I mean,")
+OPENERS = ("well,", "um ...", "so,", "now,", "you know,", "well ...", "and", "um,", "anyway,", "listen,", "look,",
+           "actually,", "honestly,", "uh ...", "okay,", "I mean,")
 TEST_OPENERS = ("hm ...", "right,", "see,", "er ...", "then,")
 
 

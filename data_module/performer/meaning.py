@@ -69,8 +69,9 @@ _WORDS: dict[tuple[str, ...], str] = {
     _WHEN: "when time then while before after until later soon ago",
     _CUT: "first second third one two three four cut break once only",
 }
-_WEAK = frozenset("i my your our we us me what how who one like have this that these those there then other still over "
-                  "no not now so see get got too come take long time only great little right".split())
+_OFTEN = ("i my your our we us me what how who one like have this that these those there then other still over no not "
+          "now so see get got too come take long time only great little right")
+_WEAK = frozenset(_OFTEN.split())
 """Words so common that they seldom move a hand."""
 _PHRASES: dict[tuple[str, ...], tuple[str, ...]] = {
     ("on", "the", "other", "hand"): _BUT, ("on", "the", "one", "hand"): _BUT, ("for", "example"): _EXAMPLE,

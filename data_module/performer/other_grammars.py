@@ -1,4 +1,4 @@
-"""Our own sentences in German and Spanish, for voices whose words the performer does not understand: stress alone counts.
+"""Our own sentences in German and Spanish: the performer does not understand their words, and follows stress alone.
 
 Slots are drawn from the lists of the same name; a digit after the name asks for another entry of that list.
 """
@@ -19,7 +19,8 @@ class Phrasebook:
 
 def _book(slots: dict[str, str], templates: str, openers: str) -> Phrasebook:
     entries = {name: tuple(entry.strip() for entry in line.split(",")) for name, line in slots.items()}
-    return Phrasebook(entries, tuple(line.strip() for line in templates.strip().splitlines()), tuple(openers.split("/")))
+    lines = tuple(line.strip() for line in templates.strip().splitlines())
+    return Phrasebook(entries, lines, tuple(openers.split("/")))
 
 
 _DE_TRAIN = _book(
@@ -46,8 +47,10 @@ _DE_TRAIN = _book(
     {wer} sah {was} {ort}, | und {wer2} sah {was2} {ort2}.""",
     "also,/nun ja,/ähm ... /schau,/ja,")
 _DE_TEST = _book(
-    {"wer": "der Kapitän, die Tänzerin, mein Onkel, der Förster, die Sängerin, ein Fremder, die Richterin, der Schneider",
-     "was": "den Anker, das Segel, die Trommel, den Hut, das Messer, die Münze, den Kuchen, das Netz, die Flasche, den Baum",
+    {"wer": "der Kapitän, die Tänzerin, mein Onkel, der Förster, die Sängerin, ein Fremder, "
+            "die Richterin, der Schneider",
+     "was": "den Anker, das Segel, die Trommel, den Hut, das Messer, die Münze, den Kuchen, das Netz, "
+            "die Flasche, den Baum",
      "ort": "am Strand, im Wald, auf dem Schiff, in der Stadt, vor dem Tor, unter dem Dach",
      "tat": "verlor, trug, malte, versteckte, öffnete, wusch",
      "wann": "morgens, im Sommer, am Freitag, vor langer Zeit, um Mitternacht"},
@@ -59,14 +62,15 @@ _DE_TEST = _book(
     {wann} war {wer} {ort} | und {tat} {was}.""",
     "tja,/nun,/hm ...")
 _ES_TRAIN = _book(
-    {"quien": "el vecino, la maestra, mi hermano, la cocinera, el cartero, la doctora, el panadero, una amiga, el pintor, "
-              "la abuela, el vendedor, la niña",
+    {"quien": "el vecino, la maestra, mi hermano, la cocinera, el cartero, la doctora, el panadero, una amiga, "
+              "el pintor, la abuela, el vendedor, la niña",
      "cosa": "la llave, el libro, la lámpara, el reloj, la maleta, el pan, la carta, el espejo, la silla, el sombrero, "
              "la guitarra, el cuchillo, la manta, el mapa, la escalera, el queso",
-     "donde": "en el jardín, en la cocina, cerca del río, detrás de la casa, en la plaza, en el mercado, junto al puente, "
-              "en la escuela, bajo la mesa, en la estación",
+     "donde": "en el jardín, en la cocina, cerca del río, detrás de la casa, en la plaza, en el mercado, "
+              "junto al puente, en la escuela, bajo la mesa, en la estación",
      "hizo": "buscó, encontró, trajo, arregló, vendió, olvidó, compró, pintó, mostró, escondió",
-     "cuando": "ayer, esta mañana, por la noche, la semana pasada, después de comer, hace un año, el lunes, en invierno",
+     "cuando": "ayer, esta mañana, por la noche, la semana pasada, después de comer, hace un año, "
+                "el lunes, en invierno",
      "como": "despacio, con cuidado, deprisa, en secreto, con alegría, de repente"},
     """{cuando} {quien} {hizo} {cosa} {donde}.
     {quien} {hizo} {cosa}, | pero {quien2} {hizo2} {cosa2}.
@@ -95,4 +99,5 @@ _ES_TEST = _book(
     {cuando} | {quien} estaba {donde} | y {hizo} {cosa}.""",
     "vaya,/entonces,/hm ...")
 
-PHRASEBOOKS = {("de", "train"): _DE_TRAIN, ("de", "test"): _DE_TEST, ("es", "train"): _ES_TRAIN, ("es", "test"): _ES_TEST}
+PHRASEBOOKS = {("de", "train"): _DE_TRAIN, ("de", "test"): _DE_TEST,
+               ("es", "train"): _ES_TRAIN, ("es", "test"): _ES_TEST}

@@ -159,7 +159,8 @@ def _wishes(spoken: Spoken, habits: Habits, known: set[str], rng: np.random.Gene
             taken[i] = tuple(name for name in meaning.BEATS[level] if name in known) or tuple(
                 name for names in meaning.BEATS.values() for name in names if name in known)
     wishes = [_Wish(syllables[i], float(times[i] + loose[i]), taken[i], float(strength[i])) for i in sorted(taken)]
-    return [wish for k, wish in enumerate(wishes) if k == 0 or wish.at.vowel - wishes[k - 1].at.vowel >= _MIN_GAP - 1e-9]
+    return [wish for before, wish in zip([None, *wishes], wishes, strict=False)
+            if before is None or wish.at.vowel - before.at.vowel >= _MIN_GAP - 1e-9]
 
 
 def _meaningful(spoken: Spoken, habits: Habits, known: set[str],

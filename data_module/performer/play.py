@@ -8,12 +8,12 @@ the strokes are shifted by what is missing, and it is made again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from data_module import rotation
 from data_module.motion_beats import acting_speed, beats_of_speed
@@ -24,7 +24,11 @@ from data_module.performer.types import Played, PlayedStroke, Spoken
 from data_module.types import Array, Motion
 
 FPS = 60.0
-_PASSES = 7
+_PASSES = 6
+_ROUNDS = 4
+_DETOURS = 2
+_CLEAR = 0.1
+_REACHING = 4
 _MISS = 0.35
 _ACCURATE = 0.008
 _TOLERANCE = 0.018
@@ -37,6 +41,7 @@ _DROP = 1.0
 _MICRO = 0.27
 _FALL = 0.22
 _BEFORE_SMALL = 0.2
+_SMALL_GAP = 0.42
 _BRAKE = 0.789
 """A minimum-jerk fall brakes hardest at this share of its length."""
 _SYMPATHY = 0.4
@@ -44,6 +49,8 @@ _HANGING_LEVEL = 0.1
 _MIRRORED = np.array([1.0, -1.0, -1.0])
 TORSO_RADIUS = 0.115
 HEAD_RADIUS = 0.105
+_BEHIND = 0.08
+_FULL_TRESPASS = 0.06
 
 
 _Levels = tuple[list[tuple[float, float]], list[tuple[float, float]]]
@@ -74,6 +81,10 @@ class _Tuning:
     accents: Array
     fades: Array
 
+    def of(self, mask: NDArray[np.bool_]) -> _Tuning:
+        """That of the strokes where `mask` holds."""
+        return _Tuning(self.beats[mask], self.accents[mask], self.fades[mask])
+
     def where(self, mask: NDArray[np.bool_], other: _Tuning) -> _Tuning:
         """Its own values where `mask` holds, those of `other` elsewhere."""
         return _Tuning(np.where(mask, self.beats, other.beats), np.where(mask, self.accents, other.accents),
@@ -86,7 +97,9 @@ class _Score:
 
     events: per arm. micro: [2, T] how far each arm's excursion is raised, 1 is not at all. drift: [2, T, A * 3].
     trunk: [T, B, 3] log rotations of hips to head. hanging: [2, T] share of the other arm's motion that an arm takes
-    part in while it hangs. runs, levels: what the events were made of.
+    part in while it hangs. leads: [2, T] share by which an arm is led to the home pose, to keep it out of the body.
+    chest: place and rotation of the joint that carries the shoulders. runs, levels: what the events were made of. made: targets that
+    need not be computed again.
     """
 
     figure: Figure
@@ -96,9 +109,12 @@ class _Score:
     drift: Array
     trunk: Array
     hanging: Array
+    leads: Array
+    chest: tuple[Array, Array]
     runs: list[tuple[float, float]]
     levels: _Levels
     frames: int
+    made: dict[tuple[object, ...], Array] = field(default_factory=dict)
 
 
 def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator,
@@ -109,40 +125,57 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.G
     are played among the others. InputError when the performer is unknown.
     """
     planned = planning.plan(spoken, performer, strokes, rng, split)
-    figure, habits = strokes.figures[performer], planning.habits_of(performer)
-    score = _score(figure, planned, spoken, habits, rng)
-    arms, misses = _on_time(score)
-    kept = tuple(p for p, miss in zip(planned, misses, strict=True) if abs(miss) <= _TOLERANCE)
-    if len(kept) < len(planned):
-        # A beat that cannot be put where it belongs is not played at all.
+    score = _score(strokes.figures[performer], planned, spoken, planning.habits_of(performer), rng)
+    tuning = _first_tuning(planned)
+    for _ in range(_DETOURS):
+        score, tuning, arms = _rehearse(score, tuning)
+        trespass = _leads(score, arms)
+        if trespass.max() <= _CLEAR:
+            break
+        score = replace(score, leads=np.maximum(score.leads, trespass))
+    else:
+        score, tuning, _ = _rehearse(score, tuning)
+    return Played(_assemble(score, _render(score, tuning)), tuple(_truth(p) for p in score.planned), performer)
+
+
+def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:
+    """The score without the strokes whose beat cannot be put where it belongs, how to play it, and the arms so far."""
+    for turn in range(_ROUNDS):
+        arms, tuning, missing = _on_time(score, tuning)
+        good = np.abs(missing) <= _TOLERANCE
+        if good.all() or turn == _ROUNDS - 1:
+            break
+        kept = tuple(p for p, fine in zip(score.planned, good, strict=True) if fine)
         score = replace(score, planned=kept, events=_both_events(kept, score.runs, score.levels))
-        arms, _ = _on_time(score)
-    arms = _keep_out(score, arms)
-    return Played(_assemble(score, arms), tuple(_truth(p) for p in kept), performer)
+        tuning = tuning.of(good)
+    return score, tuning, arms
 
 
-def _on_time(score: _Score) -> tuple[Array, Array]:
-    """[2, T, A * 3] both arms, made again until their brakes fall where they were planned; what is missed, seconds.
+def _first_tuning(planned: tuple[Planned, ...]) -> _Tuning:
+    accents = [_ACCENT * (1.0 if p.stroke.lexeme.startswith("Beat") else 0.6) for p in planned]
+    return _Tuning(np.array([p.beat for p in planned]), np.array(accents), np.full(len(planned), _FADE_SHARE))
 
-    A stroke that brakes late is moved earlier, and the other way round. One that still misses is accented more; one
-    that brakes early, because the way to the clip is longer than the clip's own, takes all its preparation for it.
+
+def _on_time(score: _Score, tuning: _Tuning) -> tuple[Array, _Tuning, Array]:
+    """Both arms, [2, T, 12], made again until their brakes fall where they were planned.
+
+    Also what they were made with, and what each stroke still misses by in seconds. A stroke that brakes late is moved
+    earlier, and the other way round. One that still misses is accented more; one that brakes early, because the way
+    to the clip is longer than the clip's own, takes all its preparation for it.
     """
     planned = np.array([p.beat for p in score.planned])
     preparation = planned - np.array([p.start for p in score.planned])
-    tuning = _Tuning(planned,
-                     np.array([_ACCENT * (1.0 if p.stroke.lexeme.startswith("Beat") else 0.6) for p in score.planned]),
-                     np.full(len(planned), _FADE_SHARE))
     best, least = tuning, np.full(len(planned), np.inf)
     for turn in range(_PASSES):
-        arms = _render(score, tuning)
+        arms = _render(score, tuning, _REACHING)
         missing = _misses(score, arms)
         better = np.abs(missing) < np.abs(least)
         best, least = best.where(~better, tuning), np.where(better, missing, least)
         if not (np.abs(missing) > _ACCURATE).any():
-            return arms, missing
+            return arms, tuning, missing
         tuning = _tuned(tuning, missing, planned, preparation, turn)
-    arms = _render(score, best)
-    return arms, _misses(score, arms)
+    arms = _render(score, best, _REACHING)
+    return arms, best, _misses(score, arms)
 
 
 def _tuned(tuning: _Tuning, missing: Array, planned: Array, preparation: Array, turn: int) -> _Tuning:
@@ -178,7 +211,8 @@ def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
     micro = np.stack([_micro(side, spoken, planned, frames, rng) for side in (LEFT, RIGHT)])
     trunk = _trunk(figure, planned, spoken, habits, speaking, frames, rng)
     hanging = _SYMPATHY * np.stack([_hanging(arm, frames) for arm in events])
-    return _Score(figure, planned, events, micro, drift, trunk, hanging, runs, levels, frames)
+    return _Score(figure, planned, events, micro, drift, trunk, hanging, np.zeros((2, frames)),
+                  _carried(figure, trunk), runs, levels, frames)
 
 
 def _levels(spoken: Spoken, runs: list[tuple[float, float]], habits: Habits,
@@ -306,7 +340,7 @@ def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], frames: int,
     for i, syllable in enumerate(spoken.syllables):
         at = syllable.vowel + 0.03 * draws[0, i]
         free = not any(a < at < b for a, b in spans)
-        if free and at - last > 0.3 and syllable.prominence > -0.8:
+        if free and at - last > _SMALL_GAP and syllable.prominence > -0.3:
             size = _MICRO * float(np.clip(0.7 + 0.3 * syllable.prominence + 0.35 * strength[i] + 0.2 * draws[1, i],
                                           0.25, 1.5))
             _add_bump(track, at - _BRAKE * _FALL, at + (1.0 - _BRAKE) * _FALL, size)
@@ -362,7 +396,7 @@ def _add_clips(trunk: Array, planned: tuple[Planned, ...]) -> None:
             continue
         times = np.arange(first, last) / FPS
         window = _pulse(times, p.start, p.beat) * (1.0 - _pulse(times, min(p.hold_end, p.end - 0.2), p.end))
-        inside = p.stroke.trunk_at(_clip_time(p, p.beat)(times)).reshape(len(times), -1, 3)
+        inside = p.stroke.trunk_at(_clip_time(p, p.beat, times)).reshape(len(times), -1, 3)
         trunk[first:last] += window[:, None, None] * (inside - p.stroke.trunk_at(np.array([p.stroke.start])).reshape(
             1, -1, 3))
 
@@ -370,23 +404,44 @@ def _add_clips(trunk: Array, planned: tuple[Planned, ...]) -> None:
 # --- The arms
 
 
-def _clip_time(p: Planned, beat: float) -> PchipInterpolator:
-    """Monotone cubic map from the performance's seconds to the clip's, through start, beat, hold end and end."""
+def _clip_time(p: Planned, beat: float, times: Array) -> Array:
+    """Seconds in the clip for seconds of the performance [M]: a monotone cubic through start, beat, hold end, end."""
     s = p.stroke
     hold_end = max(p.hold_end, beat + 0.05)
     end = max(p.end, hold_end + (s.end - s.hold_end) / 1.4)
-    return PchipInterpolator([p.start, beat, hold_end, end], [s.start, s.beat, s.hold_end, s.end], extrapolate=True)
+    return monotone_cubic(np.array([p.start, beat, hold_end, end]), np.array([s.start, s.beat, s.hold_end, s.end]),
+                          times)
 
 
-def _render(score: _Score, tuning: _Tuning) -> Array:
-    """[2, T, A * 3] both arms."""
-    arms = np.stack([_arm(score, side, tuning) for side in (LEFT, RIGHT)])
+def monotone_cubic(x: Array, y: Array, at: Array) -> Array:
+    """A rising cubic through knots x [K], y [K], at places [M]; straight on beyond the ends.
+
+    The tangent at an inner knot is the harmonic mean of the slopes beside it (Fritsch and Butland 1984), which keeps
+    the curve from turning back.
+    """
+    slopes = np.diff(y) / np.diff(x)
+    tangents = np.concatenate([slopes[:1], 2.0 / (1.0 / slopes[:-1] + 1.0 / slopes[1:]), slopes[-1:]])
+    k = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+    width = x[k + 1] - x[k]
+    s = (at - x[k]) / width
+    inside = np.clip(s, 0.0, 1.0)
+    s2, s3 = inside ** 2, inside ** 3
+    curve = (y[k] * (2.0 * s3 - 3.0 * s2 + 1.0) + y[k + 1] * (3.0 * s2 - 2.0 * s3)
+             + width * (tangents[k] * (s3 - 2.0 * s2 + inside) + tangents[k + 1] * (s3 - s2)))
+    return curve + (s - inside) * width * np.where(s < 0.0, tangents[0], tangents[-1])
+
+
+def _render(score: _Score, tuning: _Tuning, joints: int | None = None) -> Array:
+    """[2, T, joints * 3] both arms, as many joints from the shoulder on as asked for (all when not told)."""
+    arms = np.stack([_arm(score, side, tuning, joints) for side in (LEFT, RIGHT)])
     # The arm that hangs follows the other one a little, in the mirror.
     follow = np.stack([_mirrored(arms[RIGHT]) * score.hanging[LEFT][:, None],
                        _mirrored(arms[LEFT]) * score.hanging[RIGHT][:, None]])
     arms = arms + follow
     arms[..., :12] *= 1.0 + score.micro[..., None]
-    return arms + score.drift
+    arms += score.drift[..., :arms.shape[-1]]
+    arms[..., :12] += score.leads[..., None] * (score.figure.home.reshape(2, 1, -1)[..., :12] - arms[..., :12])
+    return arms
 
 
 def _mirrored(arm: Array) -> Array:
@@ -394,9 +449,9 @@ def _mirrored(arm: Array) -> Array:
     return (arm.reshape(len(arm), -1, 3) * _MIRRORED).reshape(len(arm), -1)
 
 
-def _arm(score: _Score, side: int, tuning: _Tuning) -> Array:
+def _arm(score: _Score, side: int, tuning: _Tuning, joints: int | None) -> Array:
     figure, events = score.figure, score.events[side]
-    home = figure.home[side].ravel()
+    home = figure.home[side][:joints].ravel()
     out = np.zeros((score.frames, home.size))
     for event, following in zip(events, (*events[1:], None), strict=True):
         first = _frame(event.time)
@@ -418,15 +473,24 @@ def _target(score: _Score, side: int, event: _Event, tuning: _Tuning, times: Arr
     if event.stroke < 0:
         return np.repeat((event.level * home)[None], len(times), axis=0)
     p = score.planned[event.stroke]
-    beat = tuning.beats[event.stroke]
-    path = p.stroke.arm_at(side, _clip_time(p, beat)(times))
+    beat, accent = float(tuning.beats[event.stroke]), float(tuning.accents[event.stroke])
+    key = (p.stroke.clip, p.start, side, beat, accent, home.size, len(times))
+    if key not in score.made:
+        score.made[key] = _followed(p, side, beat, accent, times, home)
+    return score.made[key].copy()
+
+
+def _followed(p: Planned, side: int, beat: float, accent: float, times: Array, home: Array) -> Array:
+    """[M, A * 3] an arm that follows a stroke whose beat is put at `beat`."""
+    path = p.stroke.arm_at(side, _clip_time(p, beat, times), home.size // 3)
     # A low beat would fall from the home pose to the thigh: it is lifted into gesture space.
-    held = p.stroke.arm_at(side, np.array([p.stroke.beat]))[0]
-    up = float(held[:12] @ home[:12]) / max(float(home[:12] @ home[:12]), 1e-9)
+    held = p.stroke.arm_at(side, np.array([p.stroke.beat]), _REACHING)[0]
+    reach = home[:held.size]
+    up = float(held @ reach) / max(float(reach @ reach), 1e-9)
     path = p.gain * (path + max(0.0, 0.6 - up) * home)
     peak, stop = beat - _BRAKE * _FALL, beat + (1.0 - _BRAKE) * _FALL
     raised = _pulse(times, peak - 0.26, peak) - _pulse(times, peak, stop)
-    path[:, :12] *= 1.0 + tuning.accents[event.stroke] * raised[:, None]
+    path[:, :held.size] *= 1.0 + accent * raised[:, None]
     return path
 
 
@@ -455,22 +519,27 @@ def _turned(rest: Array, logs: Array) -> Array:
     return rotation.multiply(rest[None], rotation.from_exponential_map(logs))
 
 
+def _carried(figure: Figure, trunk: Array) -> tuple[Array, Array]:
+    """Place [T, 3] and world rotation [T, 4] of the joint that both shoulders hang on, in the facing frame."""
+    carrier = figure.skeleton.parents[figure.arms[LEFT][0]]
+    place = np.zeros((len(trunk), 3))
+    world = rotation.remove_yaw(_turned(figure.rest[0], trunk[:, 0]))
+    for k, joint in list(enumerate(figure.trunk))[1:figure.trunk.index(carrier) + 1]:
+        place = place + rotation.rotate(world, figure.skeleton.offsets[joint])
+        world = rotation.multiply(world, _turned(figure.rest[joint], trunk[:, k]))
+    return place, world
+
+
 def _chain(score: _Score, arms: Array, side: int) -> dict[str, Array]:
-    """Positions [T, 3] of the joints from the hips to a hand, by name without its side, in the facing frame."""
+    """Positions [T, 3] of shoulder, arm, forearm and hand of a side, the hips at the origin, in the facing frame."""
     figure = score.figure
-    skeleton = figure.skeleton
-    arm = {joint: k for k, joint in enumerate(figure.arms[side])}
-    trunk = {joint: k for k, joint in enumerate(figure.trunk)}
-    world: Array | None = None
-    place = np.zeros((score.frames, 3))
+    place, world = score.chest
     out: dict[str, Array] = {}
-    for joint in figure.hand_chain(side):
-        if world is not None:
-            place = place + rotation.rotate(world, skeleton.offsets[joint])
-        logs = score.trunk[:, trunk[joint]] if joint in trunk else arms[side][:, 3 * arm[joint]:3 * arm[joint] + 3]
-        local = _turned(figure.rest[joint], logs)
-        world = rotation.remove_yaw(local) if world is None else rotation.multiply(world, local)
-        out[skeleton.names[joint].removeprefix(SIDES[side])] = place
+    for k, joint in enumerate(figure.arms[side][:_REACHING]):
+        place = place + rotation.rotate(world, figure.skeleton.offsets[joint])
+        out[figure.skeleton.names[joint].removeprefix(SIDES[side])] = place
+        if k < _REACHING - 1:
+            world = rotation.multiply(world, _turned(figure.rest[joint], arms[side][:, 3 * k:3 * k + 3]))
     return out
 
 
@@ -482,7 +551,8 @@ def _misses(score: _Score, arms: Array) -> Array:
     chains = [_chain(score, arms, side) for side in (LEFT, RIGHT)]
     moving = [np.stack([chain["Hand"], chain["ForeArm"]], axis=1) for chain in chains]
     both = np.concatenate(moving, axis=1)
-    found = {name: _brakes(positions) for name, positions in (("left", moving[0]), ("right", moving[1]), ("both", both))}
+    acting = {"left": moving[0], "right": moving[1], "both": both}
+    found = {name: _brakes(positions) for name, positions in acting.items()}
     return np.array([_miss(p.beat, *found[p.stroke.hand]) for p in planned])
 
 
@@ -497,7 +567,7 @@ def _miss(beat: float, times: Array, depths: Array) -> float:
     """How late the strongest brake near a beat is; one farther away counts less."""
     near = np.flatnonzero(np.abs(times - beat) < _MISS)
     if not len(near):
-        return 0.0
+        return -_MISS  # As one whose brake is lost in the preparation: it is accented, and its way made longer.
     score = depths[near] * np.exp(-((times[near] - beat) / 0.12) ** 2)
     return float(times[near[score.argmax()]] - beat)
 
@@ -509,9 +579,26 @@ def _inside(point: Array, low: Array, high: Array, radius: float) -> Array:
     return np.maximum(0.0, radius - np.linalg.norm(point - low - share[:, None] * axis, axis=-1))
 
 
-def _keep_out(score: _Score, arms: Array) -> Array:
-    """Fade an arm towards a wider one where its hand would enter the torso or the head."""
-    return arms
+def _leads(score: _Score, arms: Array) -> Array:
+    """[2, T] how far to lead each arm to the home pose, so that it stays out of the body and before the back."""
+    chains = [_chain(score, arms, side) for side in (LEFT, RIGHT)]
+    depth = np.stack([_trespass(score, chains, side) for side in (LEFT, RIGHT)])
+    near = maximum_filter1d(np.clip(depth / _FULL_TRESPASS, 0.0, 1.0), round(0.3 * FPS) | 1, axis=1)
+    return gaussian_filter1d(near, 0.08 * FPS, axis=1, mode="nearest")
+
+
+def _trespass(score: _Score, chains: list[dict[str, Array]], side: int) -> Array:
+    """[T] metres by which an arm is where it should not be: hand in torso or head, elbow behind the back."""
+    own, other = chains[side], chains[1 - side]
+    chest, hips = score.chest[0], np.zeros_like(score.chest[0])
+    head = own["Arm"] * 0.5 + other["Arm"] * 0.5 + np.array([0.0, 0.27, 0.06])
+    across = (own["Arm"] - other["Arm"]) * (1.0 if side == LEFT else -1.0)
+    forward = np.cross(across, np.array([0.0, 1.0, 0.0]))
+    forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
+    behind = np.sum((own["Arm"] - own["ForeArm"]) * forward, axis=-1) - _BEHIND
+    return np.maximum.reduce([_inside(own["Hand"], hips, chest, TORSO_RADIUS + 0.01),
+                              _inside(own["Hand"], head, head + np.array([0.0, 0.01, 0.0]), HEAD_RADIUS + 0.05),
+                              np.maximum(behind, 0.0)])
 
 
 # --- The finished motion

@@ -23,9 +23,9 @@ _CHUNK = re.compile(r"[aeiouy]+|sh|th|ch|ph|ck|ng|[bcdfghjklmnpqrstvwxz]")
 
 
 def sounds_of(word: str) -> list[str]:
-    """The word as vowels (runs of vowel letters) and consonants; a final silent e is dropped, a vowel is always there."""
+    """The word as vowels (runs of vowel letters) and consonants; a silent final e is dropped, a vowel always there."""
     letters = re.sub(r"[^a-z]", "", word.lower())
-    if len(letters) > 3 and letters.endswith("e") and letters[-2] not in "aeiouy" and re.search("[aeiouy]", letters[:-1]):
+    if re.fullmatch(".*[aeiouy].*[^aeiouy]e", letters):
         letters = letters[:-1]
     if letters[:1] == "y" and len(letters) > 1 and letters[1] in "aeiou":
         letters = "j" + letters[1:]

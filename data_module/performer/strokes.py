@@ -69,13 +69,6 @@ class Figure:
     trunk: tuple[int, ...]
     home: Array
 
-    def hand_chain(self, side: int) -> tuple[int, ...]:
-        """Joint indices from the hips to the hand of a side, the trunk included."""
-        chain = [self.skeleton.index(SIDES[side] + "Hand")]
-        while chain[-1] > 0:
-            chain.append(self.skeleton.parents[chain[-1]])
-        return tuple(reversed(chain))
-
     @cached_property
     def forearm(self) -> float:
         """Length of the left forearm, metres: the scale of the body."""
@@ -108,22 +101,22 @@ class Stroke:
     reach: float
     held_out: bool = False
     steady: bool = False
-    _splines: dict[int, CubicSpline] = field(default_factory=dict, compare=False, repr=False)
+    _splines: dict[tuple[int, int | None], CubicSpline] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def sides(self) -> tuple[int, ...]:
         """The arms that act."""
         return {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT)}[self.hand]
 
-    def arm_at(self, side: int, seconds: Array) -> Array:
-        """Log rotations [M, A * 3] of an arm at times in the clip, held still beyond its ends."""
-        return self._at(side, self.arms[side], seconds)
+    def arm_at(self, side: int, seconds: Array, joints: int | None = None) -> Array:
+        """Log rotations [M, joints * 3] of an arm, from the shoulder on, at times in the clip; held beyond its ends."""
+        return self._at((side, joints), self.arms[side][:, :joints], seconds)
 
     def trunk_at(self, seconds: Array) -> Array:
         """Log rotations [M, B * 3] of the trunk at times in the clip, held still beyond its ends."""
-        return self._at(2, self.trunk, seconds)
+        return self._at((2, None), self.trunk, seconds)
 
-    def _at(self, key: int, track: Array, seconds: Array) -> Array:
+    def _at(self, key: tuple[int, int | None], track: Array, seconds: Array) -> Array:
         if key not in self._splines:
             times = np.arange(len(track)) / self.fps
             self._splines[key] = CubicSpline(times, track.reshape(len(track), -1))

@@ -1,4 +1,4 @@
-"""What a performer hears: where each syllable's vowel begins, how loud, long and high it is, and how much it stands out."""
+"""What a performer hears: where vowels begin, how loud, long and high each syllable is, how much it stands out."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ from data_module.types import Array, Samples, Speech, Word
 HOP = 0.01
 LOWEST, HIGHEST = 60.0, 420.0
 # Words that carry grammar rather than meaning; pointing words, negations and quantities are left out on purpose.
-FUNCTION_WORDS = frozenset("""
+_FUNCTION_WORDS = {"en": """
 a an the of to in on at by for from with into onto as than and or so if that which who whom whose what while until
 is are was were be been being am do does did done has have had having can could may might must shall should will would
 it its he him his she her they them their it's i'm he's she's i my your our us
 about after before during between under over through near again also just very too more most some any such
+""", "de": """
 der die das ein eine einen einem einer und oder in im an am auf zu von mit ist sind war er sie es den dem des dass wie
+""", "es": """
 el la los las un una y o de del al en con por para que se es son era lo su sus le como
-""".split())
+"""}
+FUNCTION_WORDS = {language: frozenset(words.split()) for language, words in _FUNCTION_WORDS.items()}
 
 
 @dataclass(frozen=True)
@@ -36,12 +39,13 @@ class Nucleus:
     word: int
 
 
-def is_function_word(text: str) -> bool:
-    """True for articles, prepositions, auxiliaries and pronouns of English, German and Spanish."""
-    return re.sub(r"[^\w']", "", text.lower()) in FUNCTION_WORDS
+def is_function_word(text: str, language: str = "en") -> bool:
+    """True for articles, prepositions, auxiliaries and pronouns of English (en), German (de) and Spanish (es)."""
+    return re.sub(r"[^\w']", "", text.lower()) in FUNCTION_WORDS.get(language, ())
 
 
-def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] | None = None) -> tuple[Syllable, ...]:
+def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] | None = None,
+           language: str = "en") -> tuple[Syllable, ...]:
     """The syllables of speech with their prominence.
 
     nuclei: where the syllables are, when it is known; otherwise vowels are found in the signal, inside the words where
@@ -60,7 +64,7 @@ def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] 
     words = speech.words or ()
     for index, place in enumerate(places):
         if place.word >= 0:
-            score[index] += -0.9 if is_function_word(words[place.word].text) else 0.3
+            score[index] += -0.9 if is_function_word(words[place.word].text, language) else 0.3
     return tuple(Syllable(p.start, p.vowel, p.end, p.word, float(a), float(b), float(c))
                  for p, a, b, c in zip(places, loud, high, score, strict=True))
 
@@ -68,7 +72,7 @@ def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] 
 def hear(name: str, speech: Speech, voice: str, language: str) -> Spoken:
     """A recording of a real voice, with everything found in its signal (and in its words, where it has them)."""
     phrases = find_phrases(speech)
-    return Spoken(name, speech, listen(speech, phrases), phrases, voice, language)
+    return Spoken(name, speech, listen(speech, phrases, language=language), phrases, voice, language)
 
 
 def loudness(speech: Speech) -> Array:
@@ -83,8 +87,11 @@ def loudness(speech: Speech) -> Array:
 
 
 def pitch_track(samples: Samples, sample_rate: int) -> Array:
-    """[T] Hz every 10 ms, frame t centred on t * 10 ms, 0 where unvoiced: the peak of the autocorrelation, normalised by
-    that of the window (Boersma's remedy for its slope), with a slight preference for short lags."""
+    """[T] Hz every 10 ms, frame t centred on t * 10 ms, 0 where unvoiced.
+
+    The peak of the autocorrelation, divided by that of the window (Boersma's remedy for its slope), with a slight
+    preference for short lags.
+    """
     rate = 8000
     low = resample_poly(samples, rate, sample_rate) if sample_rate != rate else samples
     size, hop, padded_size = 320, round(HOP * rate), 512
@@ -200,7 +207,8 @@ def _semitones(pitch: Array, places: Sequence[Nucleus]) -> Array:
         if len(inside):
             semitones = 12 * np.log2(inside / middle)
             # A jump of an octave is the tracker's slip, not the speaker's.
-            found[index] = float(np.median(np.where(np.abs(semitones) > 9, semitones - 12 * np.sign(semitones), semitones)))
+            folded = semitones - 12 * np.sign(semitones)
+            found[index] = float(np.median(np.where(np.abs(semitones) > 9, folded, semitones)))
     return found
 
 

@@ -15,9 +15,9 @@ from data_module.performer.grammar import Topic
 from data_module.performer.other_grammars import PHRASEBOOKS, Phrasebook
 
 SPLITS = ("train", "test")
-CHARACTERS_PER_SECOND = 14.0
+CHARACTERS_PER_SECOND = 17.0
 # The longest pause, and what share of sentence ends gets one of a second or more.
-LONG_PAUSE, LONG_SHARE = 6.0, 0.24
+LONG_PAUSE, LONG_SHARE = 6.0, 0.21
 _VOWELS = "aeiou"
 _PARTICIPLES = {"threw": "thrown", "drew": "drawn", "stole": "stolen", "hid": "hidden"}
 _T = TypeVar("_T")
@@ -101,7 +101,7 @@ class _Phrases:
 
     def draw(self, rng: np.random.Generator) -> tuple[str, str]:
         """("phrase", sentence) at random; no entry of a list stands twice in it."""
-        slots = {}
+        slots: dict[str, str] = {}
         for name, entries in self.book.slots.items():
             order = rng.permutation(len(entries))
             slots |= {f"{name}{rank + 1 if rank else ''}": entries[i] for rank, i in enumerate(order[:3])}

@@ -78,8 +78,8 @@ class Synthesis:
 def synthesise(utterances: Sequence[Utterance], voice: Voice, rng: np.random.Generator) -> Synthesis:
     """Speak the utterances and record them: 16 kHz, word times, phone times, phrases with their effort.
 
-    Effort drives loudness (9 dB either way), brightness, pitch, pitch range and rate together. Phrases are spoken one by
-    one and placed by counting samples. The generator decides the room, the noise and the level.
+    Effort drives loudness (9 dB either way), brightness, pitch, pitch range and rate together. Phrases are spoken one
+    by one and placed by counting samples. The generator decides the room, the noise and the level.
     InputError names the Debian package of a program that is missing.
     """
     parts = [part for utterance in utterances for part in utterance.parts]
@@ -94,7 +94,7 @@ def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random
     if voice not in VOICES:
         raise InputError(f"voice {voice!r}", "is not known", f"choose one of {', '.join(VOICES)}")
     made = synthesise(utterances, VOICES[voice], rng)
-    syllables = listen(made.speech, made.phrases, nuclei_of(made.phones))
+    syllables = listen(made.speech, made.phrases, nuclei_of(made.phones), VOICES[voice].language)
     return Spoken(name, made.speech, syllables, made.phrases, voice, VOICES[voice].language)
 
 
@@ -139,8 +139,8 @@ def _flite_phrase(part: Part, voice: Voice) -> Sounded:
     pitch = voice.pitch * 2 ** (HIGHER * part.effort / 12)
     # The tract is changed by playing faster or slower, so flite speaks slower or faster, lower or higher, for it.
     stretch = voice.tract / (voice.rate * _faster(part.effort))
-    said = flite.sound_phrase(voice.base, part.text, pitch / voice.tract, voice.spread * _wider(part.effort) / voice.tract,
-                              stretch)
+    deviation = voice.spread * _wider(part.effort)
+    said = flite.sound_phrase(voice.base, part.text, pitch / voice.tract, deviation / voice.tract, stretch)
     speed = np.full(len(said.samples), voice.tract)
     if voice.base == "rms":
         # This voice takes no pitch from outside; its own contour is widened, and raised, by playing at a varying speed.
