@@ -30,10 +30,11 @@ _DETOURS = 2
 _CLEAR = 0.1
 _REACHING = 4
 _MISS = 0.35
+_CLEARLY = 1.2
 _ACCURATE = 0.008
 _TOLERANCE = 0.018
 _ACCENT = 0.12
-_MOST_ACCENT = 0.42
+_MOST_ACCENT = 0.48
 _FARTHEST = 0.15
 _FADE_SHARE = 0.65
 _RAISE = 0.7
@@ -74,21 +75,22 @@ class _Tuning:
     """What changes from pass to pass, per stroke.
 
     beats: seconds that the clip's beat is put at. accents: how far the arm is raised before it falls on the beat.
-    fades: share of the preparation in which the old motion dies away.
+    fades: share of the preparation in which the old motion dies away. slow: where that, not the clip, makes the beat.
     """
 
     beats: Array
     accents: Array
     fades: Array
+    slow: NDArray[np.bool_]
 
     def of(self, mask: NDArray[np.bool_]) -> _Tuning:
         """That of the strokes where `mask` holds."""
-        return _Tuning(self.beats[mask], self.accents[mask], self.fades[mask])
+        return _Tuning(self.beats[mask], self.accents[mask], self.fades[mask], self.slow[mask])
 
     def where(self, mask: NDArray[np.bool_], other: _Tuning) -> _Tuning:
         """Its own values where `mask` holds, those of `other` elsewhere."""
         return _Tuning(np.where(mask, self.beats, other.beats), np.where(mask, self.accents, other.accents),
-                       np.where(mask, self.fades, other.fades))
+                       np.where(mask, self.fades, other.fades), np.where(mask, self.slow, other.slow))
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,8 @@ def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:
 
 def _first_tuning(planned: tuple[Planned, ...]) -> _Tuning:
     accents = [_ACCENT * (1.0 if p.stroke.lexeme.startswith("Beat") else 0.6) for p in planned]
-    return _Tuning(np.array([p.beat for p in planned]), np.array(accents), np.full(len(planned), _FADE_SHARE))
+    return _Tuning(np.array([p.beat for p in planned]), np.array(accents), np.full(len(planned), _FADE_SHARE),
+                   np.zeros(len(planned), dtype=bool))
 
 
 def _on_time(score: _Score, tuning: _Tuning) -> tuple[Array, _Tuning, Array]:
@@ -166,29 +169,43 @@ def _on_time(score: _Score, tuning: _Tuning) -> tuple[Array, _Tuning, Array]:
     planned = np.array([p.beat for p in score.planned])
     preparation = planned - np.array([p.start for p in score.planned])
     best, least = tuning, np.full(len(planned), np.inf)
+    before: tuple[_Tuning, Array] | None = None
     for turn in range(_PASSES):
         arms = _render(score, tuning, _REACHING)
-        missing = _misses(score, arms)
+        missing, faint = _misses(score, arms)
         better = np.abs(missing) < np.abs(least)
         best, least = best.where(~better, tuning), np.where(better, missing, least)
-        if not (np.abs(missing) > _ACCURATE).any():
+        if not ((np.abs(missing) > _ACCURATE) | faint).any():
             return arms, tuning, missing
-        tuning = _tuned(tuning, missing, planned, preparation, turn)
+        now = (tuning, missing)
+        tuning = _tuned(tuning, missing, faint, _answer(now, before, preparation), planned, preparation)
+        before = now
     arms = _render(score, best, _REACHING)
-    return arms, best, _misses(score, arms)
+    return arms, best, _misses(score, arms)[0]
 
 
-def _tuned(tuning: _Tuning, missing: Array, planned: Array, preparation: Array, turn: int) -> _Tuning:
-    """The next try, from what the last one missed by (seconds, late is positive)."""
+def _answer(now: tuple[_Tuning, Array], before: tuple[_Tuning, Array] | None, preparation: Array) -> Array:
+    """How far each brake moved per second that it was told to move, from the last two tries (the secant), in bounds."""
+    if before is None:
+        return np.ones(len(preparation))
+    told = np.where(now[0].slow, (now[0].fades - before[0].fades) * preparation, now[0].beats - before[0].beats)
+    known = (np.abs(told) > 0.004) & (now[0].slow == before[0].slow) & np.isfinite(now[1]) & np.isfinite(before[1])
+    moved = np.where(known, np.where(known, now[1], 0.0) - np.where(known, before[1], 0.0), 0.0)
+    return np.where(known, np.clip(moved / np.where(known, told, 1.0), 0.5, 1.6), 1.0)
+
+
+def _tuned(tuning: _Tuning, missing: Array, faint: NDArray[np.bool_], answer: Array, planned: Array,
+           preparation: Array) -> _Tuning:
+    """The next try, from what the last one missed by (seconds, late is positive; infinite where nothing brakes)."""
     beats, accents, fades = tuning.beats, tuning.accents, tuning.fades
-    step = np.where(np.abs(missing) > _ACCURATE, missing, 0.0) * (1.0 if turn < 3 else 0.6)
-    long = fades > _FADE_SHARE
-    slow = long | (missing < -_FARTHEST) | ((missing < -0.02) & (beats > planned + 0.9 * _FARTHEST))
-    fades = np.where(slow, np.clip(np.where(long, fades - step / preparation, 1.0 / _BRAKE), 0.9, 2.0), fades)
+    found = np.isfinite(missing)
+    known = np.where(found, missing, 0.0)
+    step = np.where(np.abs(known) > _ACCURATE, known, 0.0) / answer
+    slow = tuning.slow | (known < -_FARTHEST) | ((known < -0.02) & (beats > planned + 0.9 * _FARTHEST))
+    fades = np.where(slow, np.clip(np.where(tuning.slow, fades - step / preparation, 1.0 / _BRAKE), 0.8, 2.0), fades)
     beats = np.where(slow, planned, np.clip(beats - step, planned - _FARTHEST, planned + _FARTHEST))
-    if turn:
-        accents = np.where(np.abs(missing) > 0.015, np.minimum(accents + 0.08, _MOST_ACCENT), accents)
-    return _Tuning(beats, accents, fades)
+    more = np.where(faint, 0.12, np.where(np.abs(known) > 0.015, 0.06, 0.0))
+    return _Tuning(beats, np.minimum(accents + more, _MOST_ACCENT), fades, slow)
 
 
 def _truth(p: Planned) -> PlayedStroke:
@@ -543,33 +560,31 @@ def _chain(score: _Score, arms: Array, side: int) -> dict[str, Array]:
     return out
 
 
-def _misses(score: _Score, arms: Array) -> Array:
-    """[strokes] seconds by which the acting arms brake later than planned."""
-    planned = score.planned
-    if not planned:
-        return np.zeros(0)
+def _misses(score: _Score, arms: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """[strokes] seconds by which the acting arms brake later than planned (infinite: nowhere near), and if faintly."""
     chains = [_chain(score, arms, side) for side in (LEFT, RIGHT)]
     moving = [np.stack([chain["Hand"], chain["ForeArm"]], axis=1) for chain in chains]
-    both = np.concatenate(moving, axis=1)
-    acting = {"left": moving[0], "right": moving[1], "both": both}
+    acting = {"left": moving[0], "right": moving[1], "both": np.concatenate(moving, axis=1)}
     found = {name: _brakes(positions) for name, positions in acting.items()}
-    return np.array([_miss(p.beat, *found[p.stroke.hand]) for p in planned])
+    near = [_nearest(p.beat, *found[p.stroke.hand]) for p in score.planned]
+    return np.array([miss for miss, _ in near]), np.array([depth < _CLEARLY for _, depth in near], dtype=bool)
 
 
 def _brakes(positions: Array) -> tuple[Array, Array]:
-    """Motion beats in seconds of joints [T, n, 3], and how hard each brakes, m/s2."""
+    """Motion beats in seconds of joints [T, n, 3], and how hard each brakes against half the standard deviation."""
     speed = acting_speed(positions, FPS)
     times = beats_of_speed(speed, FPS)
-    return times, np.interp(times * FPS, np.arange(len(speed)), -np.gradient(speed) * FPS)
+    slope = -np.gradient(speed) * FPS
+    return times, np.interp(times * FPS, np.arange(len(speed)), slope) / max(0.5 * float(slope.std()), 1e-6)
 
 
-def _miss(beat: float, times: Array, depths: Array) -> float:
-    """How late the strongest brake near a beat is; one farther away counts less."""
+def _nearest(beat: float, times: Array, depths: Array) -> tuple[float, float]:
+    """How late the strongest brake near a beat is, and how strong; one farther away counts less."""
     near = np.flatnonzero(np.abs(times - beat) < _MISS)
     if not len(near):
-        return -_MISS  # As one whose brake is lost in the preparation: it is accented, and its way made longer.
-    score = depths[near] * np.exp(-((times[near] - beat) / 0.12) ** 2)
-    return float(times[near[score.argmax()]] - beat)
+        return np.inf, 0.0
+    best = near[(depths[near] * np.exp(-((times[near] - beat) / 0.12) ** 2)).argmax()]
+    return float(times[best] - beat), float(depths[best])
 
 
 def _inside(point: Array, low: Array, high: Array, radius: float) -> Array:
