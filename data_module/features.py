@@ -191,9 +191,8 @@ def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:
     out = np.empty(len(last) - 1)
     level, weight = TYPICAL_LEVEL, _PRIOR
     for block, (summed, heard) in enumerate(zip(sums, seconds, strict=True)):
-        if heard > 0:
-            level = (level * weight + summed * FRAME) / (weight + heard)
-            weight = min(weight + heard, _MEMORY)
+        level = (level * weight + summed * FRAME) / (weight + heard)
+        weight = min(weight + heard, _MEMORY)
         out[block] = level
     return out
 

@@ -45,7 +45,8 @@ class GeneratorConfig:
     temperature_end: float = 0.5
     """The Gumbel temperature falls geometrically from one to the other over the run."""
     residual: bool = True
-    """Predict the difference to the last pose of the block before, which keeps the seams closed."""
+    """Add the last pose of the block before, fading linearly to nothing at the block's end. It closes the seams, and
+    unlike a sum of differences it cannot drift: every block ends on what the network itself says."""
     own_past_from: float = 0.0
     own_past_until: float = 0.5
     """Between these shares of the run the probability of being fed its own past block rises from 0 to 1."""
@@ -104,6 +105,7 @@ class Generator(nn.Module):
     """G, E_M, E_A and the style codes. Motion is in the lexicon's normalised features, [B, K, D_m]."""
 
     position: Tensor
+    fade: Tensor
 
     def __init__(self, config: GeneratorConfig, frames: int, motion_width: int, audio_width: int, lexeme_width: int,
                  style_blocks: int = 0) -> None:
@@ -115,6 +117,7 @@ class Generator(nn.Module):
         position = positional_block(frames, c.position_width, direction=c.position_direction) \
             if c.position_width else torch.zeros(frames, 0)
         self.register_buffer("position", position, persistent=False)
+        self.register_buffer("fade", torch.arange(frames - 1, -1, -1.0)[:, None] / frames, persistent=False)
         width = c.motion_features + c.audio_features + lexeme_width + c.style_width + c.position_width
         self.mlp = nn.Sequential(nn.Linear(width, c.hidden), nn.LeakyReLU(SLOPE),
                                  nn.Linear(c.hidden, c.hidden), nn.LeakyReLU(SLOPE))
@@ -162,7 +165,7 @@ class Generator(nn.Module):
         hidden, state = self.lstm(vectors, state)
         motion = self.to_motion(hidden)
         if self.config.residual:
-            motion = motion + past[:, -1:]
+            motion = motion + self.fade * past[:, -1:]
         return motion, state, choice
 
     def roll_out(self, seed: Tensor, motion: Tensor | None, audio: Tensor, lexeme: Tensor, style: Tensor,

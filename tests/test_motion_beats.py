@@ -79,8 +79,8 @@ def test_arms_that_hardly_move_have_no_beats(mode: str) -> None:
 
 
 def test_a_slow_drift_brakes_too_gently_to_beat() -> None:
-    drift = arm_motion(0.6 * np.sin(2 * np.pi * 0.1 * np.arange(1800) / 60), 60.0)
-    assert len(motion_beats(drift)) == 0
+    time = np.arange(1800) / 60
+    assert len(motion_beats(arm_motion(0.5 * time + 0.3 * np.sin(2 * np.pi * 0.1 * time), 60.0))) == 0
 
 
 def test_rest_between_gestures_adds_no_beats() -> None:

@@ -39,7 +39,7 @@ _FARTHEST = 0.15
 _FADE_SHARE = 0.65
 _RAISE = 0.7
 _DROP = 1.0
-_MICRO = 0.27
+_MICRO = 0.32
 _FALL = 0.22
 _BEFORE_SMALL = 0.2
 _SMALL_GAP = 0.42
@@ -147,10 +147,22 @@ def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:
         good = np.abs(missing) <= _TOLERANCE
         if good.all() or turn == _ROUNDS - 1:
             break
+        good &= ~_echoes(score.planned, good)
         kept = tuple(p for p, fine in zip(score.planned, good, strict=True) if fine)
         score = replace(score, planned=kept, events=_both_events(kept, score.runs, score.levels))
         tuning = tuning.of(good)
     return score, tuning, arms
+
+
+def _echoes(planned: tuple[Planned, ...], good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which strokes would repeat the clip of the one before, once those that are not good are left out."""
+    out = np.zeros(len(planned), dtype=bool)
+    last = ""
+    for k, p in enumerate(planned):
+        if good[k]:
+            out[k] = p.stroke.base == last
+            last = p.stroke.base
+    return out
 
 
 def _first_tuning(planned: tuple[Planned, ...]) -> _Tuning:
@@ -324,7 +336,7 @@ def _drift(figure: Figure, lively: Array, frames: int, rng: np.random.Generator)
     """[T, A * 3] the arm's own slow wandering: degrees while it is up, a trace of it at rest."""
     joints = len(figure.arms[0])
     share = np.zeros((joints, 3))
-    share[:4] = np.radians([[1.2] * 3, [6.0] * 3, [8.5] * 3, [6.0] * 3])
+    share[:4] = np.radians([[1.5] * 3, [6.5] * 3, [10.0] * 3, [7.0] * 3])
     share[4:] = np.radians(2.0)
     slow = _wander(frames, joints * 3, 1.7, rng)
     idle = _wander(frames, joints * 3, 4.0, rng)
@@ -355,7 +367,7 @@ def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], frames: int,
     draws = rng.normal(0.0, 1.0, (2, len(spoken.syllables)))
     last = -1.0
     for i, syllable in enumerate(spoken.syllables):
-        at = syllable.vowel + 0.03 * draws[0, i]
+        at = syllable.vowel + 0.025 * draws[0, i]
         free = not any(a < at < b for a, b in spans)
         if free and at - last > _SMALL_GAP and syllable.prominence > -0.3:
             size = _MICRO * float(np.clip(0.7 + 0.3 * syllable.prominence + 0.35 * strength[i] + 0.2 * draws[1, i],
