@@ -35,7 +35,7 @@ class LexiconConfig:
     velocity: float = 0.0
     acceleration: float = 0.0
     """Weights of L1 velocity and acceleration errors; off in the paper."""
-    warm_up: float = 0.15
+    warm_up: float = 0.3
     """Share of the training run as a plain autoencoder, before k-means starts the codebook."""
 
 

@@ -18,6 +18,8 @@ from data_module.types import Array
 
 REST_PAUSE = 1.6
 """Seconds without speech after which the arms go to rest."""
+BRAKE = 0.789
+"""A minimum-jerk movement brakes hardest at this share of its length."""
 _MIN_GAP = 0.5
 _MIN_PREPARATION = 0.3
 _AFTER_BEAT = 0.12
@@ -224,9 +226,9 @@ def _join(planned: Sequence[Planned], runs: Sequence[tuple[float, float]]) -> tu
     for k, one in enumerate(planned):
         later = [p.start for p in planned[k + 1:k + 8] if set(p.stroke.sides) & set(one.stroke.sides)]
         following = min(later, default=np.inf)
-        hold_end, end = one.hold_end, one.end
+        hold_end, back = one.hold_end, one.end - one.hold_end
         if following < hold_end + _JOIN and any(a - 1.0 <= one.beat and following <= b for a, b in runs):
             hold_end = min(following, one.beat + _STRETCH * (one.hold_end - one.beat))
         hold_end = min(hold_end, following)
-        out.append(replace(one, hold_end=hold_end, end=min(hold_end + (end - one.hold_end), max(following, hold_end))))
+        out.append(replace(one, hold_end=hold_end, end=min(hold_end + back, max(following, hold_end))))
     return tuple(out)

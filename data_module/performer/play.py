@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from data_module import rotation
 from data_module.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
-from data_module.performer.plan import Habits, Planned
+from data_module.performer.plan import BRAKE, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet
 from data_module.performer.types import Played, PlayedStroke, Spoken
 from data_module.types import Array, Motion
@@ -39,18 +39,17 @@ _FARTHEST = 0.15
 _FADE_SHARE = 0.65
 _RAISE = 0.7
 _DROP = 1.0
-_MICRO = 0.32
+_MICRO = 0.42
 _FALL = 0.22
-_BEFORE_SMALL = 0.2
-_SMALL_GAP = 0.42
-_BRAKE = 0.789
-"""A minimum-jerk fall brakes hardest at this share of its length."""
+_BEFORE_SMALL = 0.18
+_SMALL_GAP = 0.36
 _SYMPATHY = 0.4
 _HANGING_LEVEL = 0.1
 _MIRRORED = np.array([1.0, -1.0, -1.0])
 TORSO_RADIUS = 0.115
 HEAD_RADIUS = 0.105
 _BEHIND = 0.08
+_HIGH, _HIGH_SHARE = 0.10, 0.3
 _FULL_TRESPASS = 0.06
 
 
@@ -100,8 +99,8 @@ class _Score:
     events: per arm. micro: [2, T] how far each arm's excursion is raised, 1 is not at all. drift: [2, T, A * 3].
     trunk: [T, B, 3] log rotations of hips to head. hanging: [2, T] share of the other arm's motion that an arm takes
     part in while it hangs. leads: [2, T] share by which an arm is led to the home pose, to keep it out of the body.
-    chest: place and rotation of the joint that carries the shoulders. runs, levels: what the events were made of. made: targets that
-    need not be computed again.
+    chest: place and rotation of the joint that carries the shoulders. runs, levels: what the events were made of.
+    made: targets that need not be computed again.
     """
 
     figure: Figure
@@ -182,7 +181,7 @@ def _on_time(score: _Score, tuning: _Tuning) -> tuple[Array, _Tuning, Array]:
     preparation = planned - np.array([p.start for p in score.planned])
     best, least = tuning, np.full(len(planned), np.inf)
     before: tuple[_Tuning, Array] | None = None
-    for turn in range(_PASSES):
+    for _ in range(_PASSES):
         arms = _render(score, tuning, _REACHING)
         missing, faint = _misses(score, arms)
         better = np.abs(missing) < np.abs(least)
@@ -214,7 +213,7 @@ def _tuned(tuning: _Tuning, missing: Array, faint: NDArray[np.bool_], answer: Ar
     known = np.where(found, missing, 0.0)
     step = np.where(np.abs(known) > _ACCURATE, known, 0.0) / answer
     slow = tuning.slow | (known < -_FARTHEST) | ((known < -0.02) & (beats > planned + 0.9 * _FARTHEST))
-    fades = np.where(slow, np.clip(np.where(tuning.slow, fades - step / preparation, 1.0 / _BRAKE), 0.8, 2.0), fades)
+    fades = np.where(slow, np.clip(np.where(tuning.slow, fades - step / preparation, 1.0 / BRAKE), 0.8, 2.0), fades)
     beats = np.where(slow, planned, np.clip(beats - step, planned - _FARTHEST, planned + _FARTHEST))
     more = np.where(faint, 0.12, np.where(np.abs(known) > 0.015, 0.06, 0.0))
     return _Tuning(beats, np.minimum(accents + more, _MOST_ACCENT), fades, slow)
@@ -336,9 +335,9 @@ def _drift(figure: Figure, lively: Array, frames: int, rng: np.random.Generator)
     """[T, A * 3] the arm's own slow wandering: degrees while it is up, a trace of it at rest."""
     joints = len(figure.arms[0])
     share = np.zeros((joints, 3))
-    share[:4] = np.radians([[1.5] * 3, [6.5] * 3, [10.0] * 3, [7.0] * 3])
+    share[:4] = np.radians([[1.5] * 3, [7.5] * 3, [11.5] * 3, [8.0] * 3])
     share[4:] = np.radians(2.0)
-    slow = _wander(frames, joints * 3, 1.7, rng)
+    slow = _wander(frames, joints * 3, 1.5, rng)
     idle = _wander(frames, joints * 3, 4.0, rng)
     return (slow * (0.02 + 0.98 * lively)[:, None] + idle * 0.03) * share.ravel()
 
@@ -372,7 +371,7 @@ def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], frames: int,
         if free and at - last > _SMALL_GAP and syllable.prominence > -0.3:
             size = _MICRO * float(np.clip(0.7 + 0.3 * syllable.prominence + 0.35 * strength[i] + 0.2 * draws[1, i],
                                           0.25, 1.5))
-            _add_bump(track, at - _BRAKE * _FALL, at + (1.0 - _BRAKE) * _FALL, size)
+            _add_bump(track, at - BRAKE * _FALL, at + (1.0 - BRAKE) * _FALL, size)
             last = at
     return track
 
@@ -390,11 +389,11 @@ def _trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
     out = np.zeros((frames, len(names), 3))
     spines = [k for k, name in enumerate(names) if name.startswith("Spine")]
     skull = [k for k, name in enumerate(names) if name.startswith(("Neck", "Head"))]
-    out[:, 0, 1] = 0.35 * yaw
+    out[:, 0, 1] = 0.2 * yaw
     out[:, 0, [0, 2]] = _wander(frames, 2, 4.5, rng) * scale * np.radians(0.6)
     bend = _wander(frames, 3 * len(spines), 3.5, rng).reshape(frames, -1, 3) * scale[..., None]
     out[:, spines] = bend * np.radians([1.5, 1.0, 1.2])
-    out[:, spines, 1] += 0.65 / len(spines) * yaw[:, None]
+    out[:, spines, 1] += 0.8 / len(spines) * yaw[:, None]
     breath = np.radians(0.5) * np.sin(2.0 * np.pi * np.arange(frames) / FPS / 3.9)
     out[:, spines[-1], 0] += breath
     turns = _wander(frames, 3 * len(skull), 2.4, rng).reshape(frames, -1, 3) * scale[..., None]
@@ -517,7 +516,7 @@ def _followed(p: Planned, side: int, beat: float, accent: float, times: Array, h
     reach = home[:held.size]
     up = float(held @ reach) / max(float(reach @ reach), 1e-9)
     path = p.gain * (path + max(0.0, 0.6 - up) * home)
-    peak, stop = beat - _BRAKE * _FALL, beat + (1.0 - _BRAKE) * _FALL
+    peak, stop = beat - BRAKE * _FALL, beat + (1.0 - BRAKE) * _FALL
     raised = _pulse(times, peak - 0.26, peak) - _pulse(times, peak, stop)
     path[:, :held.size] *= 1.0 + accent * raised[:, None]
     return path
@@ -615,7 +614,7 @@ def _leads(score: _Score, arms: Array) -> Array:
 
 
 def _trespass(score: _Score, chains: list[dict[str, Array]], side: int) -> Array:
-    """[T] metres by which an arm is where it should not be: hand in torso or head, elbow behind the back."""
+    """[T] metres by which an arm is where it should not be: hand in torso or head or far up, elbow at the back."""
     own, other = chains[side], chains[1 - side]
     chest, hips = score.chest[0], np.zeros_like(score.chest[0])
     head = own["Arm"] * 0.5 + other["Arm"] * 0.5 + np.array([0.0, 0.27, 0.06])
@@ -623,9 +622,11 @@ def _trespass(score: _Score, chains: list[dict[str, Array]], side: int) -> Array
     forward = np.cross(across, np.array([0.0, 1.0, 0.0]))
     forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
     behind = np.sum((own["Arm"] - own["ForeArm"]) * forward, axis=-1) - _BEHIND
+    # Hands above the shoulders are seldom seen in speech; arms thrown up come from a large clip played larger.
+    high = _HIGH_SHARE * (own["Hand"][:, 1] - own["Arm"][:, 1] - _HIGH)
     return np.maximum.reduce([_inside(own["Hand"], hips, chest, TORSO_RADIUS + 0.01),
                               _inside(own["Hand"], head, head + np.array([0.0, 0.01, 0.0]), HEAD_RADIUS + 0.05),
-                              np.maximum(behind, 0.0)])
+                              np.maximum(behind, 0.0), np.maximum(high, 0.0)])
 
 
 # --- The finished motion
@@ -640,10 +641,12 @@ def _assemble(score: _Score, arms: Array) -> Motion:
     for side in (LEFT, RIGHT):
         for k, joint in enumerate(figure.arms[side]):
             rotations[:, joint] = _turned(figure.rest[joint], arms[side][:, 3 * k:3 * k + 3])
-    # The feet stay where they are: the legs take back what the hips turn.
+    # The feet stay where they are: the legs take back what the hips turn, and the hips turn about their sockets.
     still = rotation.multiply(rotation.conjugate(rotations[:, 0]), figure.rest[0][None])
-    for joint, name in enumerate(skeleton.names):
-        if name.endswith("UpLeg"):
-            rotations[:, joint] = rotation.multiply(still, figure.rest[joint][None])
+    legs = [joint for joint, name in enumerate(skeleton.names) if name.endswith("UpLeg")]
     root = np.repeat(figure.root[None], score.frames, axis=0)
+    if legs:
+        rotations[:, legs] = rotation.multiply(still[:, None], figure.rest[legs])
+        sockets = skeleton.offsets[legs].mean(axis=0)
+        root = root + rotation.rotate(figure.rest[0], sockets) - rotation.rotate(rotations[:, 0], sockets)
     return Motion(skeleton, rotation.continuous(rotation.normalise(rotations)), root, FPS)
