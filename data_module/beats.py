@@ -37,7 +37,7 @@ _EPS = 1e-9
 class BeatSettings:
     """How beats are placed. Seconds; every interval between beats lies in [d_min, d_max].
 
-    merge: onsets closer than this count as one. rule: "bounded" (SPEC decision 2) or "paper" (RG 4.2.1, guarded).
+    merge: onsets closer than this count as one. rule: "bounded" or "paper" (RG 4.2.1, guarded).
     """
 
     d_min: float = 0.2
@@ -132,7 +132,7 @@ def _peaks(strength: Array, reach: int, around: int) -> NDArray[np.int64]:
 
 def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
               settings: BeatSettings) -> tuple[float, BeatFlag]:
-    """The beat that follows `beat` by the bounded rule of SPEC decision 2, and why it stands there.
+    """The beat that follows `beat` by the bounded rule, and why it stands there.
 
     onsets, loud: rising seconds of the onsets and of the frames louder than the noise. end: the end of the recording,
     None while it is not known. Only what lies before beat + d_max + d_min is looked at; `end` must be told when it

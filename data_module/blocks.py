@@ -119,7 +119,7 @@ def _keep_zeros(inside: Samples, out: Samples, shortest: int) -> None:
 
 
 def windows_of(stretched: Samples) -> Samples:
-    """Previous, current and next block of each block, [N, 3 * L] for stretched speech [N, L] (SPEC decision 5).
+    """Previous, current and next block of each block, [N, 3 * L] for stretched speech [N, L].
 
     Before the first block and after the last there are zeros. The result is a read-only view: it costs the memory of
     one copy of `stretched`, not of three.

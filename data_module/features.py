@@ -1,7 +1,7 @@
 """What the models hear: sound turned into two levels of features per motion frame, behind one interface.
 
 A front end sees one fixed window per block (previous, current, next), stretched to normalised time, so a stream and a
-file give the same features (SPEC decision 5).
+file give the same features.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Motion beats: when the acting arms brake hardest, or stand still (SPEC decisions 8 and 11).
+"""Motion beats: when the acting arms brake hardest, or stand still.
 
 They are found at the motion's own frame rate, between frames: a tenth of a second, the scale of synchrony, is two
 frames at 20 fps.

@@ -14,7 +14,7 @@ from data_module.types import Array, Samples, Speech
 FRAME = 0.01
 """Seconds of a frame; frame f covers [f, f + 1) x FRAME."""
 MEMORY = 10.0
-"""Seconds of the past that the noise floor is estimated from (SPEC decision 2)."""
+"""Seconds of the past that the noise floor is estimated from."""
 MARGIN = 6.0
 """Decibels above the floor where sound begins to count: steady noise stays below, quiet speech rises above."""
 QUIETEST = -60.0

@@ -1,6 +1,6 @@
 """The 16-joint character, the names other sources give its joints, and how any motion is brought onto it.
 
-(SPEC of the papers: 16 upper-body joints including the rotational root, RG 4.1.1; names as in the Trinity data set.)
+(16 upper-body joints including the rotational root, RG 4.1.1; names as in the Trinity data set.)
 """
 
 from __future__ import annotations

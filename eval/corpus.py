@@ -2,7 +2,7 @@
 
 Everything is measured on the finished files (BVH, FLAC and the truth in JSON), as a stranger would: motion beats are
 found anew on the motion, and set beside a real take when one is given. Theory: a stroke's beat is where its arms brake
-hardest (SPEC decision 8, mode A). What fools it: a motion that brakes all the time hits every plan, so the share that
+hardest (`motion_beats`, mode A). What fools it: a motion that brakes all the time hits every plan, so the share that
 hits by chance (the plan shifted in time) is printed beside it.
 """
 

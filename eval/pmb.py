@@ -1,4 +1,4 @@
-"""Percentage of matched beats: is the motion in time with the sound? (RG Eq. 22; SPEC decision 8)
+"""Percentage of matched beats: is the motion in time with the sound? (RG Eq. 22)
 
 A motion beat counts when an onset lies within delta of it, one onset for one motion beat, in order. As printed, the
 equation lets several onsets count for one motion beat, so it can pass 100 %; one-to-one it cannot. The figure means
@@ -16,7 +16,7 @@ from data_module.beats import merged
 from data_module.types import Array
 
 DELTA = 0.1
-"""Seconds: the tolerance that tells most (SPEC decision 8); the papers print 0.2."""
+"""Seconds: the tolerance that tells most; the papers print 0.2."""
 DELTAS = (0.025, 0.05, 0.075, 0.1, 0.125, 0.15, 0.175, 0.2, 0.25, 0.3)
 MERGE = 0.05
 """Seconds: onsets closer than this are one event, found twice."""

@@ -89,6 +89,7 @@ def lexicon_hash(lexicon: Lexicon) -> str:
 def _statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
     s = bundle.statistics
     arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation,
+              "bounds": s.bounds,
               "frequencies": np.stack([bundle.inventory.frequencies[name] for name in s.speakers]),
               "transitions": bundle.inventory.transitions}
     for name, normaliser in (("low", s.low), ("high", s.high)):
@@ -200,7 +201,8 @@ def _assemble(folder: Path, index: dict[str, Any], config: Config) -> Bundle:
     speakers = tuple(index["speakers"])
     low, high = (Normaliser.from_dict({key.partition("_")[2]: value for key, value in tensors.items()
                                        if key.startswith(f"{level}_")}) for level in ("low", "high"))
-    statistics = Statistics(speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"], low, high)
+    statistics = Statistics(speakers, *(tensors[key] for key in ("mean_pose", "rest_pose", "deviation", "bounds")),
+                            low, high)
     inventory = Inventory(dict(zip(speakers, tensors["frequencies"], strict=True)), tensors["transitions"])
     frames = config.rhythm.frames
     lexicon = Lexicon(config.lexicon, frames, MOTION_WIDTH)

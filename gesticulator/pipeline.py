@@ -113,6 +113,7 @@ class _Roll:
         past = rest.expand(1, b.lexicon.frames, -1)
         state = b.generator.first_state(rest[None], vectors[[previous]])
         inner, style_state = self.interpreter.start(self.speaker, previous), b.style.start(self.speaker)
+        bounds = torch.as_tensor(b.statistics.bounds, dtype=torch.float32)
         motion = np.empty((count, *past.shape[1:]), dtype=np.float32)
         lexemes = np.empty(count, dtype=np.int64)
         best, best_scores = np.empty((count, best_count), np.int64), np.empty((count, best_count))
@@ -124,6 +125,8 @@ class _Roll:
             code, style_state = b.style.step(style_state, features, previous)
             audio = b.generator.encode_audio(features.low[None])
             past, state, _ = b.generator.step(past, audio, vectors[[previous]], code, state)
+            # What it was never shown it must not feed itself: one odd pose would lead to the next.
+            past = torch.clamp(past, *bounds)
             motion[i], lexemes[i] = past[0].numpy(), previous
             best[i] = np.argsort(-scores, kind="stable")[:best_count]
             best_scores[i] = scores[best[i]]

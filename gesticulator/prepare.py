@@ -35,7 +35,8 @@ class Statistics:
     """What turns poses and features into numbers near 1, measured on the training split.
 
     speakers: names in order. mean_pose: [speakers, D_m] exponential maps; rest_pose: [speakers, D_m] the same in
-    silence; deviation: [D_m]. low, high: normalisers of the audio features. A pose becomes
+    silence. deviation: [D_m]. bounds: [2, D_m] the least and the most of the normalised training data, but for one
+    frame in a thousand at either end. low, high: normalisers of the audio features. A pose becomes
     (pose - mean_pose[speaker]) / deviation: without the speaker's own mean every lexeme would be a speaker.
     """
 
@@ -43,6 +44,7 @@ class Statistics:
     mean_pose: Array
     rest_pose: Array
     deviation: Array
+    bounds: Array
     low: Normaliser
     high: Normaliser
 
@@ -180,10 +182,11 @@ def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[n
     deviation = np.concatenate(centred).std(axis=0)
     present = np.stack([loaded[i]["mask"] for i in train]).any(axis=0)
     deviation = np.where(present, np.maximum(deviation, config.motion.least_deviation), 1.0)
+    bounds = np.percentile(np.concatenate(centred) / deviation, [0.1, 99.9], axis=0)
     low = Normaliser.fit(np.concatenate([loaded[i]["low"] for i in train]).astype(np.float32))
     high = low if "high" not in loaded[0] else Normaliser.fit(
         np.concatenate([loaded[i]["high"] for i in train]).astype(np.float32))
-    return Statistics(speakers, mean, rest, deviation, low, high)
+    return Statistics(speakers, mean, rest, deviation, bounds, low, high)
 
 
 def _settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:

@@ -108,7 +108,7 @@ class Performer:
         if self._source is not None:
             clips = {Path(row["file"]).stem for row in self._manifest}
             lines.append(f"clips without a usable stroke: {len(clips - {stroke.base for stroke in strokes})} of "
-                         f"{len(clips)} (postures, fidgets, and those that PERFORMER.md drops)")
+                         f"{len(clips)} (postures, fidgets, and clips with the wrong hand, posture or order)")
         return lines
 
     def _rng(self, index: int, purpose: int) -> np.random.Generator:

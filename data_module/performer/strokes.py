@@ -145,7 +145,7 @@ class StrokeSet:
 def arrivals(speed: Array, fps: float, depth: float = 0.0) -> tuple[Array, Array]:
     """Strong decelerations of a speed [T]: times in seconds (between frames, by a parabola) and depths, m/s2.
 
-    A motion beat is a minimum of the derivative of the speed, smoothed over 50 ms (SPEC decision 8, mode A).
+    A motion beat is a minimum of the derivative of the speed, smoothed over 50 ms (`motion_beats`, mode A).
     """
     smooth = gaussian_filter1d(speed, _SMOOTH * fps / 2.0, mode="nearest")
     slope = np.gradient(smooth) * fps

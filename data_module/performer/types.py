@@ -13,7 +13,7 @@ class Syllable:
 
     word: index into the words of the speech. loudness: dB against the recording's median syllable. pitch: semitones
     against the recording's median (0 where unvoiced). prominence: z-score, the weighted sum of loudness, duration and
-    pitch with a bonus for content words (see PERFORMER in docs).
+    pitch with a bonus for content words.
     """
 
     start: float
