@@ -26,6 +26,7 @@ from tqdm import tqdm
 from data_module import bvh, skeletons
 from data_module.audio import load_speech
 from data_module.beats import detect_onsets
+from data_module.blocks import normalise_motion
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
 from data_module.kinematics import positions_of, resample
@@ -94,11 +95,34 @@ def successors(corpus: Corpus, labels: NDArray[np.int64], size: int) -> NDArray[
 
 # ---------------------------------------------------------------------------------------------------- lexicon
 
-def lexicon_table(bundle: bundles.Bundle, corpus: Corpus) -> dict[str, Any]:
+def stroke_kinds(recording: Recording, edges: Array) -> NDArray[np.int64]:
+    """For each block [N]: 1 when its middle lies in a stroke that training never showed, 0 in a known one, else -1."""
+    kinds = np.full(len(edges) - 1, -1)
+    middles = (edges[1:] + edges[:-1]) / 2
+    for stroke in recording.truth.strokes if recording.truth else ():
+        kinds[(middles >= stroke.start) & (middles < stroke.end)] = int(stroke.held_out)
+    return kinds
+
+
+@torch.no_grad()
+def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor) -> dict[str, NDArray[np.float32]]:
+    """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m]."""
+    latents = bundle.lexicon.latents(motion)
+    labels = bundle.lexicon.quantizer.labels(latents)
+    one = int(np.mean([bundle.inventory.frequencies[name] for name in bundle.speakers], axis=0).argmax())
+    codes = {"unquantised": latents, "quantised": bundle.lexicon.vectors[labels],
+             "always the commonest lexeme": bundle.lexicon.vectors[torch.full_like(labels, one)]}
+    return {name: ((torch.cat([bundle.lexicon.decode(part) for part in own.split(4096)]) - motion) ** 2
+                   ).mean(dim=(1, 2)).numpy() for name, own in codes.items()}
+
+
+def lexicon_table(bundle: bundles.Bundle, corpus: Corpus, recordings: Sequence[Recording],
+                  take: tuple[Motion, Speech] | None) -> dict[str, Any]:
     """Use of the codes and errors of reconstruction on the test split, in normalised features squared.
 
     PCA with as many components as a lexeme is wide, and k-means with as many means as there are lexemes, both fitted
-    on the training split, are what a linear method of the same size does.
+    on the training split, are what a linear method of the same size does. Blocks in strokes that training showed and
+    in strokes that it did not are told apart. The real take is centred on its own mean pose, like every performer.
     """
     train, test = (torch.as_tensor(corpus.select(split)) for split in ("train", "test"))
     size, width = bundle.config.lexicon.size, bundle.config.lexicon.code_width
@@ -111,15 +135,19 @@ def lexicon_table(bundle: bundles.Bundle, corpus: Corpus) -> dict[str, Any]:
         "PCA": ((linear.inverse_transform(linear.transform(unknown)) - unknown) ** 2).mean(1),
         "k-means": ((means.cluster_centers_[means.predict(unknown)] - unknown) ** 2).mean(1),
     }
-    with torch.no_grad():
-        latents = bundle.lexicon.latents(corpus.motion[test])
-        labels = bundle.lexicon.quantizer.labels(latents)
-        for name, codes in (("unquantised", latents), ("quantised", bundle.lexicon.vectors[labels])):
-            made = torch.cat([bundle.lexicon.decode(part) for part in codes.split(4096)]).flatten(1).numpy()
-            errors[name] = ((made - unknown) ** 2).mean(1)
+    errors |= reconstructions(bundle, corpus.motion[test])
     own = corpus.recording[corpus.select("test")]
     clips = np.unique(own)
-    table = {name: interval([error[own == clip].mean() for clip in clips]).to_dict() for name, error in errors.items()}
+    kinds = np.concatenate([stroke_kinds(r, hear(r.speech, bundle.config).blocks.edges) for r in recordings])
+    for name, kind in (("quantised, strokes seen in training", 0), ("quantised, strokes never seen", 1)):
+        errors[name] = np.where(kinds == kind, errors["quantised"], np.nan)
+    table = {name: interval([np.nanmean(error[own == clip]) if np.isfinite(error[own == clip]).any() else np.nan
+                             for clip in clips]).to_dict() for name, error in errors.items()}
+    if take is not None:
+        blocks = normalise_motion(take[0], hear(take[1], bundle.config).blocks)
+        centred = (blocks - blocks.mean(axis=(0, 1))) / bundle.statistics.deviation
+        for name, error in reconstructions(bundle, torch.as_tensor(centred, dtype=torch.float32)).items():
+            table[f"real take (BEAT), {name}"] = interval([float(error.mean())]).to_dict()
     return {"errors": table, "variance": float(unknown.var(0).mean()),
             **lexicon_figures(bundle.lexicon, corpus.motion[test])}
 
@@ -267,10 +295,11 @@ def figures(store: Store, system: Gesticulator, work: Path, progress: bool = Tru
     deaf: dict[str, LexemeInterpreter] = {"statistical": bundle.statistical(), "commonest": Commonest(bundle)}
     by_table = PreviousAndSpeaker(successors(corpus, hinted, size), size)
     recordings = [store.load(corpus.names[r]) for r in corpus.recordings("test")]
+    take = real_take()
     out: dict[str, Any] = {
         "store": {"name": store.corpus, "fingerprint": store.fingerprint, "test_recordings": len(recordings),
                   "test_seconds": round(sum(r.speech.duration for r in recordings), 1)},
-        "lexicon": lexicon_table(bundle, corpus),
+        "lexicon": lexicon_table(bundle, corpus, recordings, take),
         "accuracy": accuracy_table(bundle, corpus, hinted, {"lstm": bundle.interpreter,
                                                             "previous lexeme and speaker": by_table, **deaf}),
         "rhythm": {}, "motion": {},
@@ -280,7 +309,6 @@ def figures(store: Store, system: Gesticulator, work: Path, progress: bool = Tru
     rows["lstm"] = play(system, recordings, "lstm", progress, "lstm")
     for name, interpreter in deaf.items():
         rows[name] = play(system, recordings, interpreter, progress, name)
-    take = real_take()
     if take is not None:
         motion, speech = take
         made = system(speech)

@@ -201,8 +201,8 @@ def _assemble(folder: Path, index: dict[str, Any], config: Config) -> Bundle:
     speakers = tuple(index["speakers"])
     low, high = (Normaliser.from_dict({key.partition("_")[2]: value for key, value in tensors.items()
                                        if key.startswith(f"{level}_")}) for level in ("low", "high"))
-    statistics = Statistics(speakers, *(tensors[key] for key in ("mean_pose", "rest_pose", "deviation", "bounds")),
-                            low, high)
+    statistics = Statistics(speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"],
+                            tensors["bounds"], low, high)
     inventory = Inventory(dict(zip(speakers, tensors["frequencies"], strict=True)), tensors["transitions"])
     frames = config.rhythm.frames
     lexicon = Lexicon(config.lexicon, frames, MOTION_WIDTH)

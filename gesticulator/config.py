@@ -197,14 +197,14 @@ def default() -> Config:
     quarter of the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
     Lexemes are drawn (temperature 1) and not taken by arg max, which from sound alone settles on a few: a rule that
     gestures by chance cannot be predicted block by block, only its manner can.
-    Cost: lexicon 2,500 steps of 8 GFLOP, generator 2,600 of 40, interpreters 2,500 of 8 and 6: about 160 TFLOP; an
+    Cost: lexicon 2,500 steps of 8 GFLOP, generator 3,000 of 40, interpreters 2,500 of 8 and 6: about 160 TFLOP; an
     hour on two cores.
     """
     return Config(
         name="default",
         schedules=Schedules(
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
-            generator=FitSettings(steps=2_600, batch=64, rate=2e-3, schedule="cosine"),
+            generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
             interpreter=FitSettings(steps=2_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
             style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01)),
         front_end=FrontEndConfig(bands=32),

@@ -90,3 +90,18 @@ def test_the_command_writes_every_table(tiny_store: Path, tiny_bundle: Path, tmp
     assert errors["PCA"]["mean"] < errors["quantised"]["mean"]
     assert result["accuracy"]["commonest"]["teacher_forced"] == result["accuracy"]["commonest"]["free_running"]
     assert "| commonest |" in out.with_suffix(".md").read_text()
+
+
+def test_blocks_know_whether_their_stroke_was_shown_in_training(tiny_store: Path) -> None:
+    store = Store.open(tiny_store)
+    for info in store.recordings:
+        recording = store.load(info.name)
+        assert recording.truth is not None
+        strokes = recording.truth.strokes
+        edges = np.arange(0, recording.speech.duration, 0.1)
+        kinds = figures.stroke_kinds(recording, edges)
+        unseen = sum(s.end - s.start for s in strokes if s.held_out)
+        assert (kinds == 1).sum() * 0.1 <= unseen + 0.2 * len(strokes)
+        assert (kinds == 1).any() == any(s.held_out for s in strokes)
+        if info.split == "train":
+            assert not (kinds == 1).any()
