@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 
 import pytest
+import torch
 
 from data_module.errors import InputError
+from generator.model import Generator
 from gesticulator.config import PRESETS, Config, digest, from_dict, preset, to_dict, with_settings
+from lexicon.autoencoder import Lexicon
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -58,3 +61,18 @@ def test_the_digest_sees_every_change_and_nothing_else() -> None:
     tiny = preset("tiny")
     assert digest(to_dict(tiny)) == digest(to_dict(preset("tiny")))
     assert digest(to_dict(tiny)) != digest(to_dict(with_settings(tiny, ["lexicon.size=13"])))
+
+
+def test_the_papers_sizes_run_through_one_step_of_training() -> None:
+    config = preset("paper-trinity")
+    frames, width, audio = config.rhythm.frames, 48, config.front_end.bands + 3
+    lexicon = Lexicon(config.lexicon, frames, width).eval()
+    model = Generator(config.generator, frames, width, audio, config.lexicon.code_width, style_blocks=4)
+    batch = {"motion": torch.randn(2, 3, frames, width), "audio": torch.randn(2, 3, 3 * frames, audio),
+             "lexeme": lexicon.vectors[torch.randint(50, (2, 3))], "style": torch.tensor([[1, 2, 3], [2, 3, 4]]),
+             "mask": torch.ones(2, width), "valid": torch.ones(2, 3)}
+    terms = model.losses(batch, 0.5, lexicon.encode)
+    total = sum(model.weights[key] * term for key, term in terms.items())
+    assert isinstance(total, torch.Tensor) and torch.isfinite(total)
+    total.backward()
+    assert model.codes.logits.out_features == 64 * 128 and model.lstm.hidden_size == 1024

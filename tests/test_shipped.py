@@ -1,0 +1,76 @@
+"""What is shipped: the bundle, the example and the figures in the README."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_module.audio import load_speech
+from eval import figures
+from gesticulator import bundle as bundles
+from gesticulator.performance import Performance
+from gesticulator.pipeline import Gesticulator
+
+ROOT = Path(__file__).parent.parent
+EXAMPLE = ROOT / "examples" / "speech.flac"
+
+
+@pytest.fixture(scope="module")
+def example() -> Performance:
+    return Gesticulator.from_pretrained()(load_speech(EXAMPLE))
+
+
+def test_the_bundle_is_small_and_says_what_it_was_trained_on() -> None:
+    size = sum(file.stat().st_size for file in bundles.SHIPPED.iterdir())
+    assert size < 10e6
+    index = bundles.read_index(bundles.SHIPPED)
+    assert index["config"]["name"] == "default"
+    assert "LGPL" in index["provenance"]["licence"] and "SmartBody" in (ROOT / "NOTICE").read_text()
+    card = (bundles.SHIPPED / bundles.CARD).read_text()
+    assert index["provenance"]["fingerprint"] in card and "## Limits" in card
+
+
+def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Performance) -> None:
+    clip = figures.measure(example.motion, example.speech, example.blocks.edges)
+    speech, silence = (float(clip.hand_speed[own].mean()) for own in (~clip.silent, clip.silent))
+    assert clip.silent.mean() > 0.03, "the example has a pause of several seconds"
+    assert speech > 0.15, "m/s"
+    assert silence < 0.5 * speech
+
+
+def test_the_example_looks_like_a_person(example: Performance) -> None:
+    clip = figures.measure(example.motion, example.speech, example.blocks.edges)
+    assert np.percentile(clip.hand_speed, 99) < 4.0, "no faster than the fastest real take (3.1 m/s), give or take"
+    assert clip.heights.max() < 0.9, "hands below the top of the head"
+    assert len(set(example.lexemes.tolist())) >= 8
+    longest = max(len(list(run)) for run in _runs(example.lexemes[~example.blocks.silent]))
+    assert longest <= 12, "blocks of one lexeme in a row while speaking"
+
+
+def _runs(values: np.ndarray) -> list[np.ndarray]:
+    return np.split(values, np.flatnonzero(np.diff(values)) + 1)
+
+
+def test_every_shipped_performer_moves_differently(example: Performance) -> None:
+    system = Gesticulator.from_pretrained()
+    assert len(system.speakers) == 4
+    heads = [system(EXAMPLE, speaker=name, fps=20).motion.rotations for name in system.speakers]
+    assert all(not np.allclose(a, b) for i, a in enumerate(heads) for b in heads[:i])
+
+
+def test_the_readme_shows_the_figures_that_the_command_wrote() -> None:
+    result = json.loads((ROOT / "docs/results/figures.json").read_text())
+    table = figures.markdown(result)
+    assert table == (ROOT / "docs/results/figures.md").read_text()
+    readme = (ROOT / "README.md").read_text()
+    assert table.strip() in readme
+    assert result["store"]["fingerprint"] == bundles.read_index(bundles.SHIPPED)["provenance"]["fingerprint"]
+
+
+def test_the_files_that_the_readme_names_are_there() -> None:
+    readme = (ROOT / "README.md").read_text()
+    for name in ("examples/speech.flac", "docs/pictures/strip.png", "docs/coverage.md", "NOTICE", "CITATION.cff"):
+        assert name in readme and (ROOT / name).exists(), name
