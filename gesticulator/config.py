@@ -195,7 +195,7 @@ def default() -> Config:
     of 32 classes; LSTM 2 x 192; interpreters 192 and 128 wide; batches of 64 windows. Training to match: a cosine fall
     of a higher rate, since there are 25 epochs and not 600, and for the same reason 5e-2 for the style codes; a
     quarter of the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
-    Lexemes are drawn (temperature 1) and not taken by arg max, which from sound alone settles on a few: a rule that
+    Lexemes are drawn (temperature 0.7) and not taken by arg max, which from sound alone settles on few: a rule that
     gestures by chance cannot be predicted block by block, only its manner can.
     Cost: lexicon 2,500 steps of 8 GFLOP, generator 3,000 of 40, interpreters 2,500 of 8 and 6: about 160 TFLOP; an
     hour on two cores.
@@ -209,7 +209,7 @@ def default() -> Config:
             style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01)),
         front_end=FrontEndConfig(bands=32),
         lexicon=LexiconConfig(widths=(32, 64, 96, 128)),
-        selection=SelectionConfig(temperature=1.0),
+        selection=SelectionConfig(temperature=0.7),
         generator=GeneratorConfig(motion_features=48, audio_features=32, hidden=192, groups=16, classes=32,
                                   lstm_width=192, own_past_until=0.4, swap_share=0.25, style_rate=5e-2),
         interpreter=LstmConfig(audio_features=32, width=192, dropout=0.2),
