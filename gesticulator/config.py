@@ -193,7 +193,7 @@ def default() -> Config:
 
     Size: 32 mel bands for 80; lexicon convolutions 32, 64, 96, 128 wide; E_M 48 and E_A 32 wide; MLP 192; 16 groups
     of 32 classes; LSTM 2 x 192; interpreters 192 and 128 wide; batches of 64 windows. Training to match: a cosine fall
-    of a higher rate, since there are 25 epochs and not 600, and for the same reason 5e-2 for the style codes; a
+    of a higher rate, since there are 35 epochs and not 600, and for the same reason 5e-2 for the style codes; a
     quarter of the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
     Lexemes are drawn (temperature 0.7) and not taken by arg max, which from sound alone settles on few: a rule that
     gestures by chance cannot be predicted block by block, only its manner can.

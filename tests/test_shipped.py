@@ -35,10 +35,14 @@ def test_the_bundle_is_small_and_says_what_it_was_trained_on() -> None:
 
 def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Performance) -> None:
     clip = figures.measure(example.motion, example.speech, example.blocks.edges)
-    speech, silence = (float(clip.hand_speed[own].mean()) for own in (~clip.silent, clip.silent))
-    assert clip.silent.mean() > 0.03, "the example has a pause of several seconds"
+    speech = float(clip.hand_speed[~clip.silent].mean())
+    # The long pause, between coming to rest and getting ready for the next phrase, half a second each.
+    frames = np.flatnonzero(clip.silent)
+    pause = max(np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1), key=len)
+    rest = float(clip.hand_speed[pause[30:-30]].mean())
+    assert len(pause) > 90, "the example has a pause of several seconds"
     assert speech > 0.15, "m/s"
-    assert silence < 0.5 * speech
+    assert rest < 0.1 < 0.5 * speech, "as slow as a person at rest, who is not frozen"
 
 
 def test_the_example_looks_like_a_person(example: Performance) -> None:

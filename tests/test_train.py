@@ -167,3 +167,21 @@ def test_statistics_undo_themselves_and_centre_each_speaker(tiny_store: Path, wo
     speaker = corpus.speaker_of[corpus.recording[train_blocks]]
     for own in range(len(s.speakers)):
         assert np.abs(corpus.motion[train_blocks[speaker == own]].mean(dim=(0, 1)).numpy()).max() < 1e-3
+
+
+def test_the_silent_hint_names_a_silent_lexeme_on_silent_blocks_alone(tiny_store: Path, work: Path) -> None:
+    config = configs.preset("tiny")
+    for hint in (True, False):
+        own = configs.with_settings(config, [f"silence.hint={str(hint).lower()}"])
+        run = train.Run(own, Store.open(tiny_store), work, progress=False)
+        run.corpus = prepare(run.store, own, work, progress=False)
+        lexicon, _ = train.train_lexicon(run)
+        labelled = train.label(run, lexicon)
+        silent = run.corpus.silent
+        assert silent.any() and not silent.all()
+        np.testing.assert_array_equal(labelled.hinted[~silent], labelled.labels[~silent])
+        if hint:
+            assert set(labelled.hinted[silent].tolist()) <= set(labelled.silent.tolist())
+            np.testing.assert_array_equal(labelled.hinted[silent], labelled.nearest[labelled.labels[silent]])
+        else:
+            np.testing.assert_array_equal(labelled.hinted, labelled.labels)
