@@ -47,6 +47,12 @@ def test_every_interpreter_has_a_maker_here() -> None:
     assert set(MAKERS) == set(INTERPRETERS)
 
 
+def test_the_command_line_offers_every_interpreter() -> None:
+    from gesticulator import infer  # it lists them by hand, so that --help need not import torch
+
+    assert set(infer.INTERPRETERS) == set(INTERPRETERS)
+
+
 @pytest.mark.parametrize("name", MAKERS)
 def test_contract(name: str) -> None:
     system = MAKERS[name]()
