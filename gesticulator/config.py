@@ -89,6 +89,8 @@ class Config:
     style: StyleConfig = field(default_factory=StyleConfig)
     silence: SilenceConfig = field(default_factory=SilenceConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
+    default_speaker: str = ""
+    """Whose habits are taken when nobody is named; the first performer when empty or unknown."""
     window: int = 8
     """Generated blocks in a training window: 4 s at 8 blocks of 0.5 s (RG 7.1.2)."""
     seed: int = 1
@@ -201,7 +203,7 @@ def default() -> Config:
     hour on two cores.
     """
     return Config(
-        name="default",
+        name="default", default_speaker="connor",
         schedules=Schedules(
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
             generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),

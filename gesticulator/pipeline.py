@@ -38,13 +38,14 @@ class Gesticulator:
 
     @property
     def speakers(self) -> tuple[str, ...]:
-        """The performers whose habits the bundle knows; the first is the default."""
+        """The performers whose habits the bundle knows."""
         return self.bundle.speakers
 
     def speaker_index(self, speaker: str | None) -> int:
         """The number of a performer; InputError lists the known ones."""
         if speaker is None:
-            return 0
+            preferred = self.bundle.config.default_speaker
+            return self.speakers.index(preferred) if preferred in self.speakers else 0
         if speaker not in self.speakers:
             raise InputError(f"--speaker {speaker}", "is not in the bundle", f"choose among {', '.join(self.speakers)}")
         return self.speakers.index(speaker)
