@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from data_module.beats import detect_onsets
-from data_module.blocks import denormalise
+from data_module.blocks import cut, denormalise
 from data_module.motion_beats import motion_beats
 from data_module.skeletons import from_vector
 from data_module.store import Store
@@ -25,7 +25,6 @@ from data_module.types import Array
 from eval import pmb
 from eval.bootstrap import interval
 from gesticulator import config as configs
-from gesticulator.hear import hear
 from gesticulator.pipeline import FPS
 from gesticulator.prepare import Corpus, prepare
 from gesticulator.train import Run, train_lexicon
@@ -60,6 +59,7 @@ def main() -> None:
     p.add_argument("--data", required=True)
     p.add_argument("--work", required=True)
     p.add_argument("--preset", default="default")
+    p.add_argument("--split", default="val", choices=("val", "test"), help="choices are made on val")
     p.add_argument("--set", action="append", default=[], dest="settings")
     p.add_argument("--out", help="JSON file; a row is added under the settings' names")
     a = p.parse_args()
@@ -72,11 +72,11 @@ def main() -> None:
     labels = lexicon.label(corpus.motion).numpy()
     weights = regression(corpus, labels, size)
     above: dict[str, list[float]] = {"performer": [], "lexemes": []}
-    for recording in corpus.recordings("test"):
+    for recording in corpus.recordings(a.split):
         if not corpus.names[recording].startswith("talk"):
             continue
         speech = store.load(corpus.names[recording]).speech
-        blocks, onsets = hear(speech, config).blocks, detect_onsets(speech.samples, speech.sample_rate)
+        blocks, onsets = cut(speech, config.rhythm), detect_onsets(speech.samples, speech.sample_rate)
         s, speaker = corpus.statistics, int(corpus.speaker_of[recording])
         for name, features in (("performer", corpus.motion[torch.as_tensor(corpus.blocks_of(recording))].numpy()),
                                ("lexemes", roll_out(weights, corpus, labels, recording, size))):

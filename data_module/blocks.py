@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data_module import rotation, skeletons
 from data_module.beats import BeatSettings, find_beats
 from data_module.errors import InputError
+from data_module.representation import ROTATIONS, Representation
 from data_module.silence import silent_blocks
 from data_module.types import Array, Blocks, Motion, Samples, Speech
 
@@ -129,25 +129,20 @@ def windows_of(stretched: Samples) -> Samples:
     return np.lib.stride_tricks.sliding_window_view(flat, 3 * length)[::length][:count]
 
 
-def normalise_motion(motion: Motion, blocks: Blocks) -> Array:
-    """Motion of the 16-joint character at the frames of the blocks, [N, K, J * 3] exponential maps.
+def normalise_motion(motion: Motion, blocks: Blocks, representation: Representation = ROTATIONS) -> Array:
+    """Motion of the 16-joint character at the frames of the blocks, [N, K, D_m] in this representation.
 
-    Yaw and translation of the root are removed; rotations are interpolated on the sphere at `Blocks.knot_times` and
-    unrolled over time, from the pose at time 0 on (`first_pose`). Past its end the motion holds its last pose.
+    Yaw and translation of the root are removed and the motion is sampled at `Blocks.knot_times`. Rotations are
+    interpolated on the sphere and unrolled over time, from the pose at time 0 on (`first_pose`); positions along
+    straight lines. Past its end the motion holds its last pose.
     """
-    return _vectors(motion, blocks.knot_times)[1:].reshape(len(blocks), blocks.frames, -1)
+    vectors = representation.vectors(motion, np.concatenate([[0.0], blocks.knot_times]))
+    return vectors[1:].reshape(len(blocks), blocks.frames, -1)
 
 
-def first_pose(motion: Motion) -> Array:
-    """The pose at time 0, [J * 3] exponential maps: the knot before the first block."""
-    return _vectors(motion, np.zeros(0))[0]
-
-
-def _vectors(motion: Motion, times: Array) -> Array:
-    faced = skeletons.facing(motion)
-    where = np.concatenate([[0.0], times]) * motion.fps
-    poses = rotation.interpolate(faced.rotations, where)
-    return rotation.unroll(rotation.to_exponential_map(poses)).reshape(len(where), -1)
+def first_pose(motion: Motion, representation: Representation = ROTATIONS) -> Array:
+    """The pose at time 0, [D_m] in this representation: the knot before the first block."""
+    return representation.vectors(motion, np.zeros(1))[0]
 
 
 def denormalise(knots: Array, first: Array, blocks: Blocks, fps: float, smooth_over: float = SMOOTHING) -> Array:

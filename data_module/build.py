@@ -3,77 +3,37 @@
     python -m data_module.build performer --source DIR --out STORE    # DIR holds strokes/ and speech/
     python -m data_module.build performer --preset tiny --out STORE   # three minutes, in seconds, from nothing
     python -m data_module.build folder --source DIR --out STORE       # your own NAME.bvh beside NAME.wav
+    python -m data_module.build trinity --source DIR --out STORE      # somebody's data set; --help lists them all
+    python -m data_module.build smartbody --source DIR --out STROKES  # the performer's strokes, from what is published
 
-A build that was stopped goes on where it was; the result does not depend on that, nor on the number of workers.
+A build that was stopped goes on where it was; the result does not depend on that, nor on the number of workers. What
+was found (minutes, blocks, intervals, units, joints that are lacking, what was left out and why) is printed and kept in
+STORE/report.json.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import time
-from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from data_module import report as reports
 from data_module.errors import InputError, one_line_errors
+from data_module.files import write_text
+from data_module.report import Outcome, Report
 
 if TYPE_CHECKING:
     from data_module.corpora import Item, Options
-    from data_module.store import Store
+    from data_module.store import StoreWriter
 
 DATASET = "dataset"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one recording: seconds written, or why it was dropped, and what was said on the way."""
-
-    name: str
-    seconds: float = 0.0
-    dropped: str = ""
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a build did: the store, what was dropped and why, warnings and notes, and how long it took."""
-
-    store: Store
-    outcomes: tuple[Outcome, ...] = ()
-    notes: tuple[str, ...] = ()
-    elapsed: float = 0.0
-    reused: int = 0
-
-    def lines(self) -> Iterator[str]:
-        """The report, line by line, for the terminal."""
-        infos = self.store.recordings
-        minutes = sum(info.seconds for info in infos) / 60
-        yield (f"{self.store.path}: {self.store.corpus}, {len(infos)} recordings, {minutes:.1f} minutes, built in "
-               f"{self.elapsed:.0f} s ({self.reused} recordings were there already)")
-        for split in ("train", "val", "test"):
-            own = [info for info in infos if info.split == split]
-            by: dict[str, float] = defaultdict(float)
-            for info in own:
-                by[info.speaker] += info.seconds / 60
-            people = ", ".join(f"{name} {amount:.1f}" for name, amount in sorted(by.items()))
-            voices = ", ".join(sorted({info.voice for info in own}))
-            yield (f"  {split:5s} {len(own):4d} recordings {sum(by.values()):7.1f} minutes"
-                   + (f"  speakers: {people}  voices: {voices}" if own else ""))
-        lacking = Counter(joint for info in infos for joint in info.absent)
-        for joint, count in lacking.items():
-            yield f"  joint {joint} is lacking in {count} recordings: it follows its parent and is masked"
-        for outcome in self.outcomes:
-            if outcome.dropped:
-                yield f"  dropped {outcome.name}: {outcome.dropped}"
-            yield from (f"  {outcome.name}: {line}" for line in outcome.warnings)
-        yield from (f"  {note}" for note in self.notes)
-        yield f"  licence: {self.store.licence}"
-        yield f"  fingerprint: {self.store.fingerprint}"
 
 
 @dataclass
@@ -91,7 +51,7 @@ class _Workshop:
         """Read one recording and write it into the data set and the store, the mark of completion last."""
         import warnings
 
-        from data_module import corpora, skeletons
+        from data_module import corpora, intervals, skeletons
         from data_module.corpora.folder import write_recording
 
         if self.reader is None:
@@ -109,9 +69,20 @@ class _Workshop:
                 return Outcome(item.info.name, dropped=str(error))
         if self.dataset is not None:
             write_recording(self.dataset, recording)
-        self.writer.add(recording, character)
+        blocks, apart = intervals.measure(recording.speech)
+        known = "given" if recording.speech.words else ""
+        unit, words = (recording.unit, recording.words) if isinstance(recording, corpora.Imported) else ("", known)
         said = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
-        return Outcome(item.info.name, recording.speech.duration, warnings=said)
+        outcome = Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
+                          words, warnings=said)
+        write_text(_outcome_file(self.writer, item), outcome.as_json())
+        self.writer.add(recording, character)
+        return outcome
+
+
+def _outcome_file(writer: StoreWriter, item: Item) -> Path:
+    """Where a recording's outcome waits for the end of the build; the finished store has it in its report."""
+    return Path(writer.partial / "recordings" / f"{item.info.name}.report")
 
 
 def build(corpus: str, source: Path | None, out: Path, options: Options, *, workers: int = 1, dataset: bool = True,
@@ -130,27 +101,38 @@ def build(corpus: str, source: Path | None, out: Path, options: Options, *, work
     if there is not None:
         if dataset and not (out / DATASET).is_dir():
             raise InputError(out, "was built without its data set", "delete it, or say --no-dataset")
-        return Report(there, elapsed=time.monotonic() - begun, reused=len(there.recordings))
+        return Report(there, reports.report_of(there), time.monotonic() - begun, len(there.recordings))
     writer = store.StoreWriter(out, corpus, settings, options.seed, reader.licence)
     folder = writer.partial / DATASET if dataset else None
     if folder is not None:
         folder.mkdir(exist_ok=True)
     items = reader.items()
-    todo = [item for item in items if not (writer.has(item.info.name) and (
-        folder is None or (folder / f"{item.info.name}.json").is_file()))]
+    todo = [item for item in items if not _is_done(writer, folder, item)]
+    waiting = {item.info.name for item in todo}
+    outcomes = {item.info.name: Outcome.from_json(_outcome_file(writer, item).read_text(encoding="utf-8"))
+                for item in items if item.info.name not in waiting}
     workshop = _Workshop(corpus, source, options, writer, folder)
-    outcomes = sorted(_made(workshop, todo, workers, progress), key=lambda outcome: outcome.name)
-    dropped = {outcome.name for outcome in outcomes if outcome.dropped}
-    names = [item.info.name for item in items if item.info.name not in dropped]
-    if not names:
-        reason = next((outcome.dropped for outcome in outcomes), "it is empty")
+    outcomes |= {outcome.name: outcome for outcome in _made(workshop, todo, workers, progress)}
+    kept = [item.info for item in items if not outcomes[item.info.name].dropped]
+    if not kept:
+        reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
         writer.discard()
         raise InputError(source or corpus, f"has no recording that can be used ({reason})", "see the formats in --help")
     if folder is not None:
-        for name in names:
-            _share(writer.partial / "recordings" / f"{name}.flac", folder / f"{name}.flac")
-    finished = writer.finish(names)
-    return Report(finished, tuple(outcomes), tuple(reader.notes()), time.monotonic() - begun, len(items) - len(todo))
+        for info in kept:
+            _share(writer.partial / "recordings" / f"{info.name}.flac", folder / f"{info.name}.flac")
+    infos = [replace(info, seconds=outcomes[info.name].seconds, absent=outcomes[info.name].absent) for info in kept]
+    told = reports.summary(infos, [outcomes[item.info.name] for item in items], reader.notes())
+    write_text(writer.partial / reports.FILE, json.dumps(told, indent=1, ensure_ascii=False))
+    finished = writer.finish([info.name for info in kept])
+    return Report(finished, told, time.monotonic() - begun, len(items) - len(todo))
+
+
+def _is_done(writer: StoreWriter, folder: Path | None, item: Item) -> bool:
+    """Whether a build that was stopped had finished this recording, in the store, the report and the data set."""
+    name = item.info.name
+    return (writer.has(name) and _outcome_file(writer, item).is_file()
+            and (folder is None or (folder / f"{name}.json").is_file()))
 
 
 def _made(workshop: _Workshop, items: Sequence[Item], workers: int, progress: bool) -> Iterator[Outcome]:
@@ -223,14 +205,39 @@ def _share(file: Path, place: Path) -> None:
         shutil.copyfile(file, place)
 
 
+_FORMATS = """\
+what can be read, and what SOURCE is (each reader's own file in data_module/corpora draws its folders):
+  performer  scripted performances of real strokes (SOURCE/strokes) on real (SOURCE/speech) and synthetic speech
+  folder     your own NAME.bvh of any rig beside NAME.flac, .wav, .mp3 or .ogg, and what is said, where you have it, as
+             NAME.TextGrid, NAME.json (words with times), NAME.srt, NAME.vtt or NAME.txt
+  trinity    Trinity Speech-Gesture: GENEA_Challenge_2020_data_release, with Training_data/ and Test_data/
+  zeroeggs   ZeroEGGS: its folder data, with clean/ and info.csv
+  mocca      MOCCA Gesture Dataset: speakerNN_clipNN.bvh, .wav and .srt
+  beat       BEAT: beat_english_v0.2.1, with a folder per speaker
+  beat2      BEAT2: beat_english_v2.0.0, with smplxflame_30/, wave16k/ and train_test_split.csv
+  ted        TED Gesture: ted_dataset, with lmdb_train/, lmdb_val/ and lmdb_test/
+  smartbody  SmartBody's data/behaviorsets; makes the folder strokes/ for the performer instead of a store
+"""
+
+
+def _make_strokes(name: str, source: Path | None, out: Path, options: Options) -> int:
+    """Clips without speech: `out` becomes the folder strokes/ that the performer plays, not a store."""
+    from data_module import corpora
+
+    maker = corpora.open_strokes(name, source, options)
+    count = maker.write(out)
+    print(f"{out}: {count} strokes, with manifest.csv; the performer takes them as SOURCE/strokes")
+    for note in maker.notes():
+        print(f"  {note}")
+    print(f"  licence: {maker.licence}")
+    return 0
+
+
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m data_module.build", formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Read or make a data set, and write its store.",
-        epilog="performer: scripted performances of real strokes (SOURCE/strokes) on real (SOURCE/speech) and\n"
-               "synthetic speech.   folder: your own NAME.bvh beside NAME.flac, .wav, .mp3 or .ogg, and NAME.json\n"
-               "with the words where you have them.")
-    parser.add_argument("corpus", help="performer or folder")
+        description="Read or make a data set, write its store, and report what is in it.", epilog=_FORMATS)
+    parser.add_argument("corpus", help="one of those below")
     parser.add_argument("--source", type=Path, metavar="DIR",
                         help="the data to build from (performer: default is the variable GESTICULATOR_DATA)")
     parser.add_argument("--out", type=Path, required=True, metavar="STORE", help="the folder to write")
@@ -238,11 +245,26 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--hours", type=float, default=4.2, help="performer: synthetic speech to make (default 4.2)")
     parser.add_argument("--preset", choices=("default", "tiny"), default="default",
                         help="performer: tiny is three minutes that need no data and no other program")
+    parser.add_argument("--languages", default="", metavar="de,es", help="performer: talks and readings in these "
+                        "languages only: cmn, de, en, es (default: English talks, and every reading)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one per core)")
     parser.add_argument("--no-dataset", action="store_true", help="write the store only, no BVH files")
-    parser.add_argument("--fps", type=float, help="folder: frames per second, where the BVH header is wrong")
-    parser.add_argument("--unit", type=float, help="folder: metres per unit of the BVH files, where the guess is wrong")
+    parser.add_argument("--fps", type=float, help="frames per second, where the header of BVH files is wrong")
+    parser.add_argument("--unit", type=float, help="metres per unit of BVH files, where it is not as reported")
+    parser.add_argument("--histogram", type=Path, metavar="FILE.png",
+                        help="draw the intervals between onsets and between beats (needs matplotlib)")
     return parser.parse_args(argv)
+
+
+def _check_histogram(file: Path) -> None:
+    """Before an hour of work, not after it."""
+    import importlib.util
+
+    if file.suffix.lower() != ".png" or not file.parent.is_dir():
+        raise InputError(file, "cannot be written", "give a .png file in a folder that is there")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise InputError("--histogram", "needs matplotlib, which is not installed",
+                         "pip install 'gesticulator[figures]'")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -251,7 +273,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
     with one_line_errors("build"):
-        from data_module.corpora import Options
+        from data_module.corpora import STROKE_SOURCES, Options
 
         for name in ("hours", "workers", "fps", "unit"):
             value = getattr(arguments, name)
@@ -263,11 +285,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         if source is None and arguments.corpus == "performer" and arguments.preset != "tiny":
             told = os.environ.get("GESTICULATOR_DATA")
             source = Path(told) if told else None
-        options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit)
+        languages = tuple(filter(None, arguments.languages.split(",")))
+        options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit, languages)
+        if arguments.corpus in STROKE_SOURCES:
+            return _make_strokes(arguments.corpus, source, arguments.out, options)
+        if arguments.histogram is not None:
+            _check_histogram(arguments.histogram)
         report = build(arguments.corpus, source, arguments.out, options, workers=arguments.workers,
                        dataset=not arguments.no_dataset)
         for line in report.lines():
             print(line)
+        if arguments.histogram is not None:
+            from data_module import intervals
+
+            intervals.draw(arguments.histogram, report.intervals(), f"{report.store.corpus} ({report.store.path.name})")
+            print(f"  {arguments.histogram}: the histogram of intervals")
     return 0
 
 

@@ -20,6 +20,10 @@ class InputError(Exception):
         line = f"{subject}: {wrong}" + (f"; {advice}" if advice else "")
         super().__init__(" ".join(line.split()))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """So that one raised in a worker process arrives as it was."""
+        return type(self), (self.subject, self.wrong, self.advice)
+
 
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:

@@ -6,16 +6,20 @@ file give the same features.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.errors import InputError
 from data_module.silence import FRAME, frame_levels, silent_frames
 from data_module.types import Array, Samples
+
+if TYPE_CHECKING:
+    from data_module.speech_encoder import SpeechEncoder
 
 Features = NDArray[np.float32]
 
@@ -142,18 +146,13 @@ class MelFrontEnd:
 
     def encode(self, windows: Samples, reference: Array | None = None) -> Levels:
         """See `FrontEnd.encode`. Without a reference the recording is taken as it is."""
-        if windows.ndim != 2 or windows.shape[1] != self.frames * self.samples_per_frame:
-            raise ValueError(f"windows {windows.shape} are not [N, {self.frames * self.samples_per_frame}]")
-        gain = np.zeros(len(windows)) if reference is None else np.asarray(reference) - TYPICAL_LEVEL
         out = np.empty((len(windows), self.frames, self.width_low), np.float32)
-        for start in range(0, len(windows), _BATCH):
-            part = slice(start, start + _BATCH)
-            scaled = windows[part] * (10.0 ** (-gain[part, None] / 20.0)).astype(np.float32)
-            out[part] = self._rows(scaled)
+        for part, scaled in scaled_windows(windows, reference, self.frames * self.samples_per_frame, _BATCH):
+            out[part] = self.rows(scaled)
         return Levels(out, out)
 
-    def _rows(self, windows: Samples) -> Features:
-        """[n, frames, bands + 2] of windows [n, samples]."""
+    def rows(self, windows: Samples) -> Features:
+        """[n, frames, bands + 2] of windows [n, samples]; the last two columns are onset strength and loudness."""
         from scipy.fft import rfft
 
         count, length = windows.shape
@@ -173,6 +172,17 @@ class MelFrontEnd:
             logs.reshape(count, self.frames, self.hops, self.bands).mean(axis=2),
             rise.reshape(count, self.frames, self.hops).max(axis=2)[..., None],
             np.log(np.maximum(energy, self.floor))[..., None]], axis=-1)
+
+
+def scaled_windows(windows: Samples, reference: Array | None, length: int, batch: int
+                   ) -> Iterator[tuple[slice, Samples]]:
+    """Windows [N, length] in parts of `batch`, brought from their reference level [N] to the typical one."""
+    if windows.ndim != 2 or windows.shape[1] != length:
+        raise ValueError(f"windows {windows.shape} are not [N, {length}]")
+    gain = np.zeros(len(windows)) if reference is None else np.asarray(reference) - TYPICAL_LEVEL
+    for start in range(0, len(windows), batch):
+        part = slice(start, start + batch)
+        yield part, windows[part] * (10.0 ** (-gain[part, None] / 20.0)).astype(np.float32)
 
 
 def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:
@@ -196,6 +206,39 @@ def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:
         out[block] = level
     return out
 
+def _vqwav2vec(encoder: SpeechEncoder | None = None, layers: Sequence[int] | None = None, **size: int) -> FrontEnd:
+    from data_module.learned_features import encoder_front_end
 
-FRONT_ENDS: dict[str, Callable[..., FrontEnd]] = {"mel": MelFrontEnd}
-"""Front ends by name."""
+    if encoder is None:
+        raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
+    return encoder_front_end(encoder, MelFrontEnd(**size), layers)
+
+
+FRONT_ENDS: dict[str, Callable[..., FrontEnd]] = {"mel": MelFrontEnd, "vqwav2vec": _vqwav2vec}
+"""Front ends by name; each takes frames, samples_per_frame and sample_rate, and what is its own by keyword."""
+
+
+def front_end(name: str, *, bands: int, frames: int, samples_per_frame: int, sample_rate: int,
+              encoder: SpeechEncoder | None = None, layers: Sequence[int] | None = None) -> FrontEnd:
+    """A front end by name: one of `FRONT_ENDS`, "fairseq:PATH" or "hf:NAME" (a folder, or a model transformers has).
+
+    bands: of "mel" alone (a learned one takes just onsets and loudness from it). frames: rows per window (3K).
+    encoder: for "vqwav2vec". layers: which two are the low and the high level; None for the front end's own.
+    InputError for an unknown name or a model that is not to be had.
+    """
+    size = {"frames": frames, "samples_per_frame": samples_per_frame, "sample_rate": sample_rate}
+    if name == "mel":
+        return FRONT_ENDS[name](bands=bands, **size)
+    if name in FRONT_ENDS:
+        return FRONT_ENDS[name](encoder=encoder, layers=layers, **size)
+    kind, _, where = name.partition(":")
+    if not where or kind not in ("fairseq", "hf"):
+        raise InputError("front end", f"there is no {name!r}",
+                         f"choose from {', '.join(FRONT_ENDS)}, fairseq:PATH, hf:NAME_OR_FOLDER")
+    from data_module.learned_features import encoder_front_end, transformers_front_end
+
+    if kind == "hf":
+        return transformers_front_end(where, MelFrontEnd(**size), layers)
+    from data_module.speech_encoder import load_fairseq
+
+    return encoder_front_end(load_fairseq(where), MelFrontEnd(**size), layers, name=name)

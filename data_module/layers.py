@@ -30,18 +30,27 @@ def convolutions(widths: Sequence[int], kernel: int = 3, *, norm: bool = True, l
 
 
 class BlockLinear(nn.Module):
-    """One fully connected layer on three consecutive blocks, giving K rows: [..., 3K, D] to [..., K, width].
+    """One fully connected layer on the rows of three consecutive blocks (or of the middle one), giving K rows.
 
-    E_A of the paper (RG 5.2, Eq. 17): the rows of the block before, the block itself and the block after.
+    E_A of the paper (RG 5.2, Eq. 17) reads the block before, the block itself and the block after; its FC on text
+    (RG 6.1) reads T_i alone: blocks is 3 or 1. bottleneck: width that every row is brought to first by one layer that
+    all rows share, which saves most of the weights where rows are wide; 0 leaves it out (the paper).
     """
 
-    def __init__(self, frames: int, width_in: int, width: int) -> None:
+    def __init__(self, frames: int, width_in: int, width: int, blocks: int = 3, bottleneck: int = 0) -> None:
         super().__init__()
-        self.frames, self.width = frames, width
-        self.linear = nn.Linear(3 * frames * width_in, frames * width)
+        if blocks not in (1, 3):
+            raise ValueError("rows are read from 1 block or from 3")
+        self.frames, self.width, self.blocks = frames, width, blocks
+        self.narrow = nn.Linear(width_in, bottleneck) if bottleneck else None
+        self.linear = nn.Linear(blocks * frames * (bottleneck or width_in), frames * width)
 
     def forward(self, windows: Tensor) -> Tensor:
         """[..., 3K, D] to [..., K, width]."""
+        if self.blocks == 1:
+            windows = windows[..., self.frames:2 * self.frames, :]
+        if self.narrow is not None:
+            windows = self.narrow(windows)
         return self.linear(windows.flatten(-2)).unflatten(-1, (self.frames, self.width))
 
 

@@ -170,7 +170,7 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None) -> Moti
     local = rotation.normalise(kinematics.local_rotations(CHARACTER, out))
     local = rotation.continuous(local)
     root = rotation.rotate(change, kinematics.positions_of(motion)[:, table["Hips"]])
-    absent = tuple(name for name in JOINTS if name not in table)
+    absent = tuple(name for name in JOINTS if name not in table or source.names[table[name]] in motion.absent)
     return Motion(CHARACTER, local, root, motion.fps, absent)
 
 

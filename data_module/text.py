@@ -3,12 +3,14 @@
 The aligner is pocketsphinx (extra `align`). The recording is cut at pauses into pieces of ten seconds at most; each
 piece is decoded along the chain of words that are still to come, so the transcript finds its pieces by itself. Where
 that leaves words over, the whole recording is aligned with a wide beam; where even that fails, the words share out
-the loud frames by their length, and the result says so.
+the loud frames by their length, and the result says so. It also says so where the words that were found leave much of
+the sound without a word: a short text finds a place in any recording.
 """
 
 from __future__ import annotations
 
 import functools
+import importlib.util
 import itertools
 import re
 import warnings
@@ -31,20 +33,28 @@ LONGEST_PIECE = 10.0
 SHORTEST_PAUSE = 0.15
 LONGEST_WIDE = 180.0
 """Seconds; the wide beam costs about 0.15 s a second and grows with the length, so a longer recording goes without."""
+LEAST_COVERED = 0.85
+"""Share of the loud frames that lies in words where a transcript follows its recording: 0.96 and more in English
+readings with their own text, 0.8 and less with another one."""
 _WIDE_BEAM = {"beam": 1e-120, "pbeam": 1e-120, "wbeam": 1e-120}
 _WORDS_PER_SECOND = 6
+_KNOWN_LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzéèêëïçàâ")
+_STRANGE_WORDS = 0.05
+# Scripts that write words without spaces, and the longest stretch of them that is taken as one word.
+_UNSPACED, _LONGEST_UNSPACED = re.compile(r"[\u3040-\u30ff\u3400-\u9fff\uf900-\ufaff\U00020000-\U0003ffff]"), 4
 
 
 class AlignmentWarning(UserWarning):
-    """The aligner could not follow the transcript; the times are shared out."""
+    """The aligner could not follow the transcript; the times are guessed."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Words with their times, and whether the times were heard (True) or shared out by the length of the words."""
+    """Words with their times, and whether the times were heard (True) or guessed, for the reason given in `doubt`."""
 
     words: tuple[Word, ...]
     heard: bool
+    doubt: str = ""
 
 
 # Letters to ARPABET sounds, longest match first; good enough to let the aligner pass through a word it never saw.
@@ -102,11 +112,11 @@ def align(speech: Speech, transcript: str) -> tuple[Word, ...]:
     return alignment(speech, transcript).words
 
 
-def alignment(speech: Speech, transcript: str) -> Alignment:
+def alignment(speech: Speech, transcript: str, *, warn: bool = True) -> Alignment:
     """Align an English transcript with its recording.
 
     Words rise in time and lie within the recording. `InputError` when the transcript has no words or the aligner is
-    not installed; an `AlignmentWarning` when the times had to be shared out.
+    not installed; an `AlignmentWarning`, if `warn`, when the times are guessed.
     """
     words = spoken_words(transcript)
     if not words:
@@ -116,14 +126,52 @@ def alignment(speech: Speech, transcript: str) -> Alignment:
     found = _by_pieces(samples, plain)
     if found is None and speech.duration <= LONGEST_WIDE:
         found = _whole(samples, plain)
-    heard = found is not None
     if found is None:
-        warnings.warn(f"the transcript ('{transcript.strip()[:30]}...') does not follow its recording; "
-                      "its words share out the sound", AlignmentWarning, stacklevel=3)
-        found = _shared_out(samples, plain)
+        doubt = "the transcript does not follow the recording"
+        timed = shared_out(speech, [written for written, _ in words])
+    else:
+        end = speech.duration
+        timed = tuple(Word(written, min(a, end), min(b, end))
+                      for (written, _), (a, b) in zip(words, found, strict=True))
+        covered = _covered(samples, found)
+        doubt = "" if covered >= LEAST_COVERED else f"the transcript covers only {covered:.0%} of what is said"
+    if doubt and warn:
+        warnings.warn(f"{doubt} ('{transcript.strip()[:30]}...'); the times of its words are guessed",
+                      AlignmentWarning, stacklevel=3)
+    return Alignment(timed, not doubt, doubt)
+
+
+def shared_out(speech: Speech, words: Sequence[str]) -> tuple[Word, ...]:
+    """Words of any language that share out the loud parts of the recording by their length; a guess."""
     end = speech.duration
-    return Alignment(tuple(Word(written, min(a, end), min(b, end))
-                           for (written, _), (a, b) in zip(words, found, strict=True)), heard)
+    return tuple(Word(word, min(a, end), min(b, end))
+                 for word, (a, b) in zip(words, _shared_out(_aligner_samples(speech), words), strict=True))
+
+
+def written_words(transcript: str) -> list[str]:
+    """The words of a transcript in any language, without the marks around them.
+
+    Where a script has no spaces, each of its characters counts as a word.
+    """
+    out: list[str] = []
+    for token in re.sub("[-–—]", " ", transcript).split():
+        if len(_UNSPACED.findall(token)) > _LONGEST_UNSPACED:
+            token = _UNSPACED.sub(r" \g<0> ", token)
+        stripped = (re.sub(r"^[\W_]+|[\W_]+$", "", part) for part in token.split())
+        out += [part for part in stripped if part]
+    return out
+
+
+def can_follow(transcript: str) -> bool:
+    """Whether the aligner can read a transcript: it has words, and next to none holds a letter foreign to English."""
+    words = [word.lower() for word in written_words(transcript) if any(letter.isalpha() for letter in word)]
+    strange = sum(any(letter.isalpha() and letter not in _KNOWN_LETTERS for letter in word) for word in words)
+    return bool(spoken_words(transcript)) and strange <= _STRANGE_WORDS * len(words)
+
+
+def aligner_installed() -> bool:
+    """Whether pocketsphinx (extra `align`) is there."""
+    return importlib.util.find_spec("pocketsphinx") is not None
 
 
 def _aligner_samples(speech: Speech) -> NDArray[np.int16]:
@@ -230,6 +278,15 @@ def _whole(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float
     decoder.set_align_text(" ".join(words))
     heard = _decode(decoder, samples)
     return [(a, b) for _, a, b in heard] if len(heard) == len(words) else None
+
+
+def _covered(samples: NDArray[np.int16], spans: Sequence[tuple[float, float]]) -> float:
+    """The share of the loud frames that lies in words."""
+    loud = _loud(samples)
+    spoken = np.zeros(len(loud), dtype=bool)
+    for start, end in spans:
+        spoken[round(start / FRAME):round(end / FRAME)] = True
+    return float((loud & spoken).sum() / max(1, loud.sum()))
 
 
 def _shared_out(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]]:

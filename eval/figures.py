@@ -12,7 +12,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from tqdm import tqdm
 from data_module import bvh, skeletons
 from data_module.audio import load_speech
 from data_module.beats import detect_onsets
-from data_module.blocks import normalise_motion
+from data_module.blocks import cut, normalise_motion
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
 from data_module.kinematics import positions_of, resample
@@ -37,10 +37,10 @@ from data_module.store import Recording, Store
 from data_module.types import Array, Motion, Speech
 from eval import pmb
 from eval.bootstrap import interval
+from eval.parts import hinted_labels
 from gesticulator import bundle as bundles
-from gesticulator.hear import hear
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.prepare import Corpus, prepare
+from gesticulator.prepare import Corpus, prepare, representation_of
 from gesticulator.train import lexicon_figures
 from interpreters import BlockFeatures, LexemeInterpreter
 
@@ -138,13 +138,14 @@ def lexicon_table(bundle: bundles.Bundle, corpus: Corpus, recordings: Sequence[R
     errors |= reconstructions(bundle, corpus.motion[test])
     own = corpus.recording[corpus.select("test")]
     clips = np.unique(own)
-    kinds = np.concatenate([stroke_kinds(r, hear(r.speech, bundle.config).blocks.edges) for r in recordings])
+    kinds = np.concatenate([stroke_kinds(r, cut(r.speech, bundle.config.rhythm).edges) for r in recordings])
     for name, kind in (("quantised, strokes seen in training", 0), ("quantised, strokes never seen", 1)):
         errors[name] = np.where(kinds == kind, errors["quantised"], np.nan)
     table = {name: interval([np.nanmean(error[own == clip]) if np.isfinite(error[own == clip]).any() else np.nan
                              for clip in clips]).to_dict() for name, error in errors.items()}
     if take is not None:
-        blocks = normalise_motion(take[0], hear(take[1], bundle.config).blocks)
+        blocks = normalise_motion(take[0], cut(take[1], bundle.config.rhythm),
+                                  representation_of(bundle.config))
         centred = (blocks - blocks.mean(axis=(0, 1))) / bundle.statistics.deviation
         for name, error in reconstructions(bundle, torch.as_tensor(centred, dtype=torch.float32)).items():
             table[f"real take (BEAT), {name}"] = interval([float(error.mean())]).to_dict()
@@ -158,13 +159,14 @@ def accuracy_table(bundle: bundles.Bundle, corpus: Corpus, hinted: NDArray[np.in
                    rows: dict[str, LexemeInterpreter]) -> dict[str, Any]:
     """Share of test blocks whose lexeme is the performer's (with the silent hint), teacher-forced and free-running.
 
-    Both take the best score, under the silent mask. Percent; the interval is over recordings.
+    Both take the best score, under the silent mask. Percent; the interval is over recordings (one that reads text:
+    over those with words).
     """
     table: dict[str, Any] = {}
     for name, system in rows.items():
         scores: dict[str, list[float]] = {"teacher_forced": [], "free_running": []}
         sizes = []
-        for recording in corpus.recordings("test"):
+        for recording in corpus.recordings("test", getattr(system, "encode_text", None) is not None):
             own = corpus.blocks_of(recording)
             sizes.append(len(own) - 1)
             for kind, values in scores.items():
@@ -181,7 +183,9 @@ def _accuracy(bundle: bundles.Bundle, corpus: Corpus, system: LexemeInterpreter,
     state = system.start(int(corpus.speaker_of[recording]), previous)
     for block in own[1:]:
         silent = bool(corpus.silent[block])
-        scores, state = system.step(state, BlockFeatures(corpus.low[block], corpus.high[block], silent), previous)
+        text = corpus.text(np.array([block]))[0] if corpus.has_text[recording] else None
+        features = BlockFeatures(corpus.low[block].float(), corpus.high[block].float(), silent, text)
+        scores, state = system.step(state, features, previous)
         chosen = select(scores, allowed=bundle.silent if silent else None)
         right += chosen == hinted[block]
         previous = int(hinted[block]) if teacher else chosen
@@ -261,11 +265,12 @@ def motion_row(clips: Sequence[Clip]) -> dict[str, Any]:
 
 
 def play(system: Gesticulator, recordings: Sequence[Recording], interpreter: str | LexemeInterpreter,
-         progress: bool, label: str) -> list[Clip]:
-    """A system's motion for the speech of recordings, in the habits of each one's performer."""
+         progress: bool, label: str, words: bool = False) -> list[Clip]:
+    """A system's motion for the speech of recordings, in the habits of each one's performer; heard only, or read."""
     clips = []
     for recording in tqdm(recordings, desc=label, disable=not progress):
-        made = system(recording.speech, speaker=recording.info.speaker, interpreter=interpreter)
+        speech = recording.speech if words else replace(recording.speech, words=None)
+        made = system(speech, speaker=recording.info.speaker, interpreter=interpreter)
         clips.append(measure(made.motion, recording.speech, made.blocks.edges))
     return clips
 
@@ -285,12 +290,8 @@ def real_take() -> tuple[Motion, Speech] | None:
 def figures(store: Store, system: Gesticulator, work: Path, progress: bool = True) -> dict[str, Any]:
     """Every table, as plain values."""
     bundle = system.bundle
-    corpus = prepare(store, bundle.config, work, workers=os.cpu_count() or 1, progress=progress)
-    labels = bundle.lexicon.label(corpus.motion).numpy()
-    from lexicon.inventory import nearest_silent
-
-    nearest = nearest_silent(bundle.lexicon.vectors.double().numpy(), bundle.silent)
-    hinted = np.where(corpus.silent, nearest[labels], labels)
+    corpus = prepare(store, bundle.config, work, bundle.encoder, workers=os.cpu_count() or 1, progress=progress)
+    hinted = hinted_labels(bundle, corpus)
     size = bundle.config.lexicon.size
     deaf: dict[str, LexemeInterpreter] = {"statistical": bundle.statistical(), "commonest": Commonest(bundle)}
     by_table = PreviousAndSpeaker(successors(corpus, hinted, size), size)
@@ -300,15 +301,19 @@ def figures(store: Store, system: Gesticulator, work: Path, progress: bool = Tru
         "store": {"name": store.corpus, "fingerprint": store.fingerprint, "test_recordings": len(recordings),
                   "test_seconds": round(sum(r.speech.duration for r in recordings), 1)},
         "lexicon": lexicon_table(bundle, corpus, recordings, take),
-        "accuracy": accuracy_table(bundle, corpus, hinted, {"lstm": bundle.interpreter,
-                                                            "previous lexeme and speaker": by_table, **deaf}),
         "rhythm": {}, "motion": {},
     }
     rows: dict[str, list[Clip]] = {"performer": [
-        measure(r.motion, r.speech, hear(r.speech, bundle.config).blocks.edges) for r in recordings]}
+        measure(r.motion, r.speech, cut(r.speech, bundle.config.rhythm).edges) for r in recordings]}
     rows["lstm"] = play(system, recordings, "lstm", progress, "lstm")
+    read = {}
+    if bundle.interpreter_text is not None:
+        rows["lstm with text"] = play(system, recordings, "lstm", progress, "lstm with text", words=True)
+        read["lstm with text"] = bundle.interpreter_text
     for name, interpreter in deaf.items():
         rows[name] = play(system, recordings, interpreter, progress, name)
+    out["accuracy"] = accuracy_table(bundle, corpus, hinted, {
+        "lstm": bundle.interpreter, **read, "previous lexeme and speaker": by_table, **deaf})
     if take is not None:
         motion, speech = take
         made = system(speech)

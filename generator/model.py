@@ -26,6 +26,8 @@ class GeneratorConfig:
     """d_m~, width of E_M."""
     audio_features: int = 128
     """d_a~, width of E_A."""
+    audio_bottleneck: int = 0
+    """Width that each row of audio is brought to before E_A; 0 for none (the paper)."""
     style_width: int = 32
     """d_z."""
     position_width: int = 32
@@ -54,8 +56,13 @@ class GeneratorConfig:
     perceptual: float = 0.5
     lexeme: float = 0.2
     style: float = 1.0
+    use_control: bool = False
+    """Hear what is asked of the style (C_i of RG 7.2.1)."""
     velocity: float = 0.0
     """Weight of the squared error of frame differences; off in the paper."""
+    style_dropout: float = 0.0
+    """Share of training windows that get the zero code instead of their own. A learned code tells what only hindsight
+    knows; without it the generator must take its timing from the sound. Off in the paper."""
     swaps: int = 1
     """N_J, permutations of the other inputs for the lexeme loss."""
     swap_share: float = 1.0
@@ -106,19 +113,25 @@ class Generator(nn.Module):
 
     position: Tensor
     fade: Tensor
+    present: Tensor
 
     def __init__(self, config: GeneratorConfig, frames: int, motion_width: int, audio_width: int, lexeme_width: int,
-                 style_blocks: int = 0) -> None:
+                 style_blocks: int = 0, control_width: int = 0, present: Tensor | None = None) -> None:
+        """control_width: 2 F, of a control's rows; read only where the settings ask for it. present: [D_m] 1 where the
+        data have the dimension; elsewhere no loss would hold it, so it is 0."""
         super().__init__()
+        self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
         c = self.config = config
         self.frames = frames
         self.encode_motion = convolutions((motion_width, *[c.motion_features] * 3), norm=False)
-        self.encode_audio = BlockLinear(frames, audio_width, c.audio_features)
+        self.encode_audio = BlockLinear(frames, audio_width, c.audio_features, bottleneck=c.audio_bottleneck)
         position = positional_block(frames, c.position_width, direction=c.position_direction) \
             if c.position_width else torch.zeros(frames, 0)
         self.register_buffer("position", position, persistent=False)
         self.register_buffer("fade", torch.arange(frames - 1, -1, -1.0)[:, None] / frames, persistent=False)
+        self.control_width = control_width if c.use_control else 0
         width = c.motion_features + c.audio_features + lexeme_width + c.style_width + c.position_width
+        width += self.control_width
         self.mlp = nn.Sequential(nn.Linear(width, c.hidden), nn.LeakyReLU(SLOPE),
                                  nn.Linear(c.hidden, c.hidden), nn.LeakyReLU(SLOPE))
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
@@ -147,33 +160,38 @@ class Generator(nn.Module):
         hidden, cell = both.unflatten(-1, (2, c.lstm_layers, c.lstm_width)).permute(1, 2, 0, 3)
         return torch.tanh(hidden).contiguous(), cell.contiguous()
 
-    def step(self, past: Tensor, audio: Tensor, lexeme: Tensor, style: Tensor, state: State, temperature: float = 1.0
-             ) -> tuple[Tensor, State, Tensor]:
+    def step(self, past: Tensor, audio: Tensor, lexeme: Tensor, style: Tensor, state: State, temperature: float = 1.0,
+             control: Tensor | None = None) -> tuple[Tensor, State, Tensor]:
         """One block (RG Eq. 15).
 
         past: [B, K, D_m] the block before; audio: [B, K, audio_features] (`encode_audio` of the three-block window);
-        lexeme: [B, D_s]; style: [B, d_z]. Gives the block [B, K, D_m], the state, and the choice [B, K, H, C].
+        lexeme: [B, D_s]; style: [B, d_z]; control: [B, K, 2 F], None when nothing is asked. Gives the block
+        [B, K, D_m], the state, and the choice [B, K, H, C].
         """
+        if control is None:
+            control = audio.new_zeros(len(past), self.frames, self.control_width)
         rows = torch.cat([
             self.encode_motion(past.transpose(1, 2)).transpose(1, 2),
             audio,
             repeat_frames(lexeme, self.frames),
             repeat_frames(style, self.frames),
             self.position.expand(len(past), -1, -1),
+            control[..., :self.control_width],
         ], dim=-1)
         vectors, choice = self.codes(self.mlp(rows), temperature)
         hidden, state = self.lstm(vectors, state)
         motion = self.to_motion(hidden)
         if self.config.residual:
             motion = motion + self.fade * past[:, -1:]
-        return motion, state, choice
+        return motion * self.present, state, choice
 
     def roll_out(self, seed: Tensor, motion: Tensor | None, audio: Tensor, lexeme: Tensor, style: Tensor,
-                 own_past: float = 1.0, temperature: float = 1.0) -> tuple[Tensor, Tensor]:
+                 own_past: float = 1.0, temperature: float = 1.0, control: Tensor | None = None
+                 ) -> tuple[Tensor, Tensor]:
         """Blocks 1..N one after the other, the decoder's state carried across.
 
         seed: [B, K, D_m] the block before the first; motion: [B, N, K, D_m] the truth (needed when own_past < 1);
-        audio: [B, N, 3K, d] windows; lexeme: [B, N, D_s]; style: [B, N, d_z].
+        audio: [B, N, 3K, d] windows; lexeme: [B, N, D_s]; style: [B, N, d_z]; control: [B, N, K, 2 F] or None.
         With probability `own_past` a block sees what was generated, else the truth. Gives [B, N, K, D_m] and the
         code choices [B, N, K, H, C].
         """
@@ -181,7 +199,8 @@ class Generator(nn.Module):
         state = self.first_state(seed[:, -1], lexeme[:, 0])
         past, made, choices = seed, [], []
         for i in range(lexeme.shape[1]):
-            block, state, choice = self.step(past, heard[:, i], lexeme[:, i], style[:, i], state, temperature)
+            asked = None if control is None else control[:, i]
+            block, state, choice = self.step(past, heard[:, i], lexeme[:, i], style[:, i], state, temperature, asked)
             made.append(block)
             choices.append(choice)
             past = block
@@ -206,7 +225,7 @@ class Generator(nn.Module):
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], lexeme [B, N + 1, D_s], style [B, N + 1] block
         numbers (0 for inserted silence), mask [B, D_m] present joints, valid [B, N + 1] (0 where a short recording was
-        filled up). encoder: the lexicon's frozen E.
+        filled up), control [B, N + 1, K, 2 F] where it is heard. encoder: the lexicon's frozen E.
         """
         if self.styles is None:
             raise ValueError("a generator without style codes cannot be trained")
@@ -214,8 +233,12 @@ class Generator(nn.Module):
         numbers = batch["style"][:, 1:]
         style = self.styles(numbers)
         temperature = self.temperature(progress)
-        made, _ = self.roll_out(motion[:, 0], motion[:, 1:], audio, lexemes, style,
-                                self.own_past_probability(progress), temperature)
+        control = batch["control"][:, 1:] if self.control_width else None
+        worn = style
+        if self.training and self.config.style_dropout > 0:
+            worn = style * (torch.rand(len(style), 1, 1, device=style.device) >= self.config.style_dropout)
+        made, _ = self.roll_out(motion[:, 0], motion[:, 1:], audio, lexemes, worn,
+                                self.own_past_probability(progress), temperature, control)
         valid = batch["valid"][:, 1:]
         mask = batch["mask"][:, None, None] * valid[:, :, None, None]
         kept = valid > 0
@@ -226,14 +249,14 @@ class Generator(nn.Module):
         return {
             "reconstruction": losses.reconstruction(made, motion[:, 1:], mask),
             "perceptual": losses.perceptual(made[kept], motion[:, 1:][kept], encoder),
-            "lexeme": self._lexeme_loss(motion, audio, lexemes, style, temperature, encoder),
+            "lexeme": self._lexeme_loss(motion, audio, lexemes, style, temperature, encoder, control),
             "style": losses.style_divergence(style[(numbers > 0) & kept]),
             "velocity": losses.reconstruction(velocity, torch.zeros_like(velocity), mask),
         }
 
     def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,
-                     encoder: Encoder) -> Tensor:
-        """RG Eq. 12 and 13: the past, audio and style of random blocks j of the batch under the lexemes of blocks i."""
+                     encoder: Encoder, control: Tensor | None) -> Tensor:
+        """RG Eq. 12 and 13: past, audio, style (and control) of random blocks j of the batch, lexemes of blocks i."""
         past, heard = motion[:, :-1].flatten(0, 1), audio.flatten(0, 1)
         wanted, styles = lexemes.flatten(0, 1), style.flatten(0, 1)
         count = max(1, round(len(past) * self.config.swap_share))
@@ -242,6 +265,8 @@ class Generator(nn.Module):
             i = torch.randperm(len(past), device=past.device)[:count]
             j = torch.randperm(len(past), device=past.device)[:count]
             state = self.first_state(past[j, -1], wanted[i])
-            made, _, _ = self.step(past[j], self.encode_audio(heard[j]), wanted[i], styles[j], state, temperature)
+            asked = None if control is None else control.flatten(0, 1)[j]
+            made, _, _ = self.step(past[j], self.encode_audio(heard[j]), wanted[i], styles[j], state, temperature,
+                                   asked)
             total = total + losses.lexeme(made, wanted[i], encoder)
         return total / max(self.config.swaps, 1)

@@ -12,7 +12,7 @@ import json
 import platform
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,21 +23,26 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+from data_module.controls import Levels
 from data_module.errors import InputError
 from data_module.features import Normaliser
 from data_module.layers import freeze
 from data_module.skeletons import CHARACTER
+from data_module.speech_encoder import SpeechEncoder
 from generator.model import Generator
 from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
-from gesticulator.prepare import MOTION_WIDTH, Statistics
+from gesticulator.prepare import CONTROL_WIDTH, Statistics, representation_of
+from interpreters.gate import ActivityGate
 from interpreters.lstm import LstmInterpreter
 from interpreters.statistical import StatisticalInterpreter
 from interpreters.style import StyleInterpreter
 from lexicon.autoencoder import Lexicon
 from lexicon.inventory import Inventory
 
-FORMAT = 1
+FORMAT = 2
+_READABLE = (1, 2)
+"""Format 1 had no text, speech levels, gate or style editing; what it holds means the same."""
 _INDEX = "bundle.json"
 CARD = "MODEL_CARD.md"
 SHIPPED = Path(__file__).parent / "assets" / "bundle"
@@ -45,8 +50,26 @@ SHIPPED = Path(__file__).parent / "assets" / "bundle"
 
 
 @dataclass(frozen=True)
+class TextSource:
+    """The word encoder that the interpreters were trained on. width: d_t + 1, with the flag of the empty word."""
+
+    encoder: str
+    width: int
+
+    @classmethod
+    def of(cls, config: Config, width: int) -> TextSource | None:
+        """None where no text was read."""
+        return cls(config.text.encoder, width) if config.text.encoder and width else None
+
+
+@dataclass(frozen=True)
 class Bundle:
-    """Trained models and all that goes with them. provenance: what the weights were trained on, in plain values."""
+    """Trained models and all that goes with them.
+
+    interpreter, style: the audio-only ones; interpreter_text, style_text: those that read the words too, where there
+    are any. encoder: the speech levels. gate: whether to gesture at all. text: where the word vectors come from.
+    provenance: what the weights were trained on, in plain values.
+    """
 
     config: Config
     statistics: Statistics
@@ -58,6 +81,16 @@ class Bundle:
     silent: NDArray[np.int64]
     provenance: dict[str, Any]
     figures: dict[str, Any]
+    encoder: SpeechEncoder | None = None
+    gate: ActivityGate | None = None
+    interpreter_text: LstmInterpreter | None = None
+    style_text: StyleInterpreter | None = None
+    text: TextSource | None = None
+
+    @property
+    def levels(self) -> Levels | None:
+        """What low, mid and high mean for each feature of style; None where the models hear no control."""
+        return self.statistics.levels if self.config.generator.use_control else None
 
     @property
     def speakers(self) -> tuple[str, ...]:
@@ -94,12 +127,22 @@ def _statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
               "transitions": bundle.inventory.transitions}
     for name, normaliser in (("low", s.low), ("high", s.high)):
         arrays.update({f"{name}_{key}": value for key, value in normaliser.to_dict().items()})
+    if s.quiet_low is not None and s.quiet_high is not None:
+        arrays.update({"quiet_low": s.quiet_low, "quiet_high": s.quiet_high})
+    if s.levels is not None:
+        arrays.update({f"levels_{key}": value for key, value in s.levels.to_dict().items()})
     return {key: torch.as_tensor(np.ascontiguousarray(value), dtype=torch.float32) for key, value in arrays.items()}
 
 
 def _half(module: nn.Module, leave_out: str = " ") -> dict[str, Tensor]:
     return {key: (value.half() if value.is_floating_point() else value).contiguous().cpu()
             for key, value in module.state_dict().items() if not key.startswith(leave_out)}
+
+
+_OPTIONAL = {"lexeme_interpreter": "interpreter", "style_interpreter": "style",
+             "lexeme_interpreter_text": "interpreter_text", "style_interpreter_text": "style_text",
+             "speech_encoder": "encoder", "gate": "gate"}
+"""File of a bundle -> field of `Bundle`; all but the first two may be absent."""
 
 
 def save(bundle: Bundle, path: str | Path, card: str) -> None:
@@ -113,8 +156,10 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
         save_file(_half(bundle.lexicon), temporary / "lexicon.safetensors")
         # The table of style codes belongs to the training blocks; nothing at inference looks into it.
         save_file(_half(bundle.generator, "styles."), temporary / "generator.safetensors")
-        save_file(_half(bundle.interpreter), temporary / "lexeme_interpreter.safetensors")
-        save_file(_half(bundle.style), temporary / "style_interpreter.safetensors")
+        for name, module in _OPTIONAL.items():
+            own = getattr(bundle, module)
+            if own is not None:
+                save_file(_half(own), temporary / f"{name}.safetensors")
         save_file(_statistics_tensors(bundle), temporary / "statistics.safetensors")
         (temporary / CARD).write_text(card, encoding="utf-8")
         files = {file.name: _sha(file) for file in sorted(temporary.iterdir())}
@@ -125,7 +170,9 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
             "skeleton": {"names": list(CHARACTER.names), "parents": list(CHARACTER.parents),
                          "offsets": CHARACTER.offsets.tolist()},
             "speakers": list(bundle.speakers), "silent_lexemes": bundle.silent.tolist(),
-            "lexicon_hash": lexicon_hash(bundle.lexicon), "provenance": bundle.provenance, "figures": bundle.figures,
+            "lexicon_hash": lexicon_hash(bundle.lexicon),
+            "text": {"encoder": bundle.text.encoder, "width": bundle.text.width} if bundle.text else None,
+            "provenance": bundle.provenance, "figures": bundle.figures,
             "files": files,
         }
         (temporary / _INDEX).write_text(json.dumps(index, indent=1, sort_keys=True) + "\n", encoding="utf-8")
@@ -161,7 +208,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
         version = index["format"]
     except (ValueError, KeyError, TypeError):
         raise InputError(index_path, "is broken", "copy the bundle again") from None
-    if version != FORMAT:
+    if version not in _READABLE:
         raise InputError(index_path, f"has format {version}, and this version reads format {FORMAT}",
                          "train it again or use the matching version")
     lacking = [key for key in ("config", "skeleton", "speakers", "silent_lexemes", "files", "provenance", "figures")
@@ -187,7 +234,7 @@ def load(path: str | Path) -> Bundle:
     config = from_dict(Config, index["config"])
     try:
         return _assemble(folder, index, config)
-    except (SafetensorError, RuntimeError, KeyError, ValueError) as error:
+    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(folder, f"does not fit together ({str(error).splitlines()[0]})", "train it again") from None
 
 
@@ -199,23 +246,50 @@ def _read(folder: Path, name: str) -> dict[str, Tensor]:
 def _assemble(folder: Path, index: dict[str, Any], config: Config) -> Bundle:
     tensors = {key: value.double().numpy() for key, value in _read(folder, "statistics").items()}
     speakers = tuple(index["speakers"])
-    low, high = (Normaliser.from_dict({key.partition("_")[2]: value for key, value in tensors.items()
-                                       if key.startswith(f"{level}_")}) for level in ("low", "high"))
+    low, high, levels = ({key.partition("_")[2]: value for key, value in tensors.items() if key.startswith(f"{name}_")}
+                         for name in ("low", "high", "levels"))
     statistics = Statistics(speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"],
-                            tensors["bounds"], low, high)
+                            tensors["bounds"], Normaliser.from_dict(low), Normaliser.from_dict(high),
+                            tensors.get("quiet_low"), tensors.get("quiet_high"),
+                            Levels.from_dict(levels) if levels else None)
     inventory = Inventory(dict(zip(speakers, tensors["frequencies"], strict=True)), tensors["transitions"])
+    width = representation_of(config).width
     frames = config.rhythm.frames
-    lexicon = Lexicon(config.lexicon, frames, MOTION_WIDTH)
+    lexicon = Lexicon(config.lexicon, frames, width, statistics.present)
     lexicon.load_state_dict(_read(folder, "lexicon"))
-    low_width, high_width = (len(next(iter(n.to_dict().values()))) for n in (low, high))
-    generator = Generator(config.generator, frames, MOTION_WIDTH, low_width, config.lexicon.code_width)
+    text = TextSource(**index["text"]) if index.get("text") else None
+    generator = Generator(config.generator, frames, width, len(low["mean"]), config.lexicon.code_width,
+                          control_width=CONTROL_WIDTH, present=statistics.present)
     generator.load_state_dict(_read(folder, "generator"))
-    interpreter = LstmInterpreter(config.interpreter, frames, high_width, lexicon.vectors, len(speakers))
-    interpreter.load_state_dict(_read(folder, "lexeme_interpreter"))
-    style = StyleInterpreter(config.style, frames, low_width, lexicon.vectors, config.generator.style_width,
+    there = {name.removesuffix(".safetensors") for name in index["files"]}
+    parts = _optional_models(folder, there, config, lexicon, text, (len(low["mean"]), len(high["mean"])),
                              len(speakers))
-    style.load_state_dict(_read(folder, "style_interpreter"))
-    for module in (lexicon, generator, interpreter, style):
+    for module in (lexicon, generator, *parts.values()):
         freeze(module)
-    return Bundle(config, statistics, lexicon, generator, interpreter, style, inventory,
-                  np.array(index["silent_lexemes"], dtype=np.int64), index["provenance"], index["figures"])
+    return Bundle(config, statistics, lexicon, generator, inventory=inventory,
+                  silent=np.array(index["silent_lexemes"], dtype=np.int64), provenance=index["provenance"],
+                  figures=index["figures"], text=text, **parts)
+
+
+def _optional_models(folder: Path, there: set[str], config: Config, lexicon: Lexicon, text: TextSource | None,
+                     widths: tuple[int, int], speakers: int) -> dict[str, Any]:
+    """The models of `_OPTIONAL` that are there, by field. widths: of the low and the high level."""
+    frames, words, (low, high) = config.rhythm.frames, text.width if text else 0, widths
+    made: dict[str, Any] = {}
+    for file, name in _OPTIONAL.items():
+        if file not in there:
+            continue
+        reads = name.endswith("_text")
+        if name.startswith("interpreter"):
+            sized = config.interpreter if reads else replace(config.interpreter, text_features=0)
+            model: nn.Module = LstmInterpreter(sized, frames, high, lexicon.vectors, speakers, words, CONTROL_WIDTH)
+        elif name.startswith("style"):
+            style = config.style if reads else replace(config.style, text_features=0)
+            model = StyleInterpreter(style, frames, low, lexicon.vectors, config.generator.style_width, speakers, words)
+        elif name == "encoder":
+            model = SpeechEncoder(config.encoder)
+        else:
+            model = ActivityGate(config.gate, frames, low, speakers)
+        model.load_state_dict(_read(folder, file))
+        made[name] = model
+    return made

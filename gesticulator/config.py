@@ -13,8 +13,10 @@ from typing import Any, TypeVar, cast
 from data_module.beats import BeatSettings
 from data_module.blocks import BlockSettings
 from data_module.errors import InputError
+from data_module.speech_encoder import EncoderConfig
 from generator.model import GeneratorConfig
 from gesticulator.fit import FitSettings
+from interpreters.gate import GateConfig
 from interpreters.lstm import LstmConfig
 from interpreters.statistical import StatisticalConfig
 from interpreters.style import StyleConfig
@@ -26,7 +28,36 @@ class FrontEndConfig:
     """Which audio front end, and its size."""
 
     name: str = "mel"
+    """"mel"; "vqwav2vec", the stack that the speech stages train; "fairseq:PATH", a published checkpoint of it;
+    "hf:NAME", hidden layers of a speech model of transformers."""
     bands: int = 80
+    """Mel bands, of "mel" alone."""
+    layers: tuple[int, ...] = ()
+    """Which layers are the low and the high level; empty for the front end's own (2 and 8 of the stack)."""
+
+
+@dataclass(frozen=True)
+class TextConfig:
+    """What is read of the words."""
+
+    encoder: str = ""
+    """The word encoder: "minilm", any BERT by name or folder, or nothing: then every path is audio-only."""
+    bridge: float = 0.15
+    """Seconds: a shorter gap between words belongs to the nearer one."""
+
+
+@dataclass(frozen=True)
+class ControlConfig:
+    """Style editing: one generator for all features, taught with whole and single features left out (RG 7.2.1)."""
+
+    window: float = 4.0
+    """Seconds over which a feature is averaged."""
+    free: float = 0.4
+    """Share of training windows where nothing is asked."""
+    asked: float = 0.5
+    """Chance of each feature to be asked for in the others."""
+    features: tuple[str, ...] = ("height", "speed", "radius")
+    """Those that may be asked for; one alone is the paper's form."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +65,9 @@ class MotionConfig:
     """How motion is brought to numbers."""
 
     least_deviation: float = 0.05
-    """Radians: a dimension that varies less is scaled by this instead, so stillness is not blown up to noise."""
+    """Radians (or metres): a dimension that varies less is scaled by this instead, so stillness is not blown up."""
+    representation: str = "rotations"
+    """"rotations": exponential maps of 16 joints; "positions": ten joints in space, as TED has them."""
     smoothing: float = 0.05
     """Seconds, the standard deviation of the Gaussian over the finished motion: one frame at 20 fps, cut off at two
     frames either side (kernel size 5, RG 7.1.2)."""
@@ -51,6 +84,11 @@ class SilenceConfig:
     longest_insert: int = 10
     mask: bool = True
     """At inference let silent blocks choose among silent lexemes only."""
+    lexemes: tuple[int, ...] = ()
+    """The silent lexemes by hand; empty finds them."""
+
+
+_NONE = FitSettings(steps=0, batch=1)
 
 
 @dataclass(frozen=True)
@@ -61,6 +99,11 @@ class Schedules:
     generator: FitSettings
     interpreter: FitSettings
     style: FitSettings
+    speech: FitSettings = _NONE
+    """Contrastive predictive coding on speech alone."""
+    contrast: FitSettings = _NONE
+    """Eq. 1 on speech with text."""
+    gate: FitSettings = _NONE
 
 
 @dataclass(frozen=True)
@@ -71,6 +114,8 @@ class SelectionConfig:
     """0 takes the best (the paper); above, one is drawn from softmax(scores / temperature)."""
     top: int = 0
     """Draw among the best `top` only; 0 for all."""
+    activity: float = 1.0
+    """How readily the gate lets a block gesture: 1 always, 0 never."""
 
 
 @dataclass(frozen=True)
@@ -81,12 +126,16 @@ class Config:
     schedules: Schedules
     rhythm: BlockSettings = field(default_factory=BlockSettings)
     front_end: FrontEndConfig = field(default_factory=FrontEndConfig)
+    encoder: EncoderConfig = field(default_factory=EncoderConfig)
+    text: TextConfig = field(default_factory=TextConfig)
+    control: ControlConfig = field(default_factory=ControlConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     lexicon: LexiconConfig = field(default_factory=LexiconConfig)
     generator: GeneratorConfig = field(default_factory=GeneratorConfig)
     interpreter: LstmConfig = field(default_factory=LstmConfig)
     statistical: StatisticalConfig = field(default_factory=StatisticalConfig)
     style: StyleConfig = field(default_factory=StyleConfig)
+    gate: GateConfig = field(default_factory=GateConfig)
     silence: SilenceConfig = field(default_factory=SilenceConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
     default_speaker: str = ""
@@ -173,49 +222,77 @@ def paper_trinity() -> Config:
 
     400 windows of 8 blocks a step, 7,000 generator steps of 3.7 TFLOP (forward and backward, LSTM 2 x 1024, 8,192
     logits a frame): 26 PFLOP, a quarter of an hour at 30 TFLOP/s, days on two CPU cores. 600 epochs of 4,700 windows.
+    The speech encoder is 512 wide: 12 GFLOP a window of 1.5 s forward and backward, 64 windows a step, 15 PFLOP in
+    20,000 steps.
+    The gate is ours (the paper names its lack as a limitation).
     """
     return Config(
         name="paper-trinity",
         schedules=Schedules(lexicon=FitSettings(steps=12_000, batch=3000),
                             generator=FitSettings(steps=7_000, batch=400),
                             interpreter=FitSettings(steps=7_000, batch=500),
-                            style=FitSettings(steps=7_000, batch=500)),
+                            style=FitSettings(steps=7_000, batch=500),
+                            speech=FitSettings(steps=20_000, batch=64),
+                            contrast=FitSettings(steps=10_000, batch=64),
+                            gate=FitSettings(steps=2_000, batch=500)),
         rhythm=BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.5), fps=20.0),
+        front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=512),
+        text=TextConfig(encoder="bert-base-uncased"),
+        interpreter=LstmConfig(text_features=128), style=StyleConfig(text_features=128),
     )
 
 
 def paper_chinese() -> Config:
-    """As `paper_trinity`, with the intervals of the Chinese data set: [0.3, 0.6] s, K = 12."""
-    return dataclasses.replace(paper_trinity(), name="paper-chinese",
+    """As `paper_trinity`, with the intervals of the Chinese data set: [0.3, 0.6] s, K = 12, and a Chinese BERT."""
+    return dataclasses.replace(paper_trinity(), name="paper-chinese", text=TextConfig(encoder="bert-base-chinese"),
                                rhythm=BlockSettings(beats=BeatSettings(d_min=0.3, d_max=0.6), fps=20.0))
+
+
+def paper_ted() -> Config:
+    """As `paper_trinity`, in TED's representation: positions of ten joints, 15 fps, K = 8, 100 lexemes (RG 7.1)."""
+    trinity = paper_trinity()
+    return dataclasses.replace(
+        trinity, name="paper-ted", motion=MotionConfig(representation="positions", least_deviation=0.01),
+        lexicon=dataclasses.replace(trinity.lexicon, size=100),
+        rhythm=BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.5), fps=15.0))
 
 
 def default() -> Config:
     """The shipped bundle, for two CPU cores: smaller than `paper_trinity`, with fewer steps to match.
 
-    Size: 32 mel bands for 80; lexicon convolutions 32, 64, 96, 128 wide; E_M 48 and E_A 32 wide; MLP 192; 16 groups
-    of 32 classes; LSTM 2 x 192; interpreters 192 and 128 wide; batches of 64 windows. Training to match: a cosine fall
-    of a higher rate, since there are 35 epochs and not 600, and for the same reason 5e-2 for the style codes; a
-    quarter of the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
-    Lexemes are drawn (temperature 0.7) and not taken by arg max, which from sound alone settles on few: a rule that
-    gestures by chance cannot be predicted block by block, only its manner can.
-    Cost: lexicon 2,500 steps of 8 GFLOP, generator 3,000 of 40, interpreters 2,500 of 8 and 6: about 160 TFLOP; an
-    hour on two cores.
+    Size: a speech encoder 128 wide for 512, a 384-d word encoder for 768; rows of audio and of text brought to 48 and
+    32 before their FC; lexicon convolutions 32, 64, 96, 128 wide; E_M 48 and E_A 32 wide; MLP 192; 16 groups of 32
+    classes; LSTM 2 x 192; interpreters 192 and 128 wide; batches of 64 windows. Training to match: a cosine fall of a
+    higher rate, since there are 35 epochs and not 600, and for the same reason 5e-2 for the style codes; a quarter of
+    the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
+    Beyond size: the interpreter reads the words of three blocks, since a gesture sets out before its word; the style
+    interpreter reads none (Table 3 finds little in them); the generator is taught frame differences, the three
+    features of style at once, and to do without a style code in three windows of ten, since the codes of unheard
+    speech are guesses; there are 100 lexemes, as TED has; the trunk's small turns count less (least deviation 0.1),
+    so that lexemes tell arms apart. Lexemes are drawn (temperature 0.7) and not taken by arg max, which from sound
+    alone settles on few: a rule that gestures by chance cannot be predicted block by block, only its manner can.
     """
     return Config(
         name="default", default_speaker="connor",
         schedules=Schedules(
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
             generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
-            interpreter=FitSettings(steps=2_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
-            style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01)),
-        front_end=FrontEndConfig(bands=32),
-        lexicon=LexiconConfig(widths=(32, 64, 96, 128)),
+            interpreter=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            speech=FitSettings(steps=1_000, batch=8, rate=1e-3, schedule="cosine"),
+            contrast=FitSettings(steps=500, batch=16, rate=3e-4, schedule="cosine"),
+            gate=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01)),
+        front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=128),
+        text=TextConfig(encoder="minilm"),
+        motion=MotionConfig(least_deviation=0.1), lexicon=LexiconConfig(size=100, widths=(32, 64, 96, 128)),
         selection=SelectionConfig(temperature=0.7),
-        generator=GeneratorConfig(motion_features=48, audio_features=32, hidden=192, groups=16, classes=32,
-                                  lstm_width=192, own_past_until=0.4, swap_share=0.25, style_rate=5e-2),
-        interpreter=LstmConfig(audio_features=32, width=192, dropout=0.2),
-        style=StyleConfig(audio_features=32, width=128),
+        generator=GeneratorConfig(motion_features=48, audio_features=32, audio_bottleneck=48, hidden=192, groups=16,
+                                  classes=32, lstm_width=192, own_past_until=0.4, swap_share=0.25, style_rate=5e-2,
+                                  use_control=True, velocity=10.0, style_dropout=0.3),
+        interpreter=LstmConfig(audio_features=32, audio_bottleneck=48, text_features=32, text_blocks=3,
+                               text_bottleneck=32, use_control=True, width=192, dropout=0.2),
+        style=StyleConfig(audio_features=32, audio_bottleneck=48, width=128),
+        gate=GateConfig(audio_features=16, audio_bottleneck=32, width=64),
     )
 
 
@@ -227,17 +304,23 @@ def tiny() -> Config:
             lexicon=FitSettings(steps=200, batch=64, rate=2e-3, schedule="cosine"),
             generator=FitSettings(steps=120, batch=8, rate=3e-3, schedule="cosine"),
             interpreter=FitSettings(steps=80, batch=8, rate=3e-3, schedule="cosine"),
-            style=FitSettings(steps=60, batch=8, rate=3e-3, schedule="cosine")),
-        front_end=FrontEndConfig(bands=16),
+            style=FitSettings(steps=60, batch=8, rate=3e-3, schedule="cosine"),
+            speech=FitSettings(steps=20, batch=4, rate=1e-3), contrast=FitSettings(steps=20, batch=8, rate=1e-3),
+            gate=FitSettings(steps=40, batch=8, rate=3e-3)),
+        front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=16), text=TextConfig(encoder="minilm"),
         lexicon=LexiconConfig(size=12, code_width=32, widths=(16, 24, 32, 32), revive_below=0.2),
-        generator=GeneratorConfig(motion_features=16, audio_features=8, style_width=8, position_width=8, hidden=48,
-                                  groups=4, classes=8, lstm_width=48, lstm_layers=1, style_rate=5e-2, swap_share=0.25),
-        interpreter=LstmConfig(audio_features=8, width=48),
-        style=StyleConfig(audio_features=8, width=32),
+        generator=GeneratorConfig(motion_features=16, audio_features=8, audio_bottleneck=8, style_width=8,
+                                  position_width=8, hidden=48, groups=4, classes=8, lstm_width=48, lstm_layers=1,
+                                  style_rate=5e-2, swap_share=0.25, use_control=True),
+        interpreter=LstmConfig(audio_features=8, audio_bottleneck=8, text_features=8, text_bottleneck=8,
+                               use_control=True, width=48),
+        style=StyleConfig(audio_features=8, audio_bottleneck=8, text_features=4, text_bottleneck=8, width=32),
+        gate=GateConfig(audio_features=4, audio_bottleneck=8, width=16),
     )
 
 
-PRESETS = {"default": default, "paper-trinity": paper_trinity, "paper-chinese": paper_chinese, "tiny": tiny}
+PRESETS = {"default": default, "paper-trinity": paper_trinity, "paper-chinese": paper_chinese, "paper-ted": paper_ted,
+           "tiny": tiny}
 
 
 def preset(name: str) -> Config:

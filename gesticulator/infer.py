@@ -19,10 +19,15 @@ from data_module.errors import InputError, one_line_errors
 from gesticulator import __version__
 
 if TYPE_CHECKING:
+    from data_module.controls import Controls
     from gesticulator.pipeline import Gesticulator
 
 PROGRAM = "gesticulator"
 INTERPRETERS = ("lstm", "statistical")
+TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
+_CONTROLS = (("height", "height of the right hand over the hips", "METRES"),
+             ("speed", "mean speed of the hands", "METRES/S"),
+             ("radius", "mean distance of the hands from the body's axis", "METRES"))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,11 +40,19 @@ def parser() -> argparse.ArgumentParser:
                    help="also write a page that shows it; a folder when there are several recordings")
     p.add_argument("--explain", metavar="FILE.json",
                    help="also write the blocks and their lexemes; a folder when there are several recordings")
+    p.add_argument("--text", metavar="FILE",
+                   help="what is said: plain text, TextGrid, SRT, VTT or JSON with word times; a folder of files named "
+                        "like the recordings when there are several. Without it the voice alone is heard")
     p.add_argument("--speaker", help="whose habits of moving (a performer of the bundle, not a voice)")
     p.add_argument("--interpreter", choices=INTERPRETERS, default="lstm", help="what chooses the lexemes")
     p.add_argument("--seed", type=int, default=0, help="the same seed gives the same bytes (default 0)")
     p.add_argument("--temperature", type=float,
                    help="how freely lexemes are drawn; 0 always takes the likeliest (default: the bundle's)")
+    for flag, what, unit in _CONTROLS:
+        p.add_argument(f"--hand-{flag}", metavar=f"low|mid|high|{unit}|FILE.csv",
+                       help=f"{what}: a level, a number, or a curve over time (CSV with columns time,value)")
+    p.add_argument("--activity", type=float, metavar="0..1",
+                   help="how readily to gesture at all; 0 is stillness, 1 never holds back (default: the bundle's)")
     p.add_argument("--fps", type=float, help="frames per second of the motion (default 60)")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
     p.add_argument("--threads", type=int, default=1, help="threads of torch (default 1, which is fastest here)")
@@ -54,6 +67,25 @@ def _place(given: str | None, source: Path, many: bool, suffix: str) -> Path | N
     return Path(given) / f"{source.stem}{suffix}" if many else Path(given)
 
 
+def _transcript(given: str | None, source: Path, many: bool) -> Path | None:
+    if given is None:
+        return None
+    place = Path(given)
+    if not place.exists():
+        raise InputError(place, "does not exist", "check --text")
+    if not place.is_dir():
+        if many:
+            raise InputError(place, "is one transcript for several recordings",
+                             "name a folder of transcripts named like the recordings")
+        return place
+    found = next((place / f"{source.stem}{suffix}" for suffix in TRANSCRIPTS
+                  if (place / f"{source.stem}{suffix}").is_file()), None)
+    if found is None:
+        raise InputError(place, f"holds no transcript of {source.name}",
+                         f"name it {source.stem}{' or '.join(TRANSCRIPTS)}, or leave --text out")
+    return found
+
+
 class Job:
     """One recording and what is to be written for it."""
 
@@ -62,6 +94,7 @@ class Job:
         self.motion = _place(arguments.output, source, many, ".bvh")
         self.preview = _place(arguments.preview, source, many, ".html")
         self.explain = _place(arguments.explain, source, many, ".json")
+        self.text = _transcript(arguments.text, source, len(arguments.speech) > 1)
 
     @property
     def targets(self) -> list[Path]:
@@ -102,8 +135,21 @@ def _check_place(target: Path, many: bool) -> None:
         raise InputError(target, "cannot be written", "choose another output or change its rights")
 
 
-def perform(job: Job, system: Gesticulator, arguments: argparse.Namespace) -> str:
-    """Do one recording; the summary line."""
+def asked_controls(system: Gesticulator, arguments: argparse.Namespace) -> Controls | None:
+    """What the command asks of the style; None when it asks nothing."""
+    from data_module.controls import controls_from
+
+    height, speed, radius = (getattr(arguments, f"hand_{name}") for name, _, _ in _CONTROLS)
+    if height is None and speed is None and radius is None:
+        return None
+    if system.bundle.levels is None:
+        raise InputError("--hand-height, --hand-speed, --hand-radius", "are not heard by this bundle",
+                         "use a bundle trained with style editing, or leave them out")
+    return controls_from(height, speed, radius, system.bundle.levels)
+
+
+def perform(job: Job, system: Gesticulator, arguments: argparse.Namespace, controls: Controls | None = None) -> str:
+    """Do one recording; the summary."""
     from tqdm import tqdm
 
     from data_module.audio import load_speech
@@ -117,13 +163,15 @@ def perform(job: Job, system: Gesticulator, arguments: argparse.Namespace) -> st
             bar.total = total
             bar.update()
 
-        made = system(speech, speaker=arguments.speaker, seed=arguments.seed, fps=arguments.fps,
-                      interpreter=arguments.interpreter, temperature=arguments.temperature, on_block=on_block)
+        made = system(speech, text=job.text, speaker=arguments.speaker, seed=arguments.seed, fps=arguments.fps,
+                      interpreter=arguments.interpreter, temperature=arguments.temperature, controls=controls,
+                      activity=arguments.activity, on_block=on_block)
     spent = time.perf_counter() - begin
     written = [str(write(target, made)) for target in job.targets]
     return (f"{job.source.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
             f"{len(set(made.lexemes.tolist()))} of {system.bundle.config.lexicon.size} lexemes, "
-            f"real-time factor {spent / speech.duration:.3f} -> {', '.join(written)}")
+            f"real-time factor {spent / speech.duration:.3f} -> {', '.join(written)}"
+            + "".join(f"\n  {note}" for note in made.notes))
 
 
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
@@ -151,8 +199,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         torch.set_num_threads(max(1, arguments.threads))
         system = Gesticulator.from_pretrained(arguments.bundle)
         system.speaker_index(arguments.speaker)
+        controls = asked_controls(system, arguments)
         for job in jobs:
-            summary = perform(job, system, arguments)
+            summary = perform(job, system, arguments, controls)
             if not arguments.quiet:
                 print(summary)
     return 0

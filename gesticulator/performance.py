@@ -24,7 +24,9 @@ class Performance:
     motion: on the 16-joint character, at any frame rate. speech: the sound. blocks: N blocks that tile the sound.
     lexemes: [N] the lexeme that was played. best: [N, M] the M best lexemes, best first; scores: [N, M] what the
     interpreter thought of them, falling along M. M is `BEST`, or the size of the lexicon where that is smaller.
-    The played lexeme need not be the first of `best` (it may have been drawn, or asked for).
+    The played lexeme need not be the first of `best` (it may have been drawn, or asked for). codes: [N, d_z] style
+    codes. gate: [N] how likely a gesture was on each block, NaN where the gate was not asked. notes: what the user
+    should know, a line each.
     """
 
     motion: Motion
@@ -33,6 +35,9 @@ class Performance:
     lexemes: NDArray[np.int64]
     best: NDArray[np.int64]
     scores: NDArray[np.float64]
+    codes: NDArray[np.float32] | None = None
+    gate: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.blocks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -12,13 +13,17 @@ from numpy.typing import NDArray
 
 from data_module.audio import SAMPLE_RATE, load_speech, resample
 from data_module.blocks import denormalise
+from data_module.controls import FEATURES, Controls
 from data_module.errors import InputError
-from data_module.skeletons import from_vector
+from data_module.transcript import read_transcript, with_transcript
 from data_module.types import Array, Motion, Speech
+from data_module.word_vectors import WordEncoder
 from gesticulator import bundle as bundles
 from gesticulator.hear import Heard, front_end_for, hear
 from gesticulator.performance import BEST, Performance
+from gesticulator.prepare import control_rows, representation_of
 from interpreters import INTERPRETERS, BlockFeatures, LexemeInterpreter, select
+from interpreters.gate import opened
 
 FPS = 60.0
 """Frames per second of the result when not told: the models' 20 fps knots, interpolated."""
@@ -29,7 +34,8 @@ class Gesticulator:
 
     def __init__(self, bundle: bundles.Bundle) -> None:
         self.bundle = bundle
-        self._front_end = front_end_for(bundle.config)
+        self._front_end = front_end_for(bundle.config, bundle.encoder)
+        self._words: WordEncoder | None = None
 
     @classmethod
     def from_pretrained(cls, path: str | PathLike[str] | None = None) -> Gesticulator:
@@ -50,23 +56,51 @@ class Gesticulator:
             raise InputError(f"--speaker {speaker}", "is not in the bundle", f"choose among {', '.join(self.speakers)}")
         return self.speakers.index(speaker)
 
-    def interpreter(self, name: str) -> LexemeInterpreter:
-        """The lexeme interpreter of that name, over the bundle's lexicon."""
+    @property
+    def reads_text(self) -> bool:
+        """True when the bundle has an interpreter that reads the words."""
+        return self.bundle.interpreter_text is not None
+
+    def interpreter(self, name: str, text: bool = False) -> LexemeInterpreter:
+        """The lexeme interpreter of that name over the bundle's lexicon; with `text`, the one that reads the words."""
         if name == "lstm":
-            return self.bundle.interpreter
+            return self.bundle.interpreter_text if text and self.bundle.interpreter_text else self.bundle.interpreter
         if name == "statistical":
             return self.bundle.statistical()
         raise InputError(f"--interpreter {name}", "is not in the bundle", f"choose among {', '.join(INTERPRETERS)}")
 
-    def __call__(self, speech: Speech | str | PathLike[str], *, speaker: str | None = None, seed: int = 0,
-                 fps: float | None = None, interpreter: str | LexemeInterpreter = "lstm",
-                 temperature: float | None = None, on_block: Callable[[int, int], None] | None = None) -> Performance:
+    def word_encoder(self) -> WordEncoder:
+        """The word encoder that the bundle was trained on, opened once."""
+        if self._words is None:
+            if self.bundle.text is None:
+                raise InputError("text", "is not read by this bundle", "use a bundle trained with text")
+            self._words = WordEncoder.open(self.bundle.text.encoder)
+            if self._words.width + 1 != self.bundle.text.width:
+                raise InputError(self.bundle.text.encoder, "is not the word encoder that the bundle was trained on",
+                                 "install the same version")
+        return self._words
+
+    def read(self, speech: Speech, text: str | PathLike[str]) -> tuple[Speech, str]:
+        """Speech with the words of a transcript file, and a line on how their times were got."""
+        if not self.reads_text:
+            raise InputError("--text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+        spoken, timing = with_transcript(speech, read_transcript(Path(text), speech))
+        return spoken, timing.note
+
+    def __call__(self, speech: Speech | str | PathLike[str], *, text: str | PathLike[str] | None = None,
+                 speaker: str | None = None, seed: int = 0, fps: float | None = None,
+                 interpreter: str | LexemeInterpreter = "lstm", temperature: float | None = None,
+                 controls: Controls | None = None, activity: float | None = None,
+                 on_block: Callable[[int, int], None] | None = None) -> Performance:
         """Gesture for a recording.
 
-        speech: a `Speech` at any sample rate, or the path of a sound file. speaker: a performer's habits. fps: frames
-        per second of the result (60). interpreter: what chooses the lexemes, by name or as an object. temperature: how
-        freely lexemes are drawn, 0 for always the likeliest; the bundle's own when not told. on_block(done, total) is
-        called after each block. The same seed, bundle and speech give the same result.
+        speech: a `Speech` at any sample rate, or the path of a sound file; words that it carries are read. text: a
+        transcript of it (plain text, TextGrid, SRT, VTT, JSON). Without words the audio-only path is taken (RG 6.3).
+        speaker: a performer's habits. fps: frames per second of the result (60). interpreter: what chooses the lexemes,
+        by name or as an object. temperature: how freely lexemes are drawn, 0 for always the likeliest. controls: what
+        is asked of hand height, speed and radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to
+        1 (always). What is not told is the bundle's own. on_block(done, total) is called after each block. The same
+        seed, bundle and speech give the same result.
         """
         if not isinstance(speech, Speech):
             speech = load_speech(speech)
@@ -74,16 +108,37 @@ class Gesticulator:
             raise InputError(f"--fps {fps:g}", "is out of range", "choose 1 to 1000")
         if temperature is not None and temperature < 0:
             raise InputError(f"--temperature {temperature:g}", "is negative", "choose 0 or more")
-        speech = resample(speech, SAMPLE_RATE)
-        who = self.speaker_index(speaker)
-        heard = hear(speech, self.bundle.config, self._front_end)
         chosen = self.bundle.config.selection
-        system = self.interpreter(interpreter) if isinstance(interpreter, str) else interpreter
+        activity = chosen.activity if activity is None else activity
+        self._check(activity, controls)
+        speech = resample(speech, SAMPLE_RATE)
+        note = ""
+        if text is not None:
+            speech, note = self.read(speech, text)
+        who = self.speaker_index(speaker)
+        reads = self.reads_text and speech.words is not None
+        heard = hear(speech, self.bundle.config, self._front_end, self.word_encoder() if reads else None)
+        system = self.interpreter(interpreter, reads) if isinstance(interpreter, str) else interpreter
+        asked = None
+        if controls is not None and self.bundle.levels is not None:
+            values, given = controls.at(heard.blocks.knot_times)
+            rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
+            asked = rows.reshape(len(heard.blocks), heard.blocks.frames, -1)
         roll = _Roll(self.bundle, system, who, np.random.default_rng(seed),
-                     chosen.temperature if temperature is None else temperature, chosen.top or None)
-        features, lexemes, best, scores = roll.run(heard, on_block)
-        motion = self.to_motion(features, heard, who, FPS if fps is None else fps)
-        return Performance(motion=motion, speech=speech, blocks=heard.blocks, lexemes=lexemes, best=best, scores=scores)
+                     chosen.temperature if temperature is None else temperature, chosen.top or None, activity)
+        made = roll.run(heard, asked, on_block)
+        motion = self.to_motion(made.motion, heard, who, FPS if fps is None else fps)
+        return Performance(motion=motion, speech=speech, blocks=heard.blocks, lexemes=made.lexemes, best=made.best,
+                           scores=made.scores, codes=made.codes, gate=made.gate, notes=(note,) if note else ())
+
+    def _check(self, activity: float, controls: Controls | None) -> None:
+        if not 0 <= activity <= 1:
+            raise InputError(f"--activity {activity:g}", "is out of range", "choose 0 (stillness) to 1 (always)")
+        if 0 < activity < 1 and self.bundle.gate is None:
+            raise InputError(f"--activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
+        if controls is not None and controls != Controls.free() and self.bundle.levels is None:
+            raise InputError(f"the control of {', '.join(FEATURES)}", "is not heard by this bundle",
+                             "use a bundle trained with generator.use_control")
 
     def to_motion(self, features: NDArray[np.float32], heard: Heard, speaker: int, fps: float) -> Motion:
         """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2)."""
@@ -91,53 +146,80 @@ class Gesticulator:
         poses: Array = statistics.denormalise(features.astype(np.float64), speaker)
         frames = denormalise(poses, statistics.rest_pose[speaker], heard.blocks, fps,
                              self.bundle.config.motion.smoothing)
-        return from_vector(frames, fps)
+        return representation_of(self.bundle.config).motion(frames, fps)
+
+
+@dataclass(frozen=True)
+class _Made:
+    """Motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M], style codes [N, d_z]
+    and the gate's probabilities [N]."""
+
+    motion: NDArray[np.float32]
+    lexemes: NDArray[np.int64]
+    best: NDArray[np.int64]
+    scores: NDArray[np.float64]
+    codes: NDArray[np.float32]
+    gate: NDArray[np.float64]
 
 
 class _Roll:
-    """One performance in the making: the states of interpreter, style and generator."""
+    """One performance in the making: the states of interpreter, gate, style and generator."""
 
     def __init__(self, bundle: bundles.Bundle, interpreter: LexemeInterpreter, speaker: int,
-                 rng: np.random.Generator, temperature: float, top: int | None) -> None:
+                 rng: np.random.Generator, temperature: float, top: int | None, activity: float) -> None:
         self.bundle, self.interpreter, self.speaker, self.rng = bundle, interpreter, speaker, rng
-        self.temperature, self.top = temperature, top
+        self.temperature, self.top, self.activity = temperature, top, activity
+        s = bundle.statistics
+        self.quiet = None if s.quiet_low is None else torch.as_tensor(s.quiet_low, dtype=torch.float32)
 
     @torch.inference_mode()
-    def run(self, heard: Heard, on_block: Callable[[int, int], None] | None
-            ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """Motion features [N, K, D_m], lexemes [N], the five best lexemes [N, 5] and their scores [N, 5]."""
+    def run(self, heard: Heard, asked: NDArray[np.float32] | None, on_block: Callable[[int, int], None] | None
+            ) -> _Made:
+        """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
         b = self.bundle
         vectors, count = b.lexicon.vectors, len(heard.blocks)
         best_count = min(BEST, len(vectors))
+        style = b.style_text if heard.text is not None and b.style_text is not None else b.style
         previous = b.rest_lexeme(self.speaker)
         rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.lexicon.frames, -1)
         state = b.generator.first_state(rest[None], vectors[[previous]])
-        inner, style_state = self.interpreter.start(self.speaker, previous), b.style.start(self.speaker)
+        inner, style_state = self.interpreter.start(self.speaker, previous), style.start(self.speaker)
+        gate_state = None if b.gate is None else b.gate.start(self.speaker)
         bounds = torch.as_tensor(b.statistics.bounds, dtype=torch.float32)
-        motion = np.empty((count, *past.shape[1:]), dtype=np.float32)
-        lexemes = np.empty(count, dtype=np.int64)
-        best, best_scores = np.empty((count, best_count), np.int64), np.empty((count, best_count))
+        made = _Made(np.empty((count, *past.shape[1:]), np.float32), np.empty(count, np.int64),
+                     np.empty((count, best_count), np.int64), np.empty((count, best_count)),
+                     np.empty((count, style.code_width), np.float32), np.full(count, np.nan))
         for i in range(count):
-            features = self._features(heard, i)
+            features = self._features(heard, i, asked)
+            closed = self.activity == 0
+            if b.gate is not None and gate_state is not None and self.activity < 1:
+                made.gate[i], gate_state = b.gate.step(gate_state, features)
+                closed = not opened(float(made.gate[i]), self.activity)
             scores, inner = self.interpreter.step(inner, features, previous)
-            allowed = b.silent if features.silent and b.config.silence.mask else None
-            previous = select(scores, allowed=allowed, temperature=self.temperature, top=self.top, rng=self.rng)
-            code, style_state = b.style.step(style_state, features, previous)
+            quiet = closed or (features.silent and b.config.silence.mask)
+            previous = select(scores, allowed=b.silent if quiet else None, temperature=self.temperature, top=self.top,
+                              rng=self.rng)
+            if closed and self.quiet is not None:
+                # A block on which nothing is to be done is one on which nothing is said.
+                features = replace(features, low=self.quiet, silent=True)
+            code, style_state = style.step(style_state, features, previous)
             audio = b.generator.encode_audio(features.low[None])
-            past, state, _ = b.generator.step(past, audio, vectors[[previous]], code, state)
+            control = None if features.control is None else features.control[None]
+            past, state, _ = b.generator.step(past, audio, vectors[[previous]], code, state, control=control)
             # What it was never shown it must not feed itself: one odd pose would lead to the next.
             past = torch.clamp(past, *bounds)
-            motion[i], lexemes[i] = past[0].numpy(), previous
-            best[i] = np.argsort(-scores, kind="stable")[:best_count]
-            best_scores[i] = scores[best[i]]
+            made.motion[i], made.lexemes[i], made.codes[i] = past[0].numpy(), previous, code[0].numpy()
+            made.best[i] = np.argsort(-scores, kind="stable")[:best_count]
+            made.scores[i] = scores[made.best[i]]
             if on_block is not None:
                 on_block(i + 1, count)
-        return motion, lexemes, best, best_scores
+        return made
 
-    def _features(self, heard: Heard, i: int) -> BlockFeatures:
+    def _features(self, heard: Heard, i: int, asked: NDArray[np.float32] | None) -> BlockFeatures:
         s = self.bundle.statistics
         low = torch.as_tensor(s.low.apply(heard.low[i]), dtype=torch.float32)
         high = torch.as_tensor(s.high.apply(heard.high[i]), dtype=torch.float32)
-        return BlockFeatures(low, high, bool(heard.blocks.silent[i]))
-
+        text = None if heard.text is None else torch.as_tensor(heard.text[i])
+        return BlockFeatures(low, high, bool(heard.blocks.silent[i]), text,
+                             None if asked is None else torch.as_tensor(asked[i]))

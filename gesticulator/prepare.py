@@ -1,14 +1,15 @@
-"""From a store to what the stages train on: blocks of motion and of speech, cached by the settings that shape them."""
+"""From a store to what the stages train on: blocks of motion, speech and words, cached by what shapes them."""
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -16,28 +17,45 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
+from data_module import blocks as block_module
+from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
-from data_module.features import Normaliser
-from data_module.skeletons import CHARACTER
+from data_module.features import Normaliser, reference_level
+from data_module.representation import REPRESENTATIONS, Representation
 from data_module.store import Store
 from data_module.types import Array
+from data_module.word_vectors import WordEncoder, word_frames
 from gesticulator import config as configs
-from gesticulator.config import Config
+from gesticulator.config import Config, ControlConfig
 from gesticulator.fit import Batch
-from gesticulator.hear import hear
+from gesticulator.hear import encode, front_end_for, three_blocks, word_table
 
-MOTION_WIDTH = 3 * len(CHARACTER)
+if TYPE_CHECKING:
+    from data_module.speech_encoder import SpeechEncoder
+
+CONTROL_WIDTH = 2 * len(controls.FEATURES)
+"""2 F: what is asked of each feature, and whether it is asked."""
+
+
+def representation_of(config: Config) -> Representation:
+    """How motion becomes numbers under these settings; InputError for a name that is unknown."""
+    name = config.motion.representation
+    if name not in REPRESENTATIONS:
+        raise InputError("motion.representation", f"is {name!r}", f"choose among {', '.join(REPRESENTATIONS)}")
+    return REPRESENTATIONS[name]
 
 
 @dataclass(frozen=True)
 class Statistics:
     """What turns poses and features into numbers near 1, measured on the training split.
 
-    speakers: names in order. mean_pose: [speakers, D_m] exponential maps; rest_pose: [speakers, D_m] the same in
-    silence. deviation: [D_m]. bounds: [2, D_m] the least and the most of the normalised training data, but for one
-    frame in a thousand at either end. low, high: normalisers of the audio features. A pose becomes
-    (pose - mean_pose[speaker]) / deviation: without the speaker's own mean every lexeme would be a speaker.
+    speakers: names in order. mean_pose: [speakers, D_m] vectors of the representation; rest_pose: [speakers, D_m] the
+    same in silence. deviation: [D_m]. bounds: [2, D_m] the least and the most of the normalised training data, but for
+    one frame in a thousand at either end. low, high: normalisers of the audio features. quiet_low, quiet_high:
+    [3K, d] the normalised features of a settled silence. levels: the features of style that can be asked for.
+    A pose becomes (pose - mean_pose[speaker]) / deviation: without the speaker's own mean every lexeme would be a
+    speaker.
     """
 
     speakers: tuple[str, ...]
@@ -47,9 +65,17 @@ class Statistics:
     bounds: Array
     low: Normaliser
     high: Normaliser
+    quiet_low: Array | None = None
+    quiet_high: Array | None = None
+    levels: controls.Levels | None = None
+
+    @property
+    def present(self) -> Tensor:
+        """[D_m] 1 where any training motion ever moved, 0 for joints that no source has."""
+        return torch.as_tensor(self.bounds[0] < self.bounds[1], dtype=torch.float32)
 
     def normalise(self, poses: Array, speaker: int) -> Array:
-        """Exponential maps [..., D_m] to normalised features."""
+        """Vectors [..., D_m] to normalised features."""
         return (poses - self.mean_pose[speaker]) / self.deviation
 
     def denormalise(self, features: Array, speaker: int) -> Array:
@@ -57,12 +83,21 @@ class Statistics:
         return features * self.deviation + self.mean_pose[speaker]
 
 
+def control_rows(levels: controls.Levels, values: Array, given: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """[..., 2 F] of features in their units [..., F] and which are asked for [..., F]: standardised, 0 where free."""
+    scaled = (values - levels.mean) / levels.spread * given
+    return np.concatenate([scaled, np.broadcast_to(given, scaled.shape)], axis=-1).astype(np.float32)
+
+
 @dataclass(frozen=True)
 class Corpus:
-    """All blocks of a store in a row. N blocks, R recordings.
+    """All blocks of a store in a row. N blocks, R recordings, W words, F features of style.
 
-    motion: [N, K, D_m] normalised; low, high: [N, 3K, d] normalised audio windows; silent: [N]; durations: [N] s;
-    recording: [N] index; first: [R, D_m] normalised pose at time 0; mask: [R, D_m] joints that the source has.
+    motion: [N, K, D_m] normalised; low, high: [N, 3K, d] normalised audio windows in half precision (`low` and `high`
+    are the same array where the front end has one level); silent: [N]; durations: [N] s; recording: [N] index;
+    first: [R, D_m] normalised pose at time 0; mask: [R, D_m] dimensions that the source has; control: [N, K, F]
+    features of style in their units; has_text: [R]; word_at: [N, 3K] rows of `words` [W + 1, d_t + 1] (None without a
+    word encoder); files: the cached blocks of each recording.
     """
 
     names: tuple[str, ...]
@@ -76,100 +111,223 @@ class Corpus:
     recording: NDArray[np.int64]
     first: Tensor
     mask: Tensor
+    control: NDArray[np.float32]
     statistics: Statistics
+    has_text: NDArray[np.bool_]
+    word_at: Tensor | None = None
+    words: Tensor | None = None
+    files: tuple[Path, ...] = ()
 
     def blocks_of(self, recording: int) -> NDArray[np.int64]:
         """Block numbers of a recording, in order."""
         return np.flatnonzero(self.recording == recording)
 
-    def recordings(self, split: str) -> list[int]:
-        """Recording numbers of a split."""
-        return [index for index, own in enumerate(self.splits) if own == split]
+    def recordings(self, split: str, with_text: bool = False) -> list[int]:
+        """Recording numbers of a split; only those with words when asked."""
+        return [index for index, own in enumerate(self.splits)
+                if own == split and (self.has_text[index] or not with_text)]
 
     def select(self, split: str) -> NDArray[np.int64]:
         """Block numbers of a split."""
         return np.flatnonzero(np.isin(self.recording, self.recordings(split)))
 
+    def text(self, blocks: NDArray[np.int64] | Tensor) -> Tensor:
+        """[..., 3K, d_t + 1] word vectors around blocks [...]."""
+        if self.word_at is None or self.words is None:
+            raise ValueError("this corpus was prepared without text")
+        return self.words[self.word_at[torch.as_tensor(blocks)].long()].float()
 
-def _prepare_one(store_path: str, name: str, config: Config, target: str) -> str:
+    @property
+    def text_width(self) -> int:
+        """d_t + 1, 0 without text."""
+        return 0 if self.words is None else self.words.shape[-1]
+
+    def sound(self, recording: int) -> NDArray[np.float16]:
+        """[N, L] the stretched sound of a recording's blocks."""
+        with np.load(self.files[recording], allow_pickle=False) as arrays:
+            return np.asarray(arrays["sound"])
+
+
+def _cut_one(store_path: str, name: str, config: Config, target: str) -> str:
     torch.set_num_threads(1)
     recording = Store.open(store_path).load(name)
-    heard = hear(recording.speech, config)
-    motion = recording.motion
+    speech, motion = recording.speech, recording.motion
+    representation = representation_of(config)
+    blocks = block_module.cut(speech, config.rhythm)
+    asked = controls.at_knots(controls.measure(motion, config.control.window), motion.fps, blocks)
     arrays: dict[str, NDArray[Any]] = {
-        "motion": normalise_motion(motion, heard.blocks).astype(np.float32),
-        "first": first_pose(motion).astype(np.float32),
-        "low": heard.low.astype(np.float16),
-        "silent": heard.blocks.silent,
-        "edges": heard.blocks.edges,
-        "mask": np.repeat([joint not in motion.absent for joint in CHARACTER.names], 3),
+        "motion": normalise_motion(motion, blocks, representation).astype(np.float32),
+        "first": first_pose(motion, representation).astype(np.float32),
+        "sound": block_module.stretch_speech(speech, blocks).astype(np.float16),
+        "reference": reference_level(speech.samples, speech.sample_rate, blocks.edges),
+        "silent": blocks.silent, "edges": blocks.edges, "mask": representation.present(motion.absent),
+        "control": asked.astype(np.float32),
     }
-    if heard.high is not heard.low and not np.array_equal(heard.high, heard.low):
-        arrays["high"] = heard.high.astype(np.float16)
+    if speech.words is not None and any(word.text for word in speech.words):
+        arrays["word_at"] = word_frames(speech.words, blocks, config.text.bridge).astype(np.int32)
+    return _write(target, arrays, name)
+
+
+def _encode_one(source: str, target: str, config: Config, encoder: SpeechEncoder | None) -> str:
+    torch.set_num_threads(1)
+    with np.load(source, allow_pickle=False) as arrays:
+        low, high = encode(arrays["sound"].astype(np.float32), arrays["reference"], np.diff(arrays["edges"]), config,
+                           front_end_for(config, encoder))
+    out = {"low": low.astype(np.float16)}
+    if high is not low and not np.array_equal(high, low):
+        out["high"] = high.astype(np.float16)
+    return _write(target, out, source)
+
+
+def _write(target: str, arrays: dict[str, NDArray[Any]], name: str) -> str:
     temporary = f"{target}.tmp.npz"
     np.savez(temporary, allow_pickle=False, **arrays)
     os.replace(temporary, target)
     return name
 
 
-def _cache(store: Store, config: Config, folder: Path, workers: int, progress: bool) -> Path:
-    """Blocks and features of every recording, in a folder named by the hash of what shapes them."""
-    key = configs.digest(store.fingerprint, configs.to_dict(config.rhythm), configs.to_dict(config.front_end))
-    cache = folder / f"blocks-{key}"
-    cache.mkdir(parents=True, exist_ok=True)
-    wanted = [info.name for info in store.recordings if not (cache / f"{info.name}.npz").exists()]
-    jobs = [(str(store.path), name, config, str(cache / f"{name}.npz")) for name in wanted]
-    bar = tqdm(total=len(store.recordings), initial=len(store.recordings) - len(wanted), desc="blocks",
-               disable=not progress)
-    for _ in _run(jobs, workers):
+def _all(job: Callable[..., str], jobs: list[tuple[Any, ...]], workers: int, title: str, progress: bool) -> None:
+    todo = [arguments for arguments, target in ((j, j[-1]) for j in jobs) if not Path(target).exists()]
+    calls = [arguments[:-1] for arguments in todo]
+    bar = tqdm(total=len(jobs), initial=len(jobs) - len(todo), desc=title, disable=not progress)
+    for _ in _run(job, calls, workers):
         bar.update()
     bar.close()
-    return cache
 
 
-def _run(jobs: list[tuple[str, str, Config, str]], workers: int) -> Iterable[str]:
-    if workers <= 1 or len(jobs) <= 1:
-        for job in jobs:
-            yield _prepare_one(*job)
+def _run(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int) -> Iterable[str]:
+    if workers <= 1 or len(calls) <= 1:
+        for call in calls:
+            yield job(*call)
         return
     # spawn: a forked torch may hang in its thread pool.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_prepare_one, *zip(*jobs, strict=True))
+        yield from pool.map(job, *zip(*calls, strict=True))
 
 
-def prepare(store: Store, config: Config, folder: Path, *, workers: int = 1, progress: bool = True) -> Corpus:
-    """Cut, encode and normalise a store; what is cached in `folder` under the same settings is reused."""
-    cache = _cache(store, config, folder, workers, progress)
+def cut(store: Store, config: Config, folder: Path, *, workers: int = 1, progress: bool = True) -> tuple[Path, ...]:
+    """The blocks of every recording, one file each, in a folder named by the hash of what shapes them."""
+    key = configs.digest(store.fingerprint, configs.to_dict(config.rhythm), config.motion.representation,
+                         config.control.window, config.text.bridge)
+    cache = folder / f"blocks-{key}"
+    cache.mkdir(parents=True, exist_ok=True)
+    files = tuple(cache / f"{info.name}.npz" for info in store.recordings)
+    _all(_cut_one, [(str(store.path), info.name, config, str(file), str(file))
+                    for info, file in zip(store.recordings, files, strict=True)], workers, "blocks", progress)
+    return files
+
+
+def weights_hash(module: torch.nn.Module) -> str:
+    """A short hash of a module's weights in half precision, as a bundle keeps them."""
+    digest = hashlib.sha256()
+    for key, value in sorted(module.state_dict().items()):
+        digest.update(key.encode() + value.detach().cpu().half().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def hear_all(files: tuple[Path, ...], config: Config, encoder: SpeechEncoder | None = None, *, workers: int = 1,
+             progress: bool = True) -> tuple[Path, ...]:
+    """The audio features of blocks that are cut, one file each, in a folder named by the front end's hash."""
+    cut_folder = files[0].parent
+    key = configs.digest(cut_folder.name, configs.to_dict(config.front_end), weights_hash(encoder) if encoder else "")
+    cache = cut_folder.parent / f"features-{key}"
+    cache.mkdir(parents=True, exist_ok=True)
+    out = tuple(cache / file.name for file in files)
+    _all(_encode_one, [(str(file), str(own), config, encoder, str(own)) for file, own in zip(files, out, strict=True)],
+         workers, "features", progress)
+    return out
+
+
+def read_words(store: Store, config: Config, folder: Path, *, progress: bool = True) -> dict[str, NDArray[np.float16]]:
+    """Word vectors [W, d_t] of every recording that has words; empty when the settings name no word encoder."""
+    if not config.text.encoder:
+        return {}
+    encoder = WordEncoder.open(config.text.encoder)
+    key = configs.digest(store.fingerprint, encoder.name, encoder.fingerprint)
+    cache = folder / f"words-{key}.npz"
+    if not cache.exists():
+        vectors: dict[str, NDArray[Any]] = {}
+        for info in tqdm(store.recordings, desc="words", disable=not progress):
+            words = store.load(info.name).speech.words
+            if words is not None and any(word.text for word in words):
+                vectors[info.name] = encoder.encode(words).astype(np.float16)
+        _write(str(cache), vectors, "")
+    with np.load(cache, allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
+            progress: bool = True) -> Corpus:
+    """Cut, encode and normalise a store; what is cached in `folder` under the same settings is reused.
+
+    encoder: the trained stack, where the front end is "vqwav2vec"; without it the audio is left out (one column of
+    zeros), which is all that the lexicon needs.
+    """
+    files = cut(store, config, folder, workers=workers, progress=progress)
+    heard: list[dict[str, NDArray[Any]]]
+    loaded = [_read(file, leave_out=("sound",)) for file in files]
+    if encoder is None and config.front_end.name == "vqwav2vec":
+        heard = [{"low": np.zeros((len(own["silent"]), 3 * config.rhythm.frames, 1), np.float16)} for own in loaded]
+    else:
+        heard = [_read(file) for file in hear_all(files, config, encoder, workers=workers, progress=progress)]
     infos = store.recordings
-    loaded = []
-    for info in infos:
-        with np.load(cache / f"{info.name}.npz", allow_pickle=False) as arrays:
-            loaded.append({key: arrays[key] for key in arrays.files})
     speakers = tuple(sorted({info.speaker for info in infos if info.split == "train"}))
     if not speakers:
         raise InputError(store.path, "has no recordings in its training split", "build the store again")
     speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0 for info in infos])
-    statistics = _statistics(config, speakers, speaker_of, [info.split for info in infos], loaded)
+    statistics = _statistics(config, speakers, speaker_of, [info.split for info in infos], loaded, heard)
     motion = [statistics.normalise(own["motion"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
     first = [statistics.normalise(own["first"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
-    mask = np.stack([own["mask"] for own in loaded])
-    low = torch.as_tensor(np.concatenate([statistics.low.apply(own["low"]).astype(np.float32) for own in loaded]))
-    high = low if "high" not in loaded[0] else torch.as_tensor(
-        np.concatenate([statistics.high.apply(own["high"]).astype(np.float32) for own in loaded]))
+    low = _normalised(statistics.low, [own["low"] for own in heard])
+    high = low if "high" not in heard[0] else _normalised(statistics.high, [own["high"] for own in heard])
+    word_at, words, has_text = _text(infos, loaded, read_words(store, config, folder, progress=progress))
     return Corpus(
         names=tuple(info.name for info in infos), splits=tuple(info.split for info in infos), speaker_of=speaker_of,
         motion=torch.as_tensor(np.concatenate(motion).astype(np.float32)), low=low, high=high,
         silent=np.concatenate([own["silent"] for own in loaded]),
         durations=np.concatenate([np.diff(own["edges"]) for own in loaded]),
         recording=np.repeat(np.arange(len(infos)), [len(own["silent"]) for own in loaded]),
-        first=torch.as_tensor(np.stack(first).astype(np.float32)), mask=torch.as_tensor(mask.astype(np.float32)),
-        statistics=statistics)
+        first=torch.as_tensor(np.stack(first).astype(np.float32)),
+        mask=torch.as_tensor(np.stack([own["mask"] for own in loaded]).astype(np.float32)),
+        control=np.concatenate([own["control"] for own in loaded]), statistics=statistics, has_text=has_text,
+        word_at=word_at, words=words, files=files)
+
+
+def _read(file: Path, leave_out: tuple[str, ...] = ()) -> dict[str, NDArray[Any]]:
+    with np.load(file, allow_pickle=False) as arrays:
+        return {key: arrays[key] for key in arrays.files if key not in leave_out}
+
+
+def _normalised(normaliser: Normaliser, parts: list[NDArray[Any]]) -> Tensor:
+    return torch.as_tensor(np.concatenate([normaliser.apply(part.astype(np.float32)).astype(np.float16)
+                                           for part in parts]))
+
+
+def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: dict[str, NDArray[np.float16]]
+          ) -> tuple[Tensor | None, Tensor | None, NDArray[np.bool_]]:
+    """[N, 3K] rows, the table [W + 1, d_t + 1] and which recordings have words [R]."""
+    has = np.array([info.name in vectors and "word_at" in own for info, own in zip(infos, loaded, strict=True)])
+    if not has.any():
+        return None, None, has
+    rows, tables, begin = [], [], 1
+    for info, own in zip(infos, loaded, strict=True):
+        frames = own.get("word_at")
+        if frames is None or info.name not in vectors:
+            rows.append(np.zeros((len(own["silent"]), 3 * own["motion"].shape[1]), np.int32))
+            continue
+        rows.append(three_blocks(np.where(frames >= 0, frames + begin, 0).astype(np.int32), np.zeros(())))
+        tables.append(vectors[info.name])
+        begin += len(vectors[info.name])
+    table = np.concatenate(tables)
+    return (torch.as_tensor(np.concatenate(rows)),
+            torch.as_tensor(word_table(table, table.shape[1]).astype(np.float16)), has)
 
 
 def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64], splits: list[str],
-                loaded: list[dict[str, NDArray]]) -> Statistics:
+                loaded: list[dict[str, NDArray[Any]]], heard: list[dict[str, NDArray[Any]]]) -> Statistics:
+    width = loaded[0]["motion"].shape[-1]
     train = [index for index, split in enumerate(splits) if split == "train"]
-    mean, rest = np.zeros((len(speakers), MOTION_WIDTH)), np.zeros((len(speakers), MOTION_WIDTH))
+    mean, rest = np.zeros((len(speakers), width)), np.zeros((len(speakers), width))
     centred = []
     for speaker in range(len(speakers)):
         own = [loaded[i] for i in train if speaker_of[i] == speaker]
@@ -178,15 +336,24 @@ def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[n
         mean[speaker] = poses.mean(axis=(0, 1))
         still = _settled(silent)
         rest[speaker] = poses[still, -1].mean(axis=0) if still.any() else mean[speaker]
-        centred.append((poses - mean[speaker]).reshape(-1, MOTION_WIDTH))
+        centred.append((poses - mean[speaker]).reshape(-1, width))
     deviation = np.concatenate(centred).std(axis=0)
     present = np.stack([loaded[i]["mask"] for i in train]).any(axis=0)
     deviation = np.where(present, np.maximum(deviation, config.motion.least_deviation), 1.0)
     bounds = np.percentile(np.concatenate(centred) / deviation, [0.1, 99.9], axis=0)
-    low = Normaliser.fit(np.concatenate([loaded[i]["low"] for i in train]).astype(np.float32))
-    high = low if "high" not in loaded[0] else Normaliser.fit(
-        np.concatenate([loaded[i]["high"] for i in train]).astype(np.float32))
-    return Statistics(speakers, mean, rest, deviation, bounds, low, high)
+    quiet = [_settled(loaded[i]["silent"], 1) for i in train]
+    normalisers, silences = [], []
+    for level in ("low", "high"):
+        rows = [heard[i].get(level, heard[i]["low"]) for i in train]
+        normaliser = Normaliser.fit(np.concatenate(rows).astype(np.float32))
+        settled = np.concatenate([own[which] for own, which in zip(rows, quiet, strict=True)]).astype(np.float32)
+        normalisers.append(normaliser)
+        silences.append(normaliser.apply(settled).mean(axis=0, dtype=np.float64) if len(settled)
+                        else np.zeros(rows[0].shape[1:]))
+    levels = controls.Levels.fit(np.concatenate([loaded[i]["control"] for i in train]).reshape(
+        -1, len(controls.FEATURES)).astype(np.float64))
+    return Statistics(speakers, mean, rest, deviation, bounds, normalisers[0], normalisers[1], silences[0],
+                      silences[1], levels)
 
 
 def _settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:
@@ -214,11 +381,11 @@ class Sequence:
     style: NDArray[np.int64]
 
 
-def sequences(corpus: Corpus, labels: NDArray[np.int64], split: str, style_numbers: NDArray[np.int64]
-              ) -> list[Sequence]:
-    """The recordings of a split as they are."""
+def sequences(corpus: Corpus, labels: NDArray[np.int64], split: str, style_numbers: NDArray[np.int64],
+              with_text: bool = False) -> list[Sequence]:
+    """The recordings of a split as they are; only those with words when asked."""
     out = []
-    for recording in corpus.recordings(split):
+    for recording in corpus.recordings(split, with_text):
         own = corpus.blocks_of(recording)
         out.append(Sequence(recording, own, np.zeros(len(own), bool), own, labels[own], style_numbers[own]))
     return out
@@ -265,10 +432,16 @@ def _inserted(part: Sequence, runs: dict[int, int], corpus: Corpus, nearest_sile
 
 
 class Windows:
-    """Windows of a seed block and N more over sequences, drawn at any start, or tiled without overlap."""
+    """Windows of a seed block and N more over sequences, drawn at any start, or tiled without overlap.
 
-    def __init__(self, corpus: Corpus, parts: list[Sequence], blocks: int) -> None:
+    text: batches carry word vectors. control: the settings by which features of style are asked for in windows that
+    are drawn; None asks for nothing.
+    """
+
+    def __init__(self, corpus: Corpus, parts: list[Sequence], blocks: int, *, text: bool = False,
+                 control: ControlConfig | None = None) -> None:
         self.corpus, self.parts, self.length = corpus, parts, blocks + 1
+        self.text, self.control = text, control
         self.starts = np.array([(p, s) for p, part in enumerate(parts)
                                 for s in range(max(1, len(part.motion) - blocks))], dtype=np.int64)
         if len(self.starts) == 0:
@@ -276,7 +449,13 @@ class Windows:
 
     def drawn(self, rng: np.random.Generator, count: int) -> Batch:
         """A batch of `count` windows at random."""
-        return self.batch(self.starts[rng.integers(len(self.starts), size=count)])
+        starts = self.starts[rng.integers(len(self.starts), size=count)]
+        given = None
+        if self.control is not None:
+            given = rng.random((count, len(controls.FEATURES))) < self.control.asked
+            given &= rng.random((count, 1)) >= self.control.free
+            given &= np.isin(controls.FEATURES, self.control.features)
+        return self.batch(starts, given)
 
     def tiled(self, size: int) -> Iterable[Batch]:
         """Every block (but seeds), in batches; the last window of a recording may overlap the one before."""
@@ -288,8 +467,11 @@ class Windows:
         for at in range(0, len(tiles), size):
             yield self.batch(tiles[at:at + size])
 
-    def batch(self, starts: NDArray[np.int64]) -> Batch:
-        """The windows at (part, start) [B, 2]: everything that any stage's losses ask for."""
+    def batch(self, starts: NDArray[np.int64], given: NDArray[np.bool_] | None = None) -> Batch:
+        """The windows at (part, start) [B, 2]: everything that any stage's losses ask for.
+
+        given: [B, F] which features of style are asked for; None asks for none.
+        """
         corpus = self.corpus
         rows: dict[str, list[NDArray]] = {key: [] for key in ("motion", "held", "audio", "lexeme", "style", "valid")}
         recordings = []
@@ -306,11 +488,19 @@ class Windows:
         held = stacked["held"][:, :, None, None]
         motion = torch.where(held, motion[:, :, -1:].expand_as(motion), motion)
         speaker = torch.as_tensor(corpus.speaker_of[recordings])
-        low = corpus.low[stacked["audio"]]
-        return {
-            "motion": motion, "audio": low, "audio_low": low,
-            "audio_high": low if corpus.high is corpus.low else corpus.high[stacked["audio"]],
+        low = corpus.low[stacked["audio"]].float()
+        batch = {
+            "motion": motion, "audio": low, "audio_low": low, "block": stacked["motion"],
+            "audio_high": low if corpus.high is corpus.low else corpus.high[stacked["audio"]].float(),
             "lexeme_index": stacked["lexeme"], "style": stacked["style"], "valid": stacked["valid"],
             "mask": corpus.mask[recordings],
             "speaker": torch.nn.functional.one_hot(speaker, len(corpus.statistics.speakers)).float(),
         }
+        if self.text:
+            batch["text"] = corpus.text(stacked["audio"])
+        if given is not None:
+            assert corpus.statistics.levels is not None
+            values = corpus.control[stacked["motion"].numpy()]
+            asked = np.broadcast_to(given[:, None, None], values.shape)
+            batch["control"] = torch.as_tensor(control_rows(corpus.statistics.levels, values, asked))
+        return batch

@@ -17,12 +17,16 @@ class BlockFeatures:
     """What an interpreter hears of one block.
 
     low, high: [3K, d] the two levels of audio on the window of the block before, the block and the block after.
-    silent: the block is a silence.
+    silent: the block is a silence. text: [3K, d_t + 1] word vectors and the flag of the empty word on the same window,
+    or None in the audio-only path. control: [K, 2 F] what is asked of F features of style and whether it is asked, or
+    None when nothing is.
     """
 
     low: Tensor
     high: Tensor
     silent: bool = False
+    text: Tensor | None = None
+    control: Tensor | None = None
 
 
 @runtime_checkable

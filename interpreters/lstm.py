@@ -1,4 +1,4 @@
-"""The lexeme interpreter P_s of Rhythmic Gesticulator (RG 6.1, Eq. 16 to 18), audio and speaker as inputs."""
+"""The lexeme interpreter P_s (RG 6.1, Eq. 16 to 18), with text or from audio alone (RG 6.3)."""
 
 from __future__ import annotations
 
@@ -20,8 +20,18 @@ class LstmConfig:
 
     audio_features: int = 128
     """d_A~, width of E_A^lex."""
+    audio_bottleneck: int = 0
+    """Width that each row of audio is brought to before E_A^lex; 0 for none (the paper)."""
     width: int = 512
     layers: int = 1
+    text_features: int = 0
+    """d_t~, width of the FC on word vectors; 0 is the audio-only interpreter (RG 6.3)."""
+    text_blocks: int = 1
+    """Blocks of text that are read: 1 (the paper), or 3, the one before and the one after too."""
+    text_bottleneck: int = 0
+    """Width that a word vector is brought to before the FC; 0 for none (the paper)."""
+    use_control: bool = False
+    """Hear what is asked of the style (C_i of RG 7.2.1)."""
     use_speaker: bool = True
     """The one-hot I of Eq. 16."""
     dropout: float = 0.1
@@ -41,20 +51,26 @@ class LstmState:
 
 
 class LstmInterpreter(nn.Module):
-    """P_s: previous lexeme, three blocks of high-level audio and the speaker to scores over the lexicon.
+    """P_s: previous lexeme, three blocks of high-level audio, text and the speaker to scores over the lexicon.
 
     The K frames of a block run through the LSTM, whose state is carried across blocks; the last frame is classified.
     """
 
     lexemes: Tensor
 
-    def __init__(self, config: LstmConfig, frames: int, audio_width: int, lexemes: Tensor, speakers: int) -> None:
-        """lexemes: [S, D_s] the codebook; speakers: how many performers the one-hot ID tells apart."""
+    def __init__(self, config: LstmConfig, frames: int, audio_width: int, lexemes: Tensor, speakers: int,
+                 text_width: int = 0, control_width: int = 0) -> None:
+        """lexemes: [S, D_s] the codebook; speakers: how many performers the one-hot ID tells apart; text_width:
+        d_t + 1, and control_width: 2 F, read only where the settings ask for them."""
         super().__init__()
         self.config, self.frames, self.speakers = config, frames, speakers
         self.register_buffer("lexemes", lexemes.clone())
-        self.encode_audio = BlockLinear(frames, audio_width, config.audio_features)
+        self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
+        self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
+                                       config.text_bottleneck) if config.text_features else None
+        self.control_width = control_width if config.use_control else 0
         width = config.audio_features + lexemes.shape[1] + (speakers if config.use_speaker else 0)
+        width += config.text_features + self.control_width
         self.dropout = nn.Dropout(config.dropout)
         self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
         self.classify = nn.Linear(config.width, len(lexemes))
@@ -64,14 +80,22 @@ class LstmInterpreter(nn.Module):
         """Loss weights, keyed like `losses`."""
         return {"cross_entropy": 1.0}
 
-    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None
-               ) -> tuple[Tensor, Hidden]:
+    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
+               text: Tensor | None = None, control: Tensor | None = None) -> tuple[Tensor, Hidden]:
         """Logits [B, N, S] for previous lexemes [B, N], audio windows [B, N, 3K, d] and speaker one-hot [B, speakers].
 
-        previous[:, i] is the lexeme of the block before block i.
+        previous[:, i] is the lexeme of the block before block i. text: [B, N, 3K, d_t + 1]; control: [B, N, K, 2 F],
+        None when nothing is asked. An interpreter that hears no text (or no control) ignores what is given.
         """
         blocks = previous.shape[1]
         parts = [self.encode_audio(audio), repeat_frames(self.lexemes[previous], self.frames)]
+        if self.encode_text is not None:
+            if text is None:
+                raise ValueError("this interpreter reads text; take the audio-only one")
+            parts.append(self.encode_text(text))
+        if self.control_width:
+            free = audio.new_zeros(*audio.shape[:2], self.frames, self.control_width)
+            parts.append(free if control is None else control)
         if self.config.use_speaker:
             parts.append(speaker[:, None, None].expand(-1, blocks, self.frames, -1))
         rows = self.dropout(torch.cat(parts, dim=-1)).flatten(1, 2)
@@ -83,18 +107,21 @@ class LstmInterpreter(nn.Module):
         """Cross-entropy of the next lexeme.
 
         batch: lexeme [B, N + 1] (with the silent hint), audio_high [B, N + 1, 3K, d], speaker [B, speakers],
-        valid [B, N + 1]. The first block is the seed.
+        valid [B, N + 1], and text [B, N + 1, 3K, d_t + 1] and control [B, N + 1, K, 2 F] where they are heard. The
+        first block is the seed.
         """
         labels, audio = batch["lexeme"], batch["audio_high"][:, 1:]
+        text = batch["text"][:, 1:] if self.encode_text is not None else None
+        control = batch["control"][:, 1:] if self.control_width else None
         previous = labels[:, :-1]
         share = self.config.own_past_most * min(progress / max(self.config.own_past_until, 1e-9), 1.0)
         if self.training and share > 0:
             with torch.no_grad():
                 drawn = torch.distributions.Categorical(
-                    logits=self.scores(previous, audio, batch["speaker"])[0]).sample()
+                    logits=self.scores(previous, audio, batch["speaker"], None, text, control)[0]).sample()
             shifted = torch.cat([labels[:, :1], drawn[:, :-1]], 1)
             previous = torch.where(torch.rand_like(previous, dtype=torch.float32) < share, shifted, previous)
-        logits, _ = self.scores(previous, audio, batch["speaker"])
+        logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control)
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
                                         label_smoothing=self.config.label_smoothing)
         valid = batch["valid"][:, 1:].flatten()
@@ -107,6 +134,8 @@ class LstmInterpreter(nn.Module):
     @torch.inference_mode()
     def step(self, state: LstmState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, LstmState]:
         """Log-probabilities [S] of this block's lexeme."""
-        logits, hidden = self.scores(torch.tensor([[previous_lexeme]]), features.high[None, None], state.speaker,
-                                     state.hidden)
+        logits, hidden = self.scores(
+            torch.tensor([[previous_lexeme]]), features.high[None, None], state.speaker, state.hidden,
+            None if features.text is None else features.text[None, None],
+            None if features.control is None else features.control[None, None])
         return functional.log_softmax(logits[0, 0].double(), -1).numpy(), LstmState(hidden, state.speaker)

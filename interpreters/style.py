@@ -1,4 +1,4 @@
-"""The style interpreter P_z: from low-level audio to the style code of a block (RG 6.2, Eq. 19)."""
+"""The style interpreter P_z: from low-level audio, and text where wanted, to a block's style code (RG 6.2, Eq. 19)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,13 @@ class StyleConfig:
     """Sizes of the style interpreter."""
 
     audio_features: int = 128
+    audio_bottleneck: int = 0
     width: int = 256
     layers: int = 1
+    text_features: int = 0
+    """d_t~ of Eq. 19; 0 leaves the text out (RG 6.3, Table 3)."""
+    text_blocks: int = 1
+    text_bottleneck: int = 0
     use_speaker: bool = False
     """Eq. 19 has no I."""
     dropout: float = 0.1
@@ -35,17 +40,20 @@ class StyleState:
 
 
 class StyleInterpreter(nn.Module):
-    """P_z: previous code, lexeme and three blocks of low-level audio to the code of the block, [d_z]."""
+    """P_z: previous code, lexeme, three blocks of low-level audio and text to the code of the block, [d_z]."""
 
     lexemes: Tensor
 
     def __init__(self, config: StyleConfig, frames: int, audio_width: int, lexemes: Tensor, code_width: int,
-                 speakers: int) -> None:
+                 speakers: int, text_width: int = 0) -> None:
         super().__init__()
         self.config, self.frames, self.code_width, self.speakers = config, frames, code_width, speakers
         self.register_buffer("lexemes", lexemes.clone())
-        self.encode_audio = BlockLinear(frames, audio_width, config.audio_features)
+        self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
+        self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
+                                       config.text_bottleneck) if config.text_features else None
         width = config.audio_features + lexemes.shape[1] + code_width + (speakers if config.use_speaker else 0)
+        width += config.text_features
         self.dropout = nn.Dropout(config.dropout)
         self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
         self.to_code = nn.Linear(config.width, code_width)
@@ -55,12 +63,17 @@ class StyleInterpreter(nn.Module):
         """Loss weights, keyed like `losses`."""
         return {"code": 1.0}
 
-    def codes(self, previous: Tensor, lexeme: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None
-              ) -> tuple[Tensor, Hidden]:
-        """Codes [B, N, d_z] for previous codes [B, N, d_z], lexemes [B, N] and audio windows [B, N, 3K, d]."""
+    def codes(self, previous: Tensor, lexeme: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
+              text: Tensor | None = None) -> tuple[Tensor, Hidden]:
+        """Codes [B, N, d_z] for previous codes [B, N, d_z], lexemes [B, N], audio windows [B, N, 3K, d] and, where it
+        is read, text [B, N, 3K, d_t + 1]."""
         blocks = lexeme.shape[1]
         parts = [self.encode_audio(audio), repeat_frames(self.lexemes[lexeme], self.frames),
                  repeat_frames(previous, self.frames)]
+        if self.encode_text is not None:
+            if text is None:
+                raise ValueError("this interpreter reads text; take the audio-only one")
+            parts.append(self.encode_text(text))
         if self.config.use_speaker:
             parts.append(speaker[:, None, None].expand(-1, blocks, self.frames, -1))
         rows = self.dropout(torch.cat(parts, dim=-1)).flatten(1, 2)
@@ -71,7 +84,7 @@ class StyleInterpreter(nn.Module):
         """Mean squared error of the codes.
 
         batch: code [B, N + 1, d_z] (learned), lexeme [B, N + 1], audio_low [B, N + 1, 3K, d], speaker,
-        valid [B, N + 1].
+        valid [B, N + 1], text [B, N + 1, 3K, d_t + 1] where it is read.
         """
         code = batch["code"]
         previous = code[:, :-1]
@@ -79,7 +92,8 @@ class StyleInterpreter(nn.Module):
             # At inference it hears its own codes, which are calmer than the learned ones: noise keeps it from
             # leaning on them.
             previous = previous + 0.5 * progress * torch.randn_like(previous)
-        made, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"])
+        text = batch["text"][:, 1:] if self.encode_text is not None else None
+        made, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"], None, text)
         valid = batch["valid"][:, 1:, None].expand_as(made)
         return {"code": ((made - code[:, 1:]).pow(2) * valid).sum() / valid.sum().clamp_min(1)}
 
@@ -92,5 +106,6 @@ class StyleInterpreter(nn.Module):
     def step(self, state: StyleState, features: BlockFeatures, lexeme: int) -> tuple[Tensor, StyleState]:
         """The code [1, d_z] of this block, given its lexeme."""
         code, hidden = self.codes(state.code[:, None], torch.tensor([[lexeme]]), features.low[None, None],
-                                  state.speaker, state.hidden)
+                                  state.speaker, state.hidden,
+                                  None if features.text is None else features.text[None, None])
         return code[:, 0], StyleState(hidden, code[:, 0], state.speaker)

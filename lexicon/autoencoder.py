@@ -42,8 +42,12 @@ class LexiconConfig:
 class Lexicon(nn.Module):
     """Encoder E, codebook S and decoder D over blocks [B, K, D_m]."""
 
-    def __init__(self, config: LexiconConfig, frames: int, motion_width: int) -> None:
+    present: Tensor
+
+    def __init__(self, config: LexiconConfig, frames: int, motion_width: int, present: Tensor | None = None) -> None:
+        """present: [D_m] 1 where the data have the dimension; elsewhere no loss would hold the decoder, so it is 0."""
         super().__init__()
+        self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
         self.config, self.frames, self.motion_width = config, frames, motion_width
         widths, code = config.widths, config.code_width
         self.convolve = convolutions((motion_width, *widths), config.kernel)
@@ -71,7 +75,7 @@ class Lexicon(nn.Module):
     def decode(self, codes: Tensor) -> Tensor:
         """D: [B, code width] to blocks [B, K, D_m]."""
         rows = self.from_code(codes).unflatten(1, (-1, self.frames))
-        return self.deconvolve(rows).transpose(1, 2)
+        return self.deconvolve(rows).transpose(1, 2) * self.present
 
     @torch.no_grad()
     def label(self, motion: Tensor, batch: int = 4096) -> Tensor:

@@ -15,11 +15,16 @@ import numpy as np
 import pytest
 
 from data_module import kinematics
+from data_module.audio import write_flac
+from data_module.blocks import cut
 from data_module.build import main
 from data_module.bvh import read_bvh, write_bvh
-from data_module.corpora import CORPORA
+from data_module.corpora import CORPORA, STROKE_SOURCES
+from data_module.intervals import LONGEST, STEP, Intervals, measure
 from data_module.motion_beats import motion_beats
+from data_module.report import Outcome
 from data_module.store import Store
+from data_module.types import Speech
 
 TINY = ["performer", "--preset", "tiny", "--seed", "5"]
 """As the fixture `tiny_store` builds it."""
@@ -136,6 +141,8 @@ def test_a_built_store_is_left_alone_and_other_settings_are_refused(tiny_store: 
     (["performer", "--preset", "tiny", "--hours", "-1", "--out", "x"], "--hours"),
     (["performer", "--preset", "tiny", "--workers", "0", "--out", "x"], "--workers"),
     (["performer", "--preset", "tiny", "--seed", "-1", "--out", "x"], "--seed"),
+    (["performer", "--preset", "tiny", "--out", "x", "--histogram", "no/such/folder/h.png"], "h.png"),
+    (["performer", "--preset", "tiny", "--out", "x", "--histogram", "h.txt"], "h.txt"),
 ])
 def test_bad_input_is_one_line_and_leaves_nothing(arguments: list[str], wrong: str, tmp_path: Path,
                                                   monkeypatch: pytest.MonkeyPatch,
@@ -165,6 +172,9 @@ def test_what_cannot_be_used_is_dropped_and_reported(tiny_store: Path, tmp_path:
     assert main(["folder", "--source", str(source), "--out", str(tmp_path / "s"), "--workers", "1"]) == 0
     said = capsys.readouterr().out
     assert "dropped talk_0001_puppet" in said and "dropped odd" in said and "LeftHand" in said
+    told = json.loads((tmp_path / "s" / "report.json").read_text(encoding="utf-8"))
+    assert set(told["dropped"]) == {"talk_0001_puppet", "odd"} and told["recordings"] == 1
+    assert str(source / "talk_0001_puppet.flac") in told["dropped"]["talk_0001_puppet"]
     assert Store.open(tmp_path / "s").names == ("talk_0000_puppet",)
 
 
@@ -179,13 +189,13 @@ def test_nothing_usable_is_an_error_and_leaves_nothing(tmp_path: Path, capsys: p
     assert sorted(file.name for file in tmp_path.iterdir()) == ["pairs"]
 
 
-def test_help_names_every_corpus_and_is_fast() -> None:
-    times = []
-    for _ in range(2):
-        begun = time.perf_counter()
-        said = subprocess.run(_command("--help"), cwd=ROOT, capture_output=True, text=True, check=True).stdout
-        times.append(time.perf_counter() - begun)
-    assert all(name in said for name in CORPORA) and min(times) < 0.5
+def test_help_names_every_corpus_and_imports_nothing_heavy() -> None:
+    code = ("import sys\nfrom data_module.build import main\n"
+            "try:\n    main(['--help'])\n"
+            "except SystemExit:\n    print([name for name in ('numpy', 'torch') if name in sys.modules])")
+    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert all(f"\n  {name} " in said for name in (*CORPORA, *STROKE_SOURCES))
+    assert said.splitlines()[-1] == "[]"
 
 
 def test_the_words_in_the_data_set_are_those_of_the_store(tiny_store: Path) -> None:
@@ -197,3 +207,97 @@ def test_the_words_in_the_data_set_are_those_of_the_store(tiny_store: Path) -> N
     assert set(told) >= {"words", "performer", "voice", "language", "split", "phrases", "syllables", "strokes"}
     assert set(told["strokes"][0]) == {"lexeme", "clip", "hand", "start", "beat", "hold_end", "end", "syllable", "gain",
                                        "held_out"}
+
+
+def test_the_report_counts_what_is_in_the_store(tiny_store: Path) -> None:
+    store = Store.open(tiny_store)
+    told = json.loads((tiny_store / "report.json").read_text(encoding="utf-8"))
+    blocks = {info.name: len(cut(store.load(info.name).speech)) for info in store.recordings}
+    assert told["blocks"] == sum(blocks.values())
+    for split, own in told["splits"].items():
+        infos = [info for info in store.recordings if info.split == split]
+        assert (own["recordings"], own["blocks"]) == (len(infos), sum(blocks[info.name] for info in infos))
+        assert own["minutes"] == pytest.approx(sum(info.seconds for info in infos) / 60, abs=1e-3)
+    # d_min and d_max are 0.2 and 0.5 s: no beats are closer or farther apart.
+    beats = np.array(told["intervals"]["beats"])
+    assert beats[round(0.2 / STEP):round(0.5 / STEP) + 1].sum() == beats.sum() == told["blocks"]
+
+
+def test_a_store_that_is_there_is_reported_as_when_it_was_built(tiny_store: Path, tmp_path: Path,
+                                                                capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'figures'")
+    out, picture = tmp_path / "store", tmp_path / "intervals.png"
+    shutil.copytree(tiny_store, out)
+    told = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    again = [*TINY, "--out", str(out), "--workers", "1", "--histogram", str(picture)]
+    assert main(again) == 0
+    said = capsys.readouterr().out
+    assert f"{told['blocks']} blocks" in said
+    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "between onsets" in said
+    (out / "report.json").unlink()
+    picture.unlink()
+    assert main(again[:-2]) == 0
+    assert f"{told['minutes']:.1f} minutes" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(again)
+    assert "was built without a histogram" in capsys.readouterr().err and not picture.exists()
+
+
+def _ticking(apart: float, seconds: float = 6.0) -> Speech:
+    """A tick every `apart` seconds from `apart` on."""
+    rng = np.random.default_rng(1)
+    samples = 1e-5 * rng.normal(size=round(seconds * 16000))
+    for place in np.arange(apart, seconds - 0.1, apart):
+        at = round(place * 16000)
+        samples[at:at + 400] += 0.3 * rng.normal(size=400) * np.exp(-np.arange(400) / 100)
+    return Speech(samples.astype(np.float32), 16000)
+
+
+@pytest.mark.parametrize(("apart", "beats"), [(0.33, (0.25, 0.4)), (0.77, (0.2, 0.55))])
+def test_intervals_of_a_ticking_clock(apart: float, beats: tuple[float, float]) -> None:
+    blocks, found = measure(_ticking(apart))
+    ticks = len(np.arange(apart, 5.9, apart))
+    onsets = np.array(found.onsets)
+    place = int(apart / STEP)
+    assert onsets.sum() == ticks - 1 == onsets[place] and found.share(place * STEP, (place + 1) * STEP) == 1.0
+    # Ticks that are too far apart get pseudo-beats between them.
+    within = np.array(found.beats)[round(beats[0] / STEP):round(beats[1] / STEP)]
+    assert within.sum() >= blocks - 2 and sum(found.beats) == blocks
+
+
+def test_intervals_add_up_and_come_back_from_their_file() -> None:
+    _, fast = measure(_ticking(0.33))
+    _, slow = measure(_ticking(2.6, 12.0))
+    both = fast + slow
+    assert slow.onsets[-1] == sum(slow.onsets) == 3 and sum(both.onsets) == sum(fast.onsets) + 3
+    assert Intervals.from_json(json.loads(json.dumps(both.as_json()))) == both
+    lines = list(both.lines())
+    assert lines[-2].split()[:2] == [f"{LONGEST:.2f}", "and"] and lines[-2].split()[-2] == "3"
+    assert lines[-1].startswith(f"{sum(fast.onsets) / sum(both.onsets):.0%} of the intervals between onsets lie")
+    longest = max(lines[1:], key=lambda line: line.count("#"))
+    assert longest.strip().startswith(("0.30-0.35", "0.40-0.45", "0.45-0.50", "0.50-0.55"))
+    assert list(Intervals().lines()) == []
+    with pytest.raises(ValueError, match="other bins"):
+        Intervals.from_json({"step": 0.1, "onsets": [], "beats": []})
+
+
+def test_an_outcome_comes_back_from_its_file() -> None:
+    outcome = Outcome("a", 2.5, ("Spine3",), 7, Intervals().as_json(), "0.01 m, told", "heard", warnings=("oh", "no"))
+    assert Outcome.from_json(outcome.as_json()) == outcome
+
+
+def test_nothing_of_a_build_under_way_is_left_in_the_store(tiny_store: Path) -> None:
+    kinds = {file.suffix for file in (tiny_store / "recordings").iterdir()}
+    assert kinds == {".flac", ".npz"}
+    assert sorted(file.name for file in tiny_store.iterdir()) == ["dataset", "recordings", "report.json", "store.json"]
+
+
+def test_a_quiet_recording_has_blocks_and_no_onsets(tmp_path: Path) -> None:
+    """Two seconds without a sound: pseudo-beats only, and no division by zero in the report."""
+    from data_module import skeletons
+
+    write_bvh(tmp_path / "calm.bvh", skeletons.from_vector(np.zeros((120, 48)), 60.0))
+    write_flac(tmp_path / "calm.flac", Speech(np.zeros(32000, np.float32), 16000))
+    assert main(["folder", "--source", str(tmp_path), "--out", str(tmp_path / "s"), "--workers", "1"]) == 0
+    told = json.loads((tmp_path / "s" / "report.json").read_text(encoding="utf-8"))
+    assert told["blocks"] >= 4 and sum(told["intervals"]["onsets"]) == 0 and told["words"] == {"": 1}

@@ -33,9 +33,23 @@ def test_paper_presets_carry_the_papers_numbers() -> None:
                (trinity.schedules.lexicon, trinity.schedules.generator, trinity.schedules.interpreter))
 
 
+def test_the_other_paper_presets_differ_where_the_paper_says() -> None:
+    trinity, ted = preset("paper-trinity"), preset("paper-ted")
+    assert (ted.motion.representation, ted.rhythm.fps, ted.lexicon.size, ted.rhythm.frames) == ("positions", 15.0, 100,
+                                                                                                8)
+    assert (trinity.encoder.width, trinity.encoder.temperature) == (512, 0.1)
+    assert trinity.interpreter.text_blocks == 1 and trinity.interpreter.text_features == 128
+    for config in (trinity, ted, preset("paper-chinese")):
+        assert (config.front_end.name, config.selection.temperature, config.selection.activity) == ("vqwav2vec", 0, 1)
+        assert config.generator.velocity == 0 and config.interpreter.audio_bottleneck == 0
+    assert preset("paper-chinese").text.encoder == "bert-base-chinese" != trinity.text.encoder
+
+
 def test_settings_reach_every_depth_and_keep_types() -> None:
     config = with_settings(preset("tiny"), ["rhythm.beats.d_max=1", "lexicon.widths=[4,5,6,7]",
-                                            "lexicon.codebook=gradient", "silence.hint=false"])
+                                            "lexicon.codebook=gradient", "silence.hint=false", "text.encoder=",
+                                            "silence.lexemes=[3,1]", "front_end.layers=[1,4]"])
+    assert config.text.encoder == "" and config.silence.lexemes == (3, 1) and config.front_end.layers == (1, 4)
     assert config.rhythm.beats.d_max == 1.0 and isinstance(config.rhythm.beats.d_max, float)
     assert config.lexicon.widths == (4, 5, 6, 7) and config.lexicon.codebook == "gradient"
     assert config.silence.hint is False
@@ -43,11 +57,18 @@ def test_settings_reach_every_depth_and_keep_types() -> None:
 
 
 @pytest.mark.parametrize("setting", ["lexicon.size", "lexicon.nothing=3", "nothing.size=3", "lexicon.size=many",
-                                     "lexicon.size.more=3", "lexicon=3", "silence.hint=1"])
+                                     "lexicon.size.more=3", "lexicon=3", "silence.hint=1",
+                                     "silence.lexemes=3"])
 def test_a_wrong_setting_is_one_clear_line(setting: str) -> None:
     with pytest.raises(InputError) as error:
         with_settings(preset("tiny"), [setting])
     assert setting in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("setting", ["encoder.temperature=0", "encoder.width=0", "encoder.activation=sine"])
+def test_a_value_that_cannot_be_is_refused_by_the_name_of_its_setting(setting: str) -> None:
+    with pytest.raises(InputError, match=setting.partition("=")[0]):
+        with_settings(preset("tiny"), [setting])
 
 
 def test_unknown_preset_and_foreign_settings_are_refused() -> None:
@@ -65,7 +86,7 @@ def test_the_digest_sees_every_change_and_nothing_else() -> None:
 
 def test_the_papers_sizes_run_through_one_step_of_training() -> None:
     config = preset("paper-trinity")
-    frames, width, audio = config.rhythm.frames, 48, config.front_end.bands + 3
+    frames, width, audio = config.rhythm.frames, 48, config.encoder.width + 3
     lexicon = Lexicon(config.lexicon, frames, width).eval()
     model = Generator(config.generator, frames, width, audio, config.lexicon.code_width, style_blocks=4)
     batch = {"motion": torch.randn(2, 3, frames, width), "audio": torch.randn(2, 3, 3 * frames, audio),

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import published
+import published_bvh
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,9 +47,31 @@ def _folder(root: Path) -> Path:
     return source
 
 
+def _beat(root: Path) -> Path:
+    published.write_beat(root / "5", "5_stewart_0_65_65")
+    return root
+
+
+def _beat2(root: Path) -> Path:
+    published.write_beat2(root, published.TAKE, published.poses_of(45))
+    (root / "train_test_split.csv").write_text(f"id,type\n{published.TAKE},test\n")
+    return root
+
+
+def _ted(root: Path) -> Path:
+    published.write_ted(root)
+    return root
+
+
 SAMPLES: dict[str, Callable[[Path], Reader]] = {
     "performer": lambda root: open_corpus("performer", None, Options(preset="tiny")),
     "folder": lambda root: open_corpus("folder", _folder(root), Options()),
+    "trinity": lambda root: open_corpus("trinity", published_bvh.trinity(root), Options()),
+    "zeroeggs": lambda root: open_corpus("zeroeggs", published_bvh.zeroeggs(root), Options()),
+    "mocca": lambda root: open_corpus("mocca", published_bvh.mocca(root), Options()),
+    "beat": lambda root: open_corpus("beat", _beat(root), Options()),
+    "beat2": lambda root: open_corpus("beat2", _beat2(root), Options()),
+    "ted": lambda root: open_corpus("ted", _ted(root), Options()),
 }
 """A small instance of every reader; a new reader brings its own."""
 

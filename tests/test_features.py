@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.blocks import windows_of
-from data_module.features import FRONT_ENDS, TYPICAL_LEVEL, Levels, MelFrontEnd, Normaliser, reference_level
+from data_module.errors import InputError
+from data_module.features import (
+    FRONT_ENDS,
+    TYPICAL_LEVEL,
+    FrontEnd,
+    Levels,
+    MelFrontEnd,
+    Normaliser,
+    front_end,
+    reference_level,
+)
+from data_module.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.types import Array, Samples
 
 RATE = 16000
@@ -115,6 +129,145 @@ def test_other_settings_fit_other_blocks() -> None:
     assert front.name == "mel"
     with pytest.raises(ValueError, match="windows"):
         MEL.encode(np.zeros((2, 8000), np.float32))
+
+
+SIZE = {"bands": 32, "frames": 30, "samples_per_frame": 800, "sample_rate": RATE}
+
+
+def stack() -> SpeechEncoder:
+    torch.manual_seed(0)
+    return SpeechEncoder(EncoderConfig(width=8))
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny wav2vec 2.0 (with and without its preprocessing), a BERT, and a checkpoint of fairseq's layout."""
+    from transformers import BertConfig, BertModel, Wav2Vec2Config, Wav2Vec2FeatureExtractor, Wav2Vec2Model
+
+    folder = tmp_path_factory.mktemp("models")
+    torch.manual_seed(0)
+    model = Wav2Vec2Model(Wav2Vec2Config(
+        hidden_size=12, num_hidden_layers=4, num_attention_heads=2, intermediate_size=16, conv_dim=(8, 8, 8),
+        conv_kernel=(10, 8, 4), conv_stride=(5, 8, 8), num_feat_extract_layers=3, num_conv_pos_embeddings=4,
+        num_conv_pos_embedding_groups=2))
+    model.save_pretrained(folder / "plain")
+    model.save_pretrained(folder / "normalising")
+    Wav2Vec2FeatureExtractor(do_normalize=True).save_pretrained(folder / "normalising")
+    Wav2Vec2FeatureExtractor(sampling_rate=8000).save_pretrained(folder / "slow")
+    model.save_pretrained(folder / "slow")
+    BertModel(BertConfig(hidden_size=8, num_hidden_layers=1, num_attention_heads=2, intermediate_size=8, vocab_size=9)
+              ).save_pretrained(folder / "bert")
+    weights = {}
+    for name, value in stack().state_dict().items():
+        kind, layer, rest = name.split(".")
+        weights[f"feature_extractor.conv_layers.{layer}.{0 if kind == 'convolutions' else 2}.{rest}"] = value
+    torch.save({"model": weights}, folder / "vq-wav2vec.pt")
+    return folder
+
+
+KINDS = ("mel", "vqwav2vec", "fairseq", "hf")
+
+
+def made(kind: str, models: Path) -> FrontEnd:
+    name = {"fairseq": f"fairseq:{models / 'vq-wav2vec.pt'}", "hf": f"hf:{models / 'normalising'}"}.get(kind, kind)
+    front = front_end(name, encoder=stack(), **SIZE)
+    assert front.name == name
+    return front
+
+
+def speech_like(count: int) -> Samples:
+    """Windows in which loudness and colour change from frame to frame."""
+    rng = np.random.default_rng(4)
+    sound = noise(count, 0.1).reshape(count, 30, 800)
+    sound[:, ::2] = np.diff(sound[:, ::2], prepend=0, axis=-1)
+    return (sound * rng.uniform(0.05, 1, (count, 30, 1))).reshape(count, -1).astype(np.float32)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_front_end_keeps_the_contract(kind: str, models: Path) -> None:
+    front, windows = made(kind, models), speech_like(7)
+    reference = np.linspace(-40, -20, 7)
+    whole = front.encode(windows, reference)
+    for level, width in ((whole.low, front.width_low), (whole.high, front.width_high)):
+        assert level.shape == (7, 30, width)
+        assert level.dtype == np.float32
+        assert np.isfinite(level).all()
+        # the rows of a window differ, and so do windows
+        assert (level.std(axis=1) > 1e-4).any(axis=-1).all()
+        assert not np.allclose(level[0], level[1], atol=1e-3)
+    for at in range(7):  # alone as in company
+        alone = front.encode(windows[at:at + 1], reference[at:at + 1])
+        assert np.allclose(alone.low[0], whole.low[at], atol=1e-5)
+        assert np.allclose(alone.high[0], whole.high[at], atol=1e-5)
+    turned = front.encode(windows[::-1], reference[::-1])
+    assert np.allclose(turned.low[::-1], whole.low, atol=1e-5)
+    assert np.allclose(turned.high[::-1], whole.high, atol=1e-5)
+    silence = front.encode(np.zeros((1, 24000), np.float32))
+    assert np.isfinite(silence.low).all() and np.isfinite(silence.high).all()
+    assert front.encode(windows[:0]).low.shape == (0, 30, front.width_low)
+    with pytest.raises(ValueError, match="windows"):
+        front.encode(windows[:, :-1])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_front_end_hears_loudness_and_takes_the_microphone_off(kind: str, models: Path) -> None:
+    front, windows = made(kind, models), speech_like(2)
+    usual = np.full(2, TYPICAL_LEVEL)
+    plain, mel = front.encode(windows), MEL.encode(windows).low
+    louder, same = front.encode(2 * windows), front.encode(2 * windows, usual + 20 * np.log10(2))
+    for level in ("low", "high"):
+        a, b, c = (getattr(heard, level) for heard in (plain, louder, same))
+        assert np.allclose(a[..., -2:], mel[..., -2:], atol=1e-5)
+        assert np.allclose(b[..., -1] - a[..., -1], np.log(4), atol=1e-3)
+        assert np.allclose(c, a, atol=1e-3)
+
+
+def test_the_levels_asked_for_are_the_ones_given() -> None:
+    encoder, windows = stack(), speech_like(2)
+    levels = encoder.levels(torch.from_numpy(windows), 30, range(1, 9))
+    for layers, low, high in ((None, 2, 8), ((1, 5), 1, 5)):
+        heard = front_end("vqwav2vec", encoder=encoder, layers=layers, **SIZE).encode(windows)
+        assert np.allclose(heard.low[..., :-2], levels[low - 1].detach().numpy(), atol=1e-5)
+        assert np.allclose(heard.high[..., :-2], levels[high - 1].detach().numpy(), atol=1e-5)
+
+
+@pytest.mark.parametrize(("folder", "layers", "low", "high"), [("plain", None, 1, 3), ("normalising", (0, 4), 0, 4)])
+def test_a_model_of_transformers_gives_the_means_of_its_hidden_layers(models: Path, folder: str, low: int, high: int,
+                                                                      layers: tuple[int, int] | None) -> None:
+    from transformers import AutoModel
+
+    windows = speech_like(2) + np.float32(0.2)
+    heard = front_end(f"hf:{models / folder}", layers=layers, **SIZE).encode(windows)
+    if folder == "normalising":
+        windows = (windows - windows.mean(1, keepdims=True)) / windows.std(1, keepdims=True)
+    with torch.no_grad():
+        hidden = AutoModel.from_pretrained(models / folder).eval()(torch.from_numpy(windows), output_hidden_states=True
+                                                                   ).hidden_states
+    rows = hidden[0].shape[1]
+    for layer, found in ((low, heard.low), (high, heard.high)):
+        for frame in range(30):
+            own = hidden[layer][:, frame * rows // 30:-(-(frame + 1) * rows // 30)].mean(1)
+            assert np.allclose(found[:, frame, :-2], own.numpy(), atol=1e-4)
+
+
+def test_a_front_end_that_is_not_to_be_had_is_refused_by_name(models: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for name, layers, message in (
+            ("mfcc", None, "no 'mfcc'; choose from mel, vqwav2vec, fairseq:PATH, hf:"),
+            ("hf:", None, "no 'hf:'"), ("ftp:model", None, "no 'ftp:model'"),
+            ("vqwav2vec", None, "needs a trained speech encoder"),
+            (f"fairseq:{tmp_path / 'none.pt'}", None, "none.pt: is not there"),
+            (f"hf:{tmp_path / 'none'}", None, "is not on this machine"),
+            ("hf:nobody/there-is-no-such-model", None, "is not on this machine"),
+            (f"hf:{tmp_path / 'empty'}", None, "is no model that transformers can load"),
+            (f"hf:{models / 'bert'}", None, "does not take samples"),
+            (f"hf:{models / 'slow'}", None, "8000 Hz"),
+            (f"hf:{models / 'plain'}", (1, 5), r"layers: is \[1, 5\]; give two numbers from 0 to 4")):
+        with pytest.raises(InputError, match=message):
+            front_end(name, layers=layers, **SIZE)
+    for layers in ((0, 8), (2, 9), (2,), (1, 2, 3)):
+        with pytest.raises(InputError, match="two numbers from 1 to 8"):
+            front_end("vqwav2vec", encoder=stack(), layers=layers, **SIZE)
 
 
 def voice(gains: Array, block: float = 0.4) -> Samples:

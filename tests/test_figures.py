@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from data_module.store import Store
 from data_module.types import Speech
 from eval import figures
 from gesticulator import bundle as bundles
+from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import prepare
 
 
@@ -84,12 +86,25 @@ def test_the_command_writes_every_table(tiny_store: Path, tiny_bundle: Path, tmp
     assert figures.main(["--data", str(tiny_store), "--bundle", str(tiny_bundle), "--out", str(out), "--work",
                          str(tiny_bundle.with_name(tiny_bundle.name + ".work"))]) == 0
     result = json.loads(out.read_text())
-    assert set(result["accuracy"]) == {"lstm", "previous lexeme and speaker", "statistical", "commonest"}
-    assert set(result["rhythm"]) == {"performer", "lstm", "statistical", "commonest"}
+    systems = {"lstm", "lstm with text", "statistical", "commonest"}
+    assert set(result["accuracy"]) == {"previous lexeme and speaker", *systems}
+    assert set(result["rhythm"]) == set(result["motion"]) == {"performer", *systems}
+    assert result["motion"]["lstm"] != result["motion"]["lstm with text"], "one hears, the other reads too"
     errors = result["lexicon"]["errors"]
     assert errors["PCA"]["mean"] < errors["quantised"]["mean"]
     assert result["accuracy"]["commonest"]["teacher_forced"] == result["accuracy"]["commonest"]["free_running"]
     assert "| commonest |" in out.with_suffix(".md").read_text()
+
+
+def test_words_are_read_only_by_the_row_that_is_to_read(tiny_store: Path, tiny_bundle: Path) -> None:
+    store, system = Store.open(tiny_store), Gesticulator.from_pretrained(tiny_bundle)
+    recording = store.load(store.of_split("test")[0].name)
+    assert recording.speech.words
+    deaf = Gesticulator(replace(system.bundle, interpreter_text=None, style_text=None, text=None))
+    heard, read, never = (figures.play(own, [recording], "lstm", False, "", words=words)[0].hand_speed
+                          for own, words in ((system, False), (system, True), (deaf, True)))
+    np.testing.assert_array_equal(heard, never)
+    assert not np.array_equal(heard, read)
 
 
 def test_blocks_know_whether_their_stroke_was_shown_in_training(tiny_store: Path) -> None:

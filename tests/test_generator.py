@@ -11,15 +11,15 @@ from generator import losses
 from generator.model import Generator, GeneratorConfig, GumbelCodes, StyleCodes
 from generator.position import positional_block
 
-FRAMES, WIDTH, AUDIO, LEXEME = 6, 5, 4, 7
+FRAMES, WIDTH, AUDIO, LEXEME, CONTROL = 6, 5, 4, 7, 6
 CONFIG = GeneratorConfig(motion_features=8, audio_features=6, style_width=4, position_width=4, hidden=24, groups=4,
                          classes=8, lstm_width=24, lstm_layers=1)
 
 
-def make(blocks: int = 20, **changes: object) -> Generator:
+def make(blocks: int = 20, present: torch.Tensor | None = None, **changes: object) -> Generator:
     torch.manual_seed(0)
     config = GeneratorConfig(**{**CONFIG.__dict__, **changes})
-    return Generator(config, FRAMES, WIDTH, AUDIO, LEXEME, style_blocks=blocks)
+    return Generator(config, FRAMES, WIDTH, AUDIO, LEXEME, blocks, CONTROL, present)
 
 
 def batch(size: int = 3, blocks: int = 4) -> dict[str, torch.Tensor]:
@@ -27,7 +27,8 @@ def batch(size: int = 3, blocks: int = 4) -> dict[str, torch.Tensor]:
     n = blocks + 1
     return {"motion": torch.randn(size, n, FRAMES, WIDTH), "audio": torch.randn(size, n, 3 * FRAMES, AUDIO),
             "lexeme": torch.randn(size, n, LEXEME), "style": torch.randint(1, 21, (size, n)),
-            "mask": torch.ones(size, WIDTH), "valid": torch.ones(size, n)}
+            "mask": torch.ones(size, WIDTH), "valid": torch.ones(size, n),
+            "control": torch.randn(size, n, FRAMES, CONTROL)}
 
 
 def encoder(motion: torch.Tensor) -> torch.Tensor:
@@ -154,6 +155,61 @@ def test_blocks_that_are_not_valid_and_joints_that_are_absent_do_not_count() -> 
     other["motion"][:, 4] += 3.0
     first, second = model.losses(b, 1.0, encoder), model.losses(other, 1.0, encoder)
     assert torch.isclose(first["reconstruction"], second["reconstruction"])
+
+
+def run(model: Generator, b: dict[str, torch.Tensor], control: torch.Tensor | None) -> torch.Tensor:
+    zero = torch.zeros(len(b["style"]), b["style"].shape[1] - 1, model.config.style_width)
+    return model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:], zero, control=control)[0]
+
+
+def test_what_is_asked_is_heard_from_its_block_on_and_nothing_asked_is_zeros() -> None:
+    model, b = make(use_control=True).eval(), batch()
+    asked = torch.zeros(3, 4, FRAMES, CONTROL)
+    free = run(model, b, None)
+    assert torch.equal(free, run(model, b, asked))
+    asked[:, 2] = 2.0
+    told = run(model, b, asked)
+    assert torch.equal(free[:, :2], told[:, :2]) and not torch.equal(free[:, 2], told[:, 2])
+    with torch.no_grad():
+        model.mlp[0].weight[:, -CONTROL:].zero_()
+    assert torch.equal(run(model, b, None), run(model, b, asked)), "it enters through those weights alone"
+
+
+def test_a_generator_that_hears_no_control_has_no_weights_for_it() -> None:
+    model, b = make().eval(), batch()
+    assert model.mlp[0].in_features == make(use_control=True).mlp[0].in_features - CONTROL
+    assert torch.equal(run(model, b, None), run(model, b, torch.randn(3, 4, FRAMES, CONTROL)))
+    other = {**b, "control": b["control"] + 5.0}
+    first, second = (model.losses(own, 1.0, encoder)["reconstruction"] for own in (b, other))
+    assert torch.equal(first, second)
+
+
+def test_dimensions_that_no_source_has_stay_at_zero() -> None:
+    present = torch.tensor([1.0, 0.0, 1.0, 1.0, 0.0])
+    model, b = make(present=present).eval(), batch()
+    assert b["motion"][:, 0, :, 1].abs().min() > 0, "even after a pose that has them"
+    made = run(model, b, None)
+    assert (made[..., [1, 4]] == 0).all() and (made[..., [0, 2, 3]] != 0).all()
+    assert torch.equal(model.styles(torch.tensor([1, 2])), make().styles(torch.tensor([1, 2]))), "codes as before"
+    assert model.state_dict().keys() == make().state_dict().keys(), "the data say it, not the weights"
+
+
+def test_the_velocity_term_is_the_difference_of_frames_by_hand() -> None:
+    model, b = make(velocity=1.0).eval(), batch()
+    with torch.no_grad():
+        b["valid"][0, 4] = 0
+    made = model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:],
+                          model.styles(b["style"][:, 1:]))[0]
+    errors = []
+    for row in range(3):
+        mine, true = b["motion"][row, 0, -1:], b["motion"][row, 0, -1:]
+        for block in range(4):
+            mine, true = torch.cat([mine, made[row, block]]), torch.cat([true, b["motion"][row, block + 1]])
+        # Each block's differences begin at the last frame of the block before; a filled block does not count.
+        count = FRAMES * (3 if row == 0 else 4)
+        errors.append((mine.diff(dim=0) - true.diff(dim=0))[:count].pow(2))
+    expected = torch.cat(errors).mean()
+    torch.testing.assert_close(model.losses(b, 1.0, encoder)["velocity"], expected)
 
 
 def test_the_last_pose_fades_out_over_the_block() -> None:

@@ -7,19 +7,21 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+from untrained import PLAIN, untrained
 
 from data_module.bvh import read_bvh
-from data_module.errors import InputError
 from data_module.skeletons import JOINTS
 from data_module.types import Speech
 from gesticulator import bundle as bundles
 from gesticulator import infer
+from gesticulator.export import write
 from gesticulator.pipeline import Gesticulator
 
 RATE = 16000
@@ -155,7 +157,9 @@ def test_bad_recordings(name: str, tiny_bundle: Path, tmp_path: Path, capfd: pyt
 @pytest.mark.parametrize(("arguments", "said"), [
     (["--speaker", "nobody"], "nobody"), (["--bundle", "nowhere"], "nowhere"), (["--fps", "0"], "fps"),
     (["--temperature", "-1"], "temperature"), (["-o", "nowhere/o.bvh"], "nowhere"), (["-o", "o.fbx"], ".bvh"),
-    (["--explain", "o.txt"], ".json"),
+    (["--explain", "o.txt"], ".json"), (["--activity", "2"], "--activity 2"), (["--activity", "nan"], "--activity"),
+    (["--hand-height", "sky"], "--hand-height"), (["--hand-speed", "-1"], "--hand-speed"),
+    (["--hand-radius", "nowhere.csv"], "nowhere.csv"), (["--text", "nowhere.txt"], "nowhere.txt"),
 ])
 def test_bad_arguments(arguments: list[str], said: str, recording: Path, tiny_bundle: Path, tmp_path: Path,
                        capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,49 +190,6 @@ def test_two_recordings_with_one_name_are_refused(recording: Path, tiny_bundle: 
         run([str(recording), str(tmp_path / "d" / recording.name), "-o", str(tmp_path / "out")], tiny_bundle)
 
 
-def copy_of(bundle: Path, folder: Path) -> Path:
-    return Path(shutil.copytree(bundle, folder / "copy"))
-
-
-def test_broken_and_foreign_bundles_are_refused_by_name(tiny_bundle: Path, tmp_path: Path) -> None:
-    copy = copy_of(tiny_bundle, tmp_path)
-    data = bytearray((copy / "generator.safetensors").read_bytes())
-    data[-1] ^= 1
-    (copy / "generator.safetensors").write_bytes(data)
-    with pytest.raises(InputError, match=r"generator\.safetensors.*SHA-256"):
-        bundles.load(copy)
-    (copy / "generator.safetensors").unlink()
-    with pytest.raises(InputError, match="missing"):
-        bundles.load(copy)
-    index = json.loads((copy / "bundle.json").read_text())
-    foreign = {"skeleton": {**index["skeleton"], "names": ["A"]}}
-    for change, said in (({"format": 99}, "format 99"), (foreign, "skeleton")):
-        (copy / "bundle.json").write_text(json.dumps({**index, **change}))
-        with pytest.raises(InputError, match=said):
-            bundles.load(copy)
-    (copy / "bundle.json").write_text("{")
-    with pytest.raises(InputError, match="broken"):
-        bundles.load(copy)
-    with pytest.raises(InputError, match="not a bundle"):
-        bundles.load(tmp_path)
-
-
-def test_a_bundle_is_the_same_after_a_round_trip(tiny_bundle: Path, tmp_path: Path) -> None:
-    one = bundles.load(tiny_bundle)
-    bundles.save(one, tmp_path / "again", (tiny_bundle / bundles.CARD).read_text())
-    for file in tiny_bundle.glob("*.safetensors"):
-        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes()
-    assert bundles.load(tmp_path / "again").config == one.config
-
-
-def test_a_bundle_never_replaces_something_else(tiny_bundle: Path, tmp_path: Path) -> None:
-    (tmp_path / "precious").mkdir()
-    (tmp_path / "precious" / "file").write_text("kept")
-    with pytest.raises(InputError, match="not a bundle"):
-        bundles.save(bundles.load(tiny_bundle), tmp_path / "precious", "card")
-    assert [p.name for p in tmp_path.iterdir()] == ["precious"]
-
-
 def test_help_and_version_import_nothing_heavy() -> None:
     code = ("import sys, gesticulator.infer as i\n"
             "try: i.main(['--help'])\n"
@@ -238,3 +199,161 @@ def test_help_and_version_import_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60).returncode == 0
     out = subprocess.run([sys.executable, "-m", "gesticulator.infer", "--version"], capture_output=True, text=True)
     assert out.stdout.startswith("gesticulator 0.")
+
+
+# ---------------------------------------------------------------------------------------------- text
+
+WORDS = (("heavy", 0.2, 0.6), ("bread", 0.7, 1.4), ("rises", 1.5, 2.2), ("slowly", 6.0, 7.5))
+FOREIGN = "тяжёлый хлеб медленно поднимается"
+
+
+def as_json(path: Path) -> Path:
+    path.write_text(json.dumps([{"word": w, "start": a, "end": b} for w, a, b in WORDS]))
+    return path
+
+
+def as_textgrid(path: Path) -> Path:
+    marked = "".join(f'{a}\n{b}\n"{w}"\n' for w, a, b in WORDS)
+    path.write_text('File type = "ooTextFile"\nObject class = "TextGrid"\n\n0\n8\n<exists>\n1\n"IntervalTier"\n'
+                    f'"words"\n0\n8\n{len(WORDS)}\n{marked}')
+    return path
+
+
+def as_subtitles(path: Path) -> Path:
+    comma = "," if path.suffix == ".srt" else "."
+    text = "".join(f"{i}\n00:00:{int(a):02d}{comma}{round(a % 1 * 1000):03d} --> "
+                   f"00:00:{int(b):02d}{comma}{round(b % 1 * 1000):03d}\n{w}\n\n"
+                   for i, (w, a, b) in enumerate(WORDS, 1))
+    path.write_text(text if comma == "," else "WEBVTT\n\n" + text)
+    return path
+
+
+def as_plain(path: Path) -> Path:
+    path.write_text(FOREIGN, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("name", "as_file", "said"), [
+    ("t.json", as_json, "4 words, times given"), ("t.TextGrid", as_textgrid, "4 words, times given"),
+    ("t.srt", as_subtitles, "4 words"), ("t.vtt", as_subtitles, "4 words"), ("t.txt", as_plain, "guessed"),
+])
+def test_every_kind_of_transcript_is_read_and_the_summary_says_how(
+        name: str, as_file: Callable[[Path], Path], said: str, recording: Path, tiny_bundle: Path, tmp_path: Path,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--text", str(as_file(tmp_path / name)), "--fps", "20"],
+               tiny_bundle) == 0
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) == 2 and said in out.splitlines()[1]
+    assert read_bvh(tmp_path / "o.bvh").duration == pytest.approx(8.0, abs=0.05)
+
+
+def test_the_words_change_the_motion_and_times_that_are_given_count(recording: Path, tiny_bundle: Path, tmp_path: Path
+                                                                    ) -> None:
+    files = {"none": [], "grid": ["--text", str(as_textgrid(tmp_path / "g.TextGrid"))],
+             "json": ["--text", str(as_json(tmp_path / "j.json"))]}
+    made = {}
+    for name, arguments in files.items():
+        target = tmp_path / f"{name}.bvh"
+        assert run([str(recording), "-o", str(target), "--quiet", "--fps", "20", *arguments], tiny_bundle) == 0
+        made[name] = target.read_bytes()
+    assert made["grid"] == made["json"] != made["none"]
+
+
+def test_a_folder_of_transcripts_serves_recordings_by_name(recording: Path, tiny_bundle: Path, tmp_path: Path,
+                                                           capfd: pytest.CaptureFixture[str]) -> None:
+    soundfile.write(tmp_path / "other.wav", babble(1.0, seed=1), RATE)
+    texts = tmp_path / "texts"
+    texts.mkdir()
+    as_json(texts / "speech.json")
+    both = [str(recording), str(tmp_path / "other.wav"), "-o", str(tmp_path / "out"), "--text", str(texts)]
+    with pytest.raises(SystemExit) as stop:
+        run(both, tiny_bundle)
+    error = capfd.readouterr().err
+    assert stop.value.code == 2 and error.count("\n") == 1 and "other.wav" in error and "speech.flac" not in error
+    assert not (tmp_path / "out").exists(), "said before anything was made"
+    as_plain(texts / "other.txt")
+    assert run(both, tiny_bundle) == 0
+    out = capfd.readouterr().out.splitlines()
+    assert "times given" in out[1] and "guessed" in out[3]
+    with pytest.raises(SystemExit):
+        run([*both[:-1], str(texts / "speech.json")], tiny_bundle)
+    assert "several recordings" in capfd.readouterr().err
+
+
+def test_one_recording_into_a_folder_may_have_one_transcript(recording: Path, tiny_bundle: Path, tmp_path: Path
+                                                             ) -> None:
+    (tmp_path / "out").mkdir()
+    assert run([str(recording), "-o", str(tmp_path / "out"), "--text", str(as_json(tmp_path / "any name.json")),
+                "--quiet"], tiny_bundle) == 0
+    assert (tmp_path / "out" / "speech.bvh").exists()
+
+
+# ------------------------------------------------------------------------------- style editing and activity
+
+@pytest.fixture(scope="module")
+def plain_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bundle without text, gate and style editing."""
+    path = tmp_path_factory.mktemp("plain") / "bundle"
+    bundles.save(untrained(*PLAIN), path, "a card")
+    return path
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--text", "words.json"], "--text"), (["--hand-height", "high"], "--hand-height"),
+    (["--hand-speed", "0.4"], "--hand-speed"), (["--activity", "0.5"], "gate"),
+])
+def test_a_bundle_says_what_it_cannot_do(arguments: list[str], said: str, recording: Path, plain_bundle: Path,
+                                         tmp_path: Path, capfd: pytest.CaptureFixture[str],
+                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    as_json(Path("words.json"))
+    with pytest.raises(SystemExit) as stop:
+        infer.main([str(recording), "-o", "o.bvh", "--bundle", str(plain_bundle), *arguments])
+    out, error = capfd.readouterr()
+    assert stop.value.code == 2 and out == "" and error.count("\n") == 1 and said in error
+    assert not Path("o.bvh").exists()
+    assert infer.main([str(recording), "-o", "o.bvh", "--bundle", str(plain_bundle), "--activity", "0"]) == 0
+
+
+def test_levels_numbers_and_curves_reach_the_hands(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    levels = bundles.load(tiny_bundle).levels
+    assert levels is not None
+    low, high = levels.value("height", "low"), levels.value("height", "high")
+    (tmp_path / "curve.csv").write_text(f"time,value\n0,{low}\n4,{high}\n")
+    asked = {"free": [], "low": ["--hand-height", "low"], "high": ["--hand-height", "high"],
+             "number": ["--hand-height", repr(high)], "curve": ["--hand-height", str(tmp_path / "curve.csv")],
+             "speed": ["--hand-speed", "low"], "radius": ["--hand-radius", "high"]}
+    made = {}
+    for name, arguments in asked.items():
+        target = tmp_path / f"{name}.bvh"
+        assert run([str(recording), "-o", str(target), "--quiet", "--fps", "20", *arguments], tiny_bundle) == 0
+        made[name] = target.read_bytes()
+    assert made["number"] == made["high"], "a level is the number it stands for"
+    del made["number"]
+    assert len(set(made.values())) == len(made)
+
+
+def test_no_activity_plays_silent_lexemes_alone(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    system = Gesticulator.from_pretrained(tiny_bundle)
+    silent = set(system.bundle.silent.tolist())
+    still, lively = (system(recording, activity=activity, temperature=1.0, seed=1) for activity in (0.0, 1.0))
+    assert set(still.lexemes.tolist()) <= silent and not set(lively.lexemes.tolist()) <= silent
+    for activity, made in (("0", still), ("1", lively)):
+        target = tmp_path / f"{activity}.bvh"
+        assert run([str(recording), "-o", str(target), "--quiet", "--activity", activity, "--temperature", "1",
+                    "--seed", "1"], tiny_bundle) == 0
+        write(tmp_path / "python.bvh", made)
+        assert target.read_bytes() == (tmp_path / "python.bvh").read_bytes(), "the flag is the argument"
+
+
+def test_the_same_seed_gives_the_same_bytes_with_everything_asked(recording: Path, tiny_bundle: Path, tmp_path: Path
+                                                                  ) -> None:
+    asked = ["--text", str(as_json(tmp_path / "w.json")), "--hand-height", "high", "--hand-speed", "mid", "--activity",
+             "0.7", "--temperature", "1", "--speaker", bundles.load(tiny_bundle).speakers[0], "--fps", "30"]
+    made = []
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        files = [tmp_path / f"{name}{suffix}" for suffix in (".bvh", ".json")]
+        assert run([str(recording), "-o", str(files[0]), "--explain", str(files[1]), "--quiet", "--seed", seed, *asked],
+                   tiny_bundle) == 0
+        made.append([file.read_bytes() for file in files])
+    assert made[0] == made[1] and made[0][0] != made[2][0]

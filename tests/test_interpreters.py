@@ -13,13 +13,13 @@ from interpreters.lstm import LstmConfig, LstmInterpreter
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
 from interpreters.style import StyleConfig, StyleInterpreter
 
-FRAMES, AUDIO, SIZE, CODE = 5, 4, 6, 3
+FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL = 5, 4, 6, 3, 3, 6
 
 
 def lstm(**changes: object) -> LstmInterpreter:
     torch.manual_seed(0)
     config = LstmConfig(**{"audio_features": 8, "width": 16, "dropout": 0.0, **changes})  # type: ignore[arg-type]
-    return LstmInterpreter(config, FRAMES, AUDIO, torch.randn(SIZE, 7), speakers=2)
+    return LstmInterpreter(config, FRAMES, AUDIO, torch.randn(SIZE, 7), 2, TEXT, CONTROL)
 
 
 def statistical(**changes: object) -> StatisticalInterpreter:
@@ -29,18 +29,24 @@ def statistical(**changes: object) -> StatisticalInterpreter:
                                   moves / moves.sum(1, keepdims=True), StatisticalConfig(**changes))  # type: ignore[arg-type]
 
 
-def style() -> StyleInterpreter:
+def style(**changes: object) -> StyleInterpreter:
     torch.manual_seed(0)
-    return StyleInterpreter(StyleConfig(audio_features=8, width=16, dropout=0.0), FRAMES, AUDIO, torch.randn(SIZE, 7),
-                            CODE, speakers=2).eval()
+    config = StyleConfig(**{"audio_features": 8, "width": 16, "dropout": 0.0, **changes})  # type: ignore[arg-type]
+    return StyleInterpreter(config, FRAMES, AUDIO, torch.randn(SIZE, 7), CODE, 2, TEXT).eval()
 
 
 MAKERS = {"lstm": lambda: lstm().eval(), "statistical": statistical}
 
 
-def hear(seed: int = 0) -> BlockFeatures:
+def hear(seed: int = 0, **also: torch.Tensor) -> BlockFeatures:
     window = torch.randn(3 * FRAMES, AUDIO, generator=torch.Generator().manual_seed(seed))
-    return BlockFeatures(window, window)
+    return BlockFeatures(window, window, **also)
+
+
+def windows(seed: int, blocks: int, width: int = TEXT) -> torch.Tensor:
+    """[1, blocks, 3K, width] as they overlap in a recording: each window holds the blocks before and after."""
+    rows = torch.randn(blocks + 2, FRAMES, width, generator=torch.Generator().manual_seed(seed))
+    return torch.cat([rows[:-2], rows[1:-1], rows[2:]], dim=1)[None]
 
 
 def test_every_interpreter_has_a_maker_here() -> None:
@@ -67,16 +73,61 @@ def test_contract(name: str) -> None:
     assert later.shape == (SIZE,)
 
 
-def test_lstm_streams_as_it_trains() -> None:
-    model = lstm().eval()
+@pytest.mark.parametrize("changes", [{}, {"text_features": 4, "use_control": True},
+                                     {"text_features": 4, "text_blocks": 3, "text_bottleneck": 2, "layers": 2}])
+def test_lstm_streams_as_it_trains(changes: dict[str, object]) -> None:
+    model = lstm(**changes).eval()
     previous = torch.randint(SIZE, (1, 5))
-    audio = torch.randn(1, 5, 3 * FRAMES, AUDIO)
+    audio, text, control = windows(1, 5, AUDIO), windows(2, 5), torch.randn(1, 5, FRAMES, CONTROL)
     speaker = torch.tensor([[0.0, 1.0]])
-    whole = torch.log_softmax(model.scores(previous, audio, speaker)[0], -1)[0]
+    whole = torch.log_softmax(model.scores(previous, audio, speaker, None, text, control)[0], -1)[0]
     state = model.start(1, int(previous[0, 0]))
     for i in range(5):
-        scores, state = model.step(state, BlockFeatures(audio[0, i], audio[0, i]), int(previous[0, i]))
+        heard = BlockFeatures(torch.zeros_like(audio[0, i]), audio[0, i], text=text[0, i], control=control[0, i])
+        scores, state = model.step(state, heard, int(previous[0, i]))
         np.testing.assert_allclose(scores, whole[i].detach().numpy(), atol=1e-5)
+
+
+def test_lstm_without_text_is_deaf_to_text_and_control() -> None:
+    model = lstm(use_control=False).eval()
+    assert sum(p.numel() for p in model.parameters()) < sum(
+        p.numel() for p in lstm(text_features=4, use_control=True).parameters())
+    bare, _ = model.step(model.start(0, 1), hear(), 1)
+    for seed in range(3):
+        text, control = windows(seed, 1)[0, 0], torch.full((FRAMES, CONTROL), 9.0 * (seed + 1))
+        told, _ = model.step(model.start(0, 1), hear(text=text, control=control), 1)
+        np.testing.assert_array_equal(bare, told)
+
+
+@pytest.mark.parametrize("blocks", [1, 3])
+def test_lstm_reads_its_own_block_and_the_next_only_when_it_is_to(blocks: int) -> None:
+    model = lstm(text_features=4, text_blocks=blocks).eval()
+    text = windows(3, 1)[0, 0]
+    base, _ = model.step(model.start(0, 0), hear(text=text), 0)
+    for part, heard in ((slice(0, FRAMES), blocks == 3), (slice(FRAMES, 2 * FRAMES), True),
+                        (slice(2 * FRAMES, 3 * FRAMES), blocks == 3)):
+        other = text.clone()
+        other[part] += 1.0
+        scores, _ = model.step(model.start(0, 0), hear(text=other), 0)
+        assert np.array_equal(base, scores) != heard, part
+
+
+def test_those_that_read_say_so_when_there_is_nothing_to_read() -> None:
+    reader = lstm(text_features=4).eval()
+    with pytest.raises(ValueError, match="audio-only"):
+        reader.step(reader.start(0, 0), hear(), 0)
+    moody = style(text_features=4)
+    with pytest.raises(ValueError, match="audio-only"):
+        moody.step(moody.start(0), hear(), 0)
+
+
+def test_nothing_asked_is_a_control_of_zeros_and_something_asked_is_heard() -> None:
+    model = lstm(use_control=True).eval()
+    free, _ = model.step(model.start(0, 0), hear(), 0)
+    zeros, _ = model.step(model.start(0, 0), hear(control=torch.zeros(FRAMES, CONTROL)), 0)
+    asked, _ = model.step(model.start(0, 0), hear(control=torch.ones(FRAMES, CONTROL)), 0)
+    np.testing.assert_array_equal(free, zeros)
+    assert not np.array_equal(free, asked)
 
 
 def test_lstm_is_causal_in_windows_and_hears_each() -> None:
@@ -147,21 +198,54 @@ def test_a_high_gain_brings_the_frequencies_to_the_speakers() -> None:
     assert np.abs(shown / 400 - target).max() < 0.02
 
 
+def test_a_lexeme_that_only_the_word_tells_is_learned_from_the_word() -> None:
+    model = lstm(text_features=8, own_past_most=0.0)
+    optimiser = torch.optim.Adam(model.parameters(), 1e-2)
+    torch.manual_seed(6)
+    words = torch.randn(SIZE, TEXT)
+
+    def batch() -> dict[str, torch.Tensor]:
+        lexeme = torch.randint(SIZE, (16, 5))
+        text = torch.randn(16, 5, 3 * FRAMES, TEXT)
+        text[:, :, FRAMES:2 * FRAMES] = words[lexeme][:, :, None]
+        return {"lexeme": lexeme, "audio_high": torch.randn(16, 5, 3 * FRAMES, AUDIO), "text": text,
+                "speaker": torch.eye(2)[torch.zeros(16, dtype=torch.long)], "valid": torch.ones(16, 5)}
+
+    for step in range(80):
+        loss = model.losses(batch(), step / 80)["cross_entropy"]
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    model.eval()
+    b = batch()
+    logits = model.scores(b["lexeme"][:, :-1], b["audio_high"][:, 1:], b["speaker"], None, b["text"][:, 1:])[0]
+    assert (logits.argmax(-1) == b["lexeme"][:, 1:]).float().mean() > 0.8
+
+
 def test_rows_that_do_not_sum_to_one_are_refused() -> None:
     with pytest.raises(ValueError, match="sum to 1"):
         StatisticalInterpreter(np.ones((1, 3)) / 3, np.ones((3, 3)))
 
 
-def test_style_streams_as_it_runs_and_starts_from_the_code_of_stillness() -> None:
-    model = style()
-    features, lexemes = [hear(i) for i in range(3)], [0, 4, 2]
+@pytest.mark.parametrize("changes", [{}, {"text_features": 4, "text_blocks": 3, "text_bottleneck": 2}])
+def test_style_streams_as_it_runs_and_starts_from_the_code_of_stillness(changes: dict[str, object]) -> None:
+    model = style(**changes)
+    text = windows(4, 3)
+    features, lexemes = [hear(i, text=text[0, i]) for i in range(3)], [0, 4, 2]
     state, codes = model.start(0), [torch.zeros(1, CODE)]
     for heard, lexeme in zip(features, lexemes, strict=True):
         code, state = model.step(state, heard, lexeme)
         codes.append(code)
     whole, _ = model.codes(torch.stack(codes[:-1], 1), torch.tensor([lexemes]),
-                           torch.stack([f.low for f in features])[None], torch.eye(2)[:1])
+                           torch.stack([f.low for f in features])[None], torch.eye(2)[:1], None, text)
     torch.testing.assert_close(whole[0], torch.cat(codes[1:]).clone(), atol=1e-5, rtol=1e-4)
+
+
+def test_style_reads_the_words_only_when_it_is_to() -> None:
+    for reads in (0, 4):
+        model = style(text_features=reads)
+        one, two = (model.step(model.start(0), hear(text=windows(seed, 1)[0, 0]), 1)[0] for seed in (5, 6))
+        assert torch.equal(one, two) != bool(reads)
 
 
 @given(st.lists(st.floats(-5, 5), min_size=2, max_size=9), st.data())

@@ -146,6 +146,19 @@ def test_a_lexicon_learns_to_tell_four_gestures_apart(codebook: str) -> None:
     assert error < 0.1 * shapes.var()
 
 
+def test_dimensions_that_no_source_has_are_decoded_to_zero_and_nothing_else_changes() -> None:
+    torch.manual_seed(0)
+    config = LexiconConfig(size=8, code_width=12, widths=(8, 12, 12, 16))
+    present = torch.tensor([1.0, 1, 0, 1, 0, 1])
+    whole, masked = small().eval(), Lexicon(config, 10, 6, present).eval()
+    masked.load_state_dict(whole.state_dict())
+    codes = torch.randn(5, 12)
+    assert torch.equal(masked.decode(codes), whole.decode(codes) * present)
+    assert (whole.decode(codes)[..., present == 0] != 0).any()
+    motion = torch.randn(5, 10, 6)
+    assert torch.equal(masked.encode(motion), whole.encode(motion))
+
+
 def test_inventory_counts_what_a_hand_counts() -> None:
     inventory = count([("a", np.array([0, 1, 0, 1, 2])), ("b", np.array([2, 2]))], size=3, smoothing=0.0)
     np.testing.assert_allclose(inventory.frequencies["a"], [0.4, 0.4, 0.2])

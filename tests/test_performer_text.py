@@ -67,12 +67,23 @@ def test_both_splits_speak_of_every_kind() -> None:
 @pytest.mark.parametrize("split", ["train", "test"])
 def test_other_languages_keep_their_splits_apart(split: str) -> None:
     other = "test" if split == "train" else "train"
-    for language in ("de", "es"):
+    for language in ("de", "es", "cmn"):
         here, there = PHRASEBOOKS[language, split], PHRASEBOOKS[language, other]
         assert not set(here.templates) & set(there.templates)
-        for name in ("was", "wer", "cosa", "quien"):
+        for name in ("was", "wer", "cosa", "quien", "shei", "shenme"):
             assert not set(here.slots.get(name, ())) & set(there.slots.get(name, ()))
         assert len(compose(np.random.default_rng(0), 120, split, language=language)) > 15
+
+
+def test_mandarin_words_stand_apart() -> None:
+    """A voice is told where words begin by the spaces; every character is Chinese, and every sentence is closed."""
+    for split in ("train", "test"):
+        for utterance in compose(np.random.default_rng(3), 300, split, language="cmn"):
+            for part in utterance.parts:
+                words = part.text.split(" ")
+                assert all(0 < len(word.rstrip("，。？")) <= 3 for word in words), part
+                assert all("\u4e00" <= letter <= "\u9fff" for word in words for letter in word.rstrip("，。？"))
+            assert utterance.text[-1] in "。？"
 
 
 def test_a_tenth_of_the_time_is_long_pauses(hours: list[list[Utterance]]) -> None:
@@ -106,7 +117,7 @@ def test_text_is_a_function_of_the_seed_and_clean(seed: int, seconds: float, spl
 def test_wrong_requests_say_so() -> None:
     with pytest.raises(InputError, match="split 'valid'"):
         compose(np.random.default_rng(0), 10, "valid")
-    with pytest.raises(InputError, match=r"language 'xx'.*choose one of de, en, es"):
+    with pytest.raises(InputError, match=r"language 'xx'.*choose one of cmn, de, en, es"):
         compose(np.random.default_rng(0), 10, "train", language="xx")
 
 

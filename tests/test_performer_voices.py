@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +16,17 @@ from data_module.errors import InputError
 from data_module.performer import espeak, flite, sound, source_filter, syllables
 from data_module.performer.text import Part, Utterance, compose
 from data_module.performer.types import Phrase, Spoken
-from data_module.performer.voices import TEST_VOICES, TRAIN_VOICES, VOICES, nuclei_of, numpy_speech, speak, synthesise
+from data_module.performer.voices import (
+    TEST_VOICES,
+    TRAIN_VOICES,
+    VOICES,
+    VOICES_OF,
+    nuclei_of,
+    numpy_speech,
+    speak,
+    synthesise,
+    without_tone,
+)
 from data_module.types import Speech, Word
 
 RATE = 16000
@@ -214,6 +225,9 @@ def test_training_and_test_voices_differ_down_to_the_speaker() -> None:
         return {(VOICES[n].engine, VOICES[n].base) for n in names}
 
     assert not speakers(TRAIN_VOICES) & speakers(TEST_VOICES)
+    for language, (train, test) in VOICES_OF.items():
+        assert train and test and not speakers(train) & speakers(test)
+        assert {VOICES[name].language for name in train + test} == {language}
 
 
 def test_phones_find_their_words_through_changes() -> None:
@@ -243,6 +257,36 @@ def test_german_is_spoken_with_its_words() -> None:
     assert spoken.language == "de" and spoken.speech.words is not None
     assert spoken.speech.words[0].text == text[0].parts[0].text.split()[0].strip(",")
     assert abs(np.median(_rise_errors(spoken))) <= 0.02
+
+
+@needs_espeak
+@pytest.mark.parametrize("voice", VOICES_OF["cmn"][0] + VOICES_OF["cmn"][1])
+def test_mandarin_has_a_syllable_for_each_character(voice: str) -> None:
+    text = compose(np.random.default_rng(0), 20, "train", language="cmn")
+    spoken = speak("x", text, voice, np.random.default_rng(0))
+    words = [w.strip("，。？.") for u in text for p in u.parts for w in p.text.split()]
+    assert spoken.speech.words is not None and [w.text for w in spoken.speech.words] == words
+    assert Counter(s.word for s in spoken.syllables) == {i: len(word) for i, word in enumerate(words)}
+    assert abs(np.median(_rise_errors(spoken))) <= 0.02
+    talk = sum(p.end - p.start for p in spoken.phrases)
+    assert 4 < len(spoken.syllables) / talk < 5.5
+    # The text was written for twenty seconds and the end of a sentence.
+    assert 17 < spoken.speech.duration < 32
+
+
+def test_a_high_tone_is_no_stress() -> None:
+    """Of syllables that differ in pitch alone none stands out; louder and longer ones still do."""
+    at = np.arange(round(0.2 * RATE)) / RATE
+    samples = np.concatenate([np.concatenate([loud * np.sin(2 * np.pi * hertz * at), np.zeros(1600)]) for hertz, loud in
+                              ((120, 0.1), (170, 0.1), (120, 0.1), (170, 0.1), (120, 0.3), (170, 0.03))])
+    nuclei = [syllables.Nucleus(i * 0.3, i * 0.3, i * 0.3 + 0.2, -1) for i in range(6)]
+    heard = syllables.listen(Speech(samples.astype(np.float32), RATE), [Phrase(0, 1.8, 0.0)], nuclei, "cmn")
+    assert heard[1].prominence > heard[0].prominence + 0.5
+    level = without_tone(heard)
+    assert [s.prominence for s in level[:4]] == pytest.approx([level[0].prominence] * 4, abs=0.05)
+    assert level[4].prominence > level[0].prominence + 0.3 > level[5].prominence + 0.6
+    assert [replace(s, prominence=0.0) for s in level] == [replace(s, prominence=0.0) for s in heard]
+    assert without_tone(()) == ()
 
 
 def test_numpy_speech_needs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

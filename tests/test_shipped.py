@@ -46,6 +46,15 @@ def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Perfo
     assert rest < 0.4 * speech
 
 
+def test_no_activity_is_a_person_who_listens(example: Performance) -> None:
+    system = Gesticulator.from_pretrained()
+    still = system(EXAMPLE, activity=0.0)
+    assert set(still.lexemes.tolist()) <= set(system.bundle.silent.tolist())
+    quiet, lively = (figures.measure(made.motion, made.speech, made.blocks.edges).hand_speed.mean()
+                     for made in (still, example))
+    assert quiet < 0.5 * lively
+
+
 def test_the_example_looks_like_a_person(example: Performance) -> None:
     clip = figures.measure(example.motion, example.speech, example.blocks.edges)
     assert np.percentile(clip.hand_speed, 99) < 4.0, "no faster than the fastest real take (3.1 m/s), give or take"

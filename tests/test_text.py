@@ -52,6 +52,39 @@ def test_spoken_words_keep_apostrophes_and_part_hyphens() -> None:
     assert words[0][0] == "Feed'st" and words[7][0] == "fuel"
 
 
+def test_written_words_in_other_scripts() -> None:
+    assert text.written_words("«L'été» — 3,5 % don’t _x_ !") == ["L'été", "3,5", "don’t", "x"]
+    assert text.written_words("今天 天气很好，真的吗？ OK") == ["今天", *"天气很好真的吗", "OK"]
+
+
+@pytest.mark.parametrize(("transcript", "follows"), [
+    ("The café is naïve.", True), ("Das ist für Größe.", False), ("今天天气很好", False), ("42 !", False), ("", False),
+    ("A Señor " + "spoke " * 30, True), ("¿Señor?", False),
+])
+def test_the_aligner_reads_english_letters(transcript: str, follows: bool) -> None:
+    assert text.can_follow(transcript) is follows
+
+
+def test_sound_without_words_casts_doubt() -> None:
+    """Two of five bursts lie in words: 0.8 s of 2 s."""
+    samples = text._aligner_samples(_bursts([0.5, 1.5, 2.5, 3.5, 4.5], 5.5, length=0.4))
+    assert text._covered(samples, [(0.4, 1.0), (2.5, 2.9)]) == pytest.approx(0.4, abs=0.02)
+    assert text._covered(samples, [(0.0, 5.5)]) == 1.0
+
+
+def test_a_text_of_half_the_recording_keeps_its_times_and_says_that_they_are_doubtful(outside_data: Path) -> None:
+    pytest.importorskip("pocketsphinx")
+    speech = load_speech(outside_data / "speech" / "en_austen_0870.flac")
+    transcript = (outside_data / "speech" / "en_austen_0870.txt").read_text(encoding="utf-8")
+    whole = text.alignment(speech, transcript)
+    half = len(whole.words) // 2
+    with pytest.warns(text.AlignmentWarning, match="covers only"):
+        part = text.alignment(speech, " ".join(word.text for word in whole.words[:half]))
+    assert not part.heard and 0.3 < float(part.doubt.split("only ")[1].split("%")[0]) / 100 < 0.7
+    apart = np.abs([a.start - b.start for a, b in zip(part.words, whole.words[:half], strict=True)])
+    assert np.median(apart) < 0.1
+
+
 def test_pieces_tile_the_recording_and_are_cut_in_pauses() -> None:
     starts = [0.5 + 1.0 * k for k in range(32)]
     samples = text._aligner_samples(_bursts(starts, 33.0))

@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import pickle
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import soundfile
 import torch
 from safetensors.torch import load_file
 
+from data_module.bvh import read_bvh
 from data_module.errors import InputError
+from data_module.kinematics import positions_of
+from data_module.skeletons import from_vector
 from data_module.store import Store
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
-from gesticulator import train
+from gesticulator import infer, train
 from gesticulator.prepare import Windows, prepare, sequences, with_silence
 
-SHORT = ["schedules.lexicon.steps=40", "schedules.generator.steps=12", "schedules.interpreter.steps=10",
-         "schedules.style.steps=8"]
+SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter_text": 10, "interpreter": 10, "gate": 6,
+         "generator": 12, "style": 8, "style_text": 8}
+"""Steps of every stage of a short run, in the order in which the stages are trained."""
+SHORT = [f"schedules.{stage}.steps={steps}" for stage, steps in SIZES.items() if not stage.endswith("_text")]
 
 
 def short() -> configs.Config:
@@ -35,13 +44,17 @@ def work(tiny_bundle: Path) -> Path:
 def test_every_stage_learned(work: Path) -> None:
     # The generator is fed the truth at first and its own past later, so its training loss rises; what it does on
     # unseen speech, always with its own past, must get better.
-    for stage, term in (("lexicon", "reconstruction"), ("generator", "val_reconstruction"),
-                        ("interpreter", "cross_entropy"), ("style", "code")):
+    for stage, term in (("speech", "predictive"), ("contrast", "contrast"), ("lexicon", "reconstruction"),
+                        ("generator", "val_reconstruction"), ("interpreter", "cross_entropy"),
+                        ("interpreter_text", "cross_entropy"), ("style", "code"), ("style_text", "code"),
+                        ("gate", "activity")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
         values = [row[term] for row in rows if term in row]
         few = min(5, len(values) // 4)
-        assert np.mean(values[-few:]) < 0.95 * np.mean(values[:few]), f"{stage}: {values[0]} to {values[-1]}"
+        # Twenty steps are enough for the first two to have begun.
+        most = 0.99 if stage in ("speech", "contrast") else 0.95
+        assert np.mean(values[-few:]) < most * np.mean(values[:few]), f"{stage}: {values[0]} to {values[-1]}"
         assert [row["step"] for row in rows] == list(range(len(rows)))
 
 
@@ -55,50 +68,132 @@ class Killed(Exception):
     pass
 
 
-def test_a_run_killed_in_any_stage_and_resumed_is_the_unbroken_run(
-        tiny_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store.open(tiny_store)
-    train.train(short(), store, tmp_path / "whole", tmp_path / "whole.work", progress=False)
-    real = fitting._one_step
-    for kill_at in (17, 45, 58, 66):
-        count = 0
+def with_caches(work: Path, folder: Path) -> Path:
+    """A new work folder that has the blocks and the word vectors of another already."""
+    folder.mkdir()
+    for cached in (*work.glob("blocks-*"), *work.glob("words-*")):
+        (shutil.copytree if cached.is_dir() else shutil.copy)(cached, folder / cached.name)
+    return folder
 
-        def counted(*arguments: object, limit: int = kill_at) -> object:
+
+def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
+        tiny_store: Path, work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store.open(tiny_store)
+    train.train(short(), store, tmp_path / "whole", with_caches(work, tmp_path / "whole.work"), progress=False)
+    broken, one_step = with_caches(work, tmp_path / "broken.work"), fitting._one_step
+    monkeypatch.setattr(fitting, "fit", partial(fitting.fit, checkpoint_seconds=-1.0))  # a checkpoint each step
+    left = 0
+    for stage, size in SIZES.items():
+        count, limit = 0, left + size // 2  # the rest of the stage before, and half of this one
+        left = size - size // 2
+
+        def counted(*arguments: object, limit: int = limit) -> object:
             nonlocal count
             count += 1
             if count > limit:
                 raise Killed
-            return real(*arguments)  # type: ignore[arg-type]
+            return one_step(*arguments)  # type: ignore[arg-type]
 
         monkeypatch.setattr(fitting, "_one_step", counted)
-        monkeypatch.setattr(fitting.time, "monotonic", iter(range(0, 10**7, 1000)).__next__)  # checkpoint each step
-        shutil.rmtree(tmp_path / "broken.work", ignore_errors=True)
         with pytest.raises(Killed):
-            train.train(short(), store, tmp_path / "broken", tmp_path / "broken.work", progress=False)
+            train.train(short(), store, tmp_path / "broken", broken, progress=False)
+        folder = next(iter(broken.glob(f"{stage}-*")))
+        assert (folder / f"{stage}.ckpt").exists() and not (folder / "figures.json").exists(), stage
         assert not (tmp_path / "broken").exists(), "no bundle before the end"
-        monkeypatch.undo()
-        train.train(short(), store, tmp_path / "broken", tmp_path / "broken.work", progress=False)
-        for name in ("lexicon", "generator", "lexeme_interpreter", "style_interpreter", "statistics"):
-            a, b = (load_file(tmp_path / run / f"{name}.safetensors") for run in ("whole", "broken"))
-            assert a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a), (kill_at, name)
-        shutil.rmtree(tmp_path / "broken")
+    monkeypatch.setattr(fitting, "_one_step", one_step)
+    train.train(short(), store, tmp_path / "broken", broken, progress=False)
+    names = sorted(file.name for file in (tmp_path / "whole").glob("*.safetensors"))
+    assert len(names) == 9 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
+    for name in names:
+        a, b = (load_file(tmp_path / run / name) for run in ("whole", "broken"))
+        assert a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a), name
+    whole, again = (bundles.read_index(tmp_path / run)["figures"] for run in ("whole", "broken"))
+    assert set(whole) == set(SIZES) and whole == again
 
 
-def test_only_what_a_setting_shapes_is_trained_again(tiny_store: Path, work: Path) -> None:
+HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "generator", "style", "style_text"}
+"""What follows the first stage of the speech encoder."""
+MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_text"}
+
+
+@pytest.mark.parametrize(("setting", "stages"), [
+    ("style.width=33", {"style", "style_text"}),
+    ("generator.lstm_width=50", MADE),
+    ("silence.augmentation=0.1", MADE),
+    ("silence.lexemes=[1,2]", {*MADE, *READ, "gate"}),
+    ("control.asked=0.6", {*MADE, *READ}),
+    ("interpreter.width=49", READ),
+    ("gate.width=17", {"gate"}),
+    ("interpreter.text_features=9", {"interpreter_text"}),
+    ("style.text_features=9", {"style_text"}),
+    ("schedules.contrast.steps=21", HEARD),
+    ("text.bridge=0.2", HEARD),  # the second stage of the encoder reads the words
+    ("encoder.width=17", {"speech", *HEARD}),
+    ("schedules.speech.steps=21", {"speech", *HEARD}),
+    ("front_end.name=mel", HEARD - {"contrast"}),
+    ("lexicon.size=13", {"lexicon", *HEARD} - {"contrast"}),
+    ("motion.representation=positions", {"lexicon", *HEARD} - {"contrast"}),
+    ("rhythm.beats.d_max=0.6", set(train.STAGES)),
+    ("seed=2", set(train.STAGES)),
+    ("selection.temperature=0.5", set()), ("selection.activity=0.5", set()),
+])
+def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[str], tiny_store: Path, work: Path
+                                                     ) -> None:
     store = Store.open(tiny_store)
     base = train.Run(configs.preset("tiny"), store, work)
+    assert len({base.key(stage) for stage in train.STAGES}) == len(train.STAGES)
+    other = train.Run(configs.with_settings(base.config, [setting]), store, work)
+    assert {stage for stage in train.STAGES if base.key(stage) != other.key(stage)} == stages
 
-    def changed(*settings: str) -> set[str]:
-        other = train.Run(configs.with_settings(base.config, settings), store, work)
-        return {stage for stage in train.STAGES if base.key(stage) != other.key(stage)}
 
-    assert changed("style.width=33") == {"style"}
-    assert changed("generator.lstm_width=50") == {"generator", "style"}
-    assert changed("silence.hint=false") == {"interpreter"}
-    assert changed("silence.augmentation=0.1") == {"generator", "style"}
-    assert changed("lexicon.size=13") == set(train.STAGES)
-    assert changed("rhythm.beats.d_max=0.6") == set(train.STAGES)
-    assert changed("selection.temperature=0.5") == set()
+def test_the_hint_shapes_what_is_taught_with_it(tiny_store: Path, work: Path) -> None:
+    base, other = (train.Run(configs.with_settings(configs.preset("tiny"), [f"silence.hint={hint}"]),
+                             Store.open(tiny_store), work) for hint in ("true", "false"))
+    changed = {stage for stage in train.STAGES if base.key(stage) != other.key(stage)}
+    assert changed >= READ and not changed & {*MADE, "lexicon", "speech", "contrast"}
+
+
+def test_with_mel_bands_the_words_shape_only_what_reads_them(tiny_store: Path, work: Path) -> None:
+    keys = []
+    for setting in ("text.bridge=0.15", "text.bridge=0.2"):
+        config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel", setting])
+        run = train.Run(config, Store.open(tiny_store), work)
+        keys.append({stage: run.key(stage) for stage in train.STAGES if stage not in ("speech", "contrast")})
+    assert {stage for stage in keys[0] if keys[0][stage] != keys[1][stage]} == {"interpreter_text", "style_text"}
+
+
+def tone(path: Path, hertz: float) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    wave = 0.3 * np.sin(2 * np.pi * hertz * np.arange(3 * 16000) / 16000)
+    soundfile.write(path, wave.astype(np.float32), 16000)
+    return path.parent
+
+
+def test_more_speech_shapes_the_encoder_and_what_follows(tiny_store: Path, work: Path, tmp_path: Path) -> None:
+    store = Store.open(tiny_store)
+
+    def keys(*folders: Path) -> dict[str, str]:
+        run = train.Run(configs.preset("tiny"), store, work, speech=folders)
+        return {stage: run.key(stage) for stage in train.STAGES}
+
+    none, one, copy, other = (keys(), keys(tone(tmp_path / "a" / "x.wav", 200)),
+                              keys(tone(tmp_path / "b" / "x.wav", 200)), keys(tone(tmp_path / "c" / "x.wav", 300)))
+    assert one == copy
+    for pair in ((none, one), (one, other)):
+        assert {stage for stage in train.STAGES if pair[0][stage] != pair[1][stage]} == {"speech", *HEARD}
+
+
+def test_more_speech_is_heard(tiny_store: Path, work: Path, tmp_path: Path) -> None:
+    store, heard = Store.open(tiny_store), []
+    own = with_caches(work, tmp_path / "work")
+    for speech in ([], [tone(tmp_path / "a" / "x.wav", 200)]):
+        assert train.train(short(), store, tmp_path / "b", own, progress=False, only="speech", speech=speech) is None
+        made = set(own.glob("speech-*")) - {folder for folder, _ in heard}
+        assert len(made) == 1
+        heard.append((made.pop(), 0))
+    assert not list(own.glob("lexicon-*")) and not (tmp_path / "b").exists(), "no further than told"
+    one, two = (load_file(folder / "weights.safetensors") for folder, _ in heard)
+    assert not torch.equal(one["encoder.convolutions.0.weight"], two["encoder.convolutions.0.weight"])
 
 
 def test_another_store_is_refused_in_a_used_work_folder(tiny_store: Path, work: Path, tmp_path: Path) -> None:
@@ -111,15 +206,28 @@ def test_another_store_is_refused_in_a_used_work_folder(tiny_store: Path, work: 
 
 @pytest.mark.parametrize(("arguments", "said"), [
     (["--data", "nowhere"], "nowhere"), (["--preset", "huge"], "huge"), (["--set", "lexicon.siez=3"], "siez"),
+    (["--set", "motion.representation=dance"], "dance"), (["--speech", "nowhere"], "nowhere"),
+    (["--set", "front_end.name=ears"], "ears"), (["--set", "encoder.temperature=0"], "encoder.temperature"),
 ])
-def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, tmp_path: Path, arguments: list[str], said: str,
+def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, work: Path, tmp_path: Path,
+                                                    arguments: list[str], said: str,
                                                     capsys: pytest.CaptureFixture[str]) -> None:
-    base = ["--data", str(tiny_store), "--out", str(tmp_path / "b"), "--preset", "tiny", "--quiet"]
+    base = ["--data", str(tiny_store), "--out", str(tmp_path / "b"), "--preset", "tiny", "--quiet", "--threads", "1",
+            "--work", str(with_caches(work, tmp_path / "work"))]
     with pytest.raises(SystemExit) as stop:
         train.main(base + arguments)
     error = capsys.readouterr().err
     assert stop.value.code == 2 and said in error and error.count("\n") == 1
     assert not (tmp_path / "b").exists()
+
+
+def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: Path, tmp_path: Path,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gesticulator.prepare.read_words", lambda *_, **__: {})
+    own = with_caches(work, tmp_path / "work")
+    with pytest.raises(InputError, match=r"no recording with words.*text\.encoder"):
+        train.train(short(), Store.open(tiny_store), tmp_path / "b", own, progress=False)
+    assert not list(own.glob("speech-*"))
 
 
 def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, work: Path) -> None:
@@ -185,3 +293,72 @@ def test_the_silent_hint_names_a_silent_lexeme_on_silent_blocks_alone(tiny_store
             np.testing.assert_array_equal(labelled.hinted[silent], labelled.nearest[labelled.labels[silent]])
         else:
             np.testing.assert_array_equal(labelled.hinted, labelled.labels)
+
+
+def prepared(tiny_store: Path, work: Path, *settings: str) -> train.Run:
+    run = train.Run(configs.with_settings(configs.preset("tiny"), settings), Store.open(tiny_store), work,
+                    progress=False)
+    run.corpus = prepare(run.store, run.config, work, progress=False)
+    return run
+
+
+def test_silent_lexemes_by_hand_are_taken_as_told(tiny_store: Path, work: Path) -> None:
+    run = prepared(tiny_store, work, "silence.lexemes=[7,2,7]")
+    lexicon, _ = train.train_lexicon(run)
+    labelled = train.label(run, lexicon)
+    assert labelled.silent.tolist() == [2, 7]
+    assert set(labelled.hinted[run.corpus.silent].tolist()) <= {2, 7}
+    np.testing.assert_array_equal(labelled.active, ~np.isin(labelled.labels, [2, 7]))
+    for wrong in ("[12]", "[0,-1]"):
+        other = prepared(tiny_store, work, f"silence.lexemes={wrong}")
+        with pytest.raises(InputError, match=r"silence\.lexemes.*0 to 11"):
+            train.silent_lexemes(other, labelled.labels)
+
+
+def test_the_speed_of_a_lexeme_is_that_of_its_training_blocks(tiny_store: Path, work: Path) -> None:
+    run = prepared(tiny_store, work)
+    corpus, fps = run.corpus, run.config.rhythm.fps
+    labels = np.arange(len(corpus.silent)) % 4
+    motion = corpus.motion.clone()
+    motion[labels == 1] = motion[labels == 1][:, :1]  # held poses
+    motion[labels == 2, 1::2] += 3.0  # to and fro on every frame
+    outside = np.setdiff1d(np.arange(len(labels)), corpus.select("train"))
+    motion[outside] += 50.0 * torch.randn(motion[outside].shape, generator=torch.Generator().manual_seed(0))
+    speeds = train.lexeme_speeds(dataclasses.replace(corpus, motion=motion), labels, 5, run.representation, fps)
+    assert speeds[1] < 1e-6 and speeds.argsort()[:4].tolist() == [1, *sorted([0, 3], key=lambda x: speeds[x]), 2]
+    assert speeds[4] == np.inf, "a lexeme that is never used is no silent one"
+    # Lexeme 3 by hand, all of its training blocks.
+    own = [b for b in corpus.select("train") if labels[b] == 3]
+    by_hand = []
+    for block in own:
+        poses = corpus.statistics.denormalise(motion[block].double().numpy(), 0)
+        points = positions_of(from_vector(poses, fps))
+        by_hand.append(np.linalg.norm(points[1:] - points[:-1], axis=-1).mean() * fps)
+    every = train.lexeme_speeds(dataclasses.replace(corpus, motion=motion), labels, 5, run.representation, fps, 10**6)
+    assert every[3] == pytest.approx(np.mean(by_hand))
+
+
+def test_ten_joints_in_space_are_trained_on_and_become_a_skeleton(tiny_store: Path, tmp_path: Path) -> None:
+    settings = ["motion.representation=positions", "lexicon.warm_up=0.5",
+                *(f"schedules.{stage}.steps=10" for stage in SIZES if not stage.endswith("_text"))]
+    out = tmp_path / "bundle"
+    assert train.main(["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet",
+                       *(part for setting in settings for part in ("--set", setting))]) == 0
+    bundle = bundles.load(out)
+    assert bundle.lexicon.motion_width == 30
+    present = bundle.statistics.present.reshape(10, 3).bool()
+    assert not present[0].any() and present[1:].all(), "the spine is the origin"
+    sound = tmp_path / "speech.wav"
+    soundfile.write(sound, Store.open(tiny_store).load("talk_0007_puppet").speech.samples[:48000], 16000)
+    assert infer.main([str(sound), "-o", str(tmp_path / "o.bvh"), "--bundle", str(out), "--quiet", "--fps", "20"]) == 0
+    motion = read_bvh(tmp_path / "o.bvh")
+    assert motion.duration == pytest.approx(3.0, abs=0.05) and np.isfinite(motion.rotations).all()
+    still = motion.rotations[:, motion.skeleton.index("LeftHand")]
+    np.testing.assert_allclose(np.abs(still[:, 0]), 1.0, atol=1e-6)  # ten points tell nothing of a hand's turn
+    assert np.ptp(motion.rotations[:, motion.skeleton.index("RightForeArm")], axis=0).max() > 1e-3
+
+
+def test_an_error_of_a_worker_reaches_the_user_as_it_was() -> None:
+    error = pickle.loads(pickle.dumps(InputError("file.flac", "is broken", "export it again")))
+    assert isinstance(error, InputError) and str(error) == "file.flac: is broken; export it again"
+    assert (error.subject, error.wrong, error.advice) == ("file.flac", "is broken", "export it again")

@@ -22,8 +22,9 @@ from data_module.types import Motion, Speech, Word
 class Options:
     """What the user may tell a reader.
 
-    seed, hours, preset: for corpora that are made, not read. fps: frames per second of the motion files, where their
-    header is wrong. unit: metres per unit of the motion files, where it cannot be guessed.
+    seed, hours, preset, languages (empty: the reader's own choice): for corpora that are made, not read. fps: frames
+    per second of the motion files, where their header is wrong. unit: metres per unit of the motion files, where it
+    cannot be guessed.
     """
 
     seed: int = 1
@@ -31,6 +32,7 @@ class Options:
     preset: str = "default"
     fps: float | None = None
     unit: float | None = None
+    languages: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,18 @@ class Item:
     info: RecordingInfo
     index: int
     content: Any = None
+
+
+@dataclass(frozen=True)
+class Imported(Recording):
+    """A recording from files, with what had to be decided on reading them, for the build's report.
+
+    unit: what a unit of length in its motion was taken as, and why. words: how its words got their times: "given",
+    "heard", "guessed", or "" without words.
+    """
+
+    unit: str = ""
+    words: str = ""
 
 
 class DroppedError(Exception):
@@ -63,6 +77,19 @@ class Reader(Protocol):
 
     def notes(self) -> Sequence[str]:
         """Lines for the build's report: what was left out, and why."""
+
+
+class StrokeSource(Protocol):
+    """Clips without speech: no store can be made of them, but the folder `strokes/` that the performer plays."""
+
+    licence: str
+    """In a few words, who may use what is made of them."""
+
+    def write(self, out: Path) -> int:
+        """Write the folder `out` whole or not at all; how many clips it holds."""
+
+    def notes(self) -> Sequence[str]:
+        """Lines for the report: what was left out, and why."""
 
 
 def split_of(index: int) -> Split:
@@ -98,10 +125,21 @@ def trimmed(speech: Speech, motion: Motion) -> tuple[Speech, Motion]:
 def open_corpus(name: str, source: Path | None, options: Options) -> Reader:
     """The reader `name` on the folder `source`; `InputError` when there is no such reader or no such folder."""
     if name not in CORPORA:
-        raise InputError(name, "is no data set that can be read", f"take one of {', '.join(CORPORA)}")
+        known = ", ".join((*CORPORA, *STROKE_SOURCES))
+        raise InputError(name, "is no data set that can be read", f"take one of {known}")
+    _check_folder(source)
+    return CORPORA[name](source, options)
+
+
+def open_strokes(name: str, source: Path | None, options: Options) -> StrokeSource:
+    """The source of strokes `name`, a key of `STROKE_SOURCES`, on the folder `source`; `InputError` without it."""
+    _check_folder(source)
+    return STROKE_SOURCES[name](source, options)
+
+
+def _check_folder(source: Path | None) -> None:
     if source is not None and not source.is_dir():
         raise InputError(source, "is not a folder" if source.exists() else "does not exist", "check --source")
-    return CORPORA[name](source, options)
 
 
 def _performer(source: Path | None, options: Options) -> Reader:
@@ -116,8 +154,61 @@ def _folder(source: Path | None, options: Options) -> Reader:
     return Folder(source, options)
 
 
+def _trinity(source: Path | None, options: Options) -> Reader:
+    from data_module.corpora.trinity import Trinity
+
+    return Trinity(source, options)
+
+
+def _zeroeggs(source: Path | None, options: Options) -> Reader:
+    from data_module.corpora.zeroeggs import ZeroEggs
+
+    return ZeroEggs(source, options)
+
+
+def _mocca(source: Path | None, options: Options) -> Reader:
+    from data_module.corpora.mocca import Mocca
+
+    return Mocca(source, options)
+
+
+def _beat(source: Path | None, options: Options) -> Reader:
+    from data_module.corpora.beat import Beat
+
+    return Beat(source, options)
+
+
+def _beat2(source: Path | None, options: Options) -> Reader:
+    from data_module.corpora.beat2 import Beat2
+
+    return Beat2(source, options)
+
+
+def _ted(source: Path | None, options: Options) -> Reader:
+    from data_module.corpora.ted import Ted
+
+    return Ted(source, options)
+
+
+def _smartbody(source: Path | None, options: Options) -> StrokeSource:
+    from data_module.corpora.smartbody import SmartBody
+
+    return SmartBody(source, options)
+
+
 CORPORA: dict[str, Callable[[Path | None, Options], Reader]] = {
     "performer": _performer,
     "folder": _folder,
+    "trinity": _trinity,
+    "zeroeggs": _zeroeggs,
+    "mocca": _mocca,
+    "beat": _beat,
+    "beat2": _beat2,
+    "ted": _ted,
 }
 """Name on the command line -> what opens the reader. The readers are imported only when they are asked for."""
+
+STROKE_SOURCES: dict[str, Callable[[Path | None, Options], StrokeSource]] = {
+    "smartbody": _smartbody,
+}
+"""The same, for what makes a folder of strokes and no store."""

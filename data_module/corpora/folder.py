@@ -1,29 +1,32 @@
 """Any folder of speech and BVH files of the same name; also what `build` writes as a data set.
 
-`NAME.bvh` (any rig whose joints have known names) goes with `NAME.flac`, `.wav`, `.mp3` or `.ogg`. A `NAME.json` beside
-them may hold words, split, performer, voice, language and the truth of a scripted performance; without it the split
-goes by the order of the names and the words are unknown.
+`NAME.bvh` (any rig whose joints have known names) goes with `NAME.flac`, `.wav`, `.mp3` or `.ogg`. What is said may
+lie beside them as `NAME.TextGrid`, `.json` (words with their times), `.srt`, `.vtt` or `.txt` (plain); without any the
+words are unknown. `NAME.json` may also tell split, performer, voice, language and the truth of a scripted performance;
+without it the split goes by the order of the names.
 """
 
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from data_module.audio import load_speech
-from data_module.bvh import BvhWarning, bvh_text, read_bvh
-from data_module.corpora import DroppedError, Item, Options, split_of
+from data_module.bvh import bvh_text
+from data_module.corpora import DroppedError, Imported, Item, Options, split_of
+from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.performer.types import Phrase, PlayedStroke, Syllable
 from data_module.store import Recording, RecordingInfo, Truth
-from data_module.types import Word
+from data_module.types import Speech, Word
 
 SOUNDS = (".flac", ".wav", ".mp3", ".ogg")
+_SAID = ("words", "segments", "tiers", "text")
+"""Keys of a JSON object that hold what is said."""
 
 
 class Folder:
@@ -38,6 +41,7 @@ class Folder:
         self._pairs: dict[str, tuple[Path, Path]] = {}
         self._alone: list[str] = []
         files = {file.name: file for file in sorted(source.iterdir()) if file.is_file()}
+        texts = {(file.stem, file.suffix.lower()): file for file in files.values() if file.suffix.lower() in TEXTS}
         for name, file in files.items():
             if file.suffix.lower() != ".bvh":
                 continue
@@ -46,44 +50,59 @@ class Folder:
                 self._alone.append(name)
             else:
                 self._pairs[file.stem] = (file, sound)
+        self._texts = {name: tuple(texts[name, kind] for kind in TEXTS if (name, kind) in texts)
+                       for name in self._pairs}
         if not self._pairs:
             raise InputError(source, "holds no BVH file with a sound file of the same name",
                              f"put NAME.bvh beside NAME{' or '.join(SOUNDS)}")
 
     def settings(self) -> Mapping[str, Any]:
-        sizes = {name: [file.stat().st_size for file in pair] for name, pair in self._pairs.items()}
+        sizes = {name: [file.stat().st_size for file in (*pair, *self._texts[name])]
+                 for name, pair in self._pairs.items()}
         return {"files": sizes, "motion_fps": self._options.fps, "unit": self._options.unit}
 
     def items(self) -> Sequence[Item]:
         return [Item(self._info(name, index), index) for index, name in enumerate(self._pairs)]
 
-    def read(self, item: Item) -> Recording:
-        bvh, sound = self._pairs[item.info.name]
+    def read(self, item: Item) -> Imported:
+        name = item.info.name
+        bvh, sound = self._pairs[name]
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", BvhWarning)  # the caller gave the rate, so the warning is answered
-                motion = read_bvh(bvh, fps=self._options.fps, unit=self._options.unit)
-            speech = load_speech(sound)
-            told = self._told(item.info.name)
-            words = tuple(Word(w["text"], w["start"], w["end"]) for w in told["words"]) if told.get("words") else None
+            motion, unit = read_motion(bvh, self._options)
+            told = self._told(name)
+            speech, timing = self._with_words(name, replace(load_speech(sound), speaker=item.info.speaker), told)
             truth = truth_from_json(told) if "strokes" in told else None
         except InputError as error:
             raise DroppedError(str(error)) from None
         except (KeyError, TypeError, ValueError) as error:
-            raise DroppedError(f"{item.info.name}.json: {error!r} does not belong there") from None
-        return Recording(item.info, replace(speech, words=words, speaker=item.info.speaker), motion, truth)
+            raise DroppedError(f"{self._source / name}.json: {error!r} does not belong there") from None
+        return Imported(item.info, speech, motion, truth, unit=unit, words=timing)
 
     def notes(self) -> Sequence[str]:
         return [f"{name}: has no sound of the same name" for name in self._alone]
 
+    def _with_words(self, name: str, speech: Speech, told: Mapping[str, Any]) -> tuple[Speech, str]:
+        """The speech with its words, and how they got their times: from `write_recording`, or from any text."""
+        words = told.get("words")
+        if words and all(isinstance(word, Mapping) and "text" in word for word in words):
+            return replace(speech, words=tuple(Word(w["text"], w["start"], w["end"]) for w in words)), "given"
+        for text in self._texts[name]:
+            # An object without words may be there for the split alone.
+            if text.suffix.lower() != ".json" or not told or any(told.get(key) for key in _SAID):
+                return with_text(speech, text)
+        return speech, ""
+
     def _told(self, name: str) -> dict[str, Any]:
-        file = self._source / f"{name}.json"
-        if not file.is_file():
+        """The object in NAME.json; nothing where there is none, or another kind of JSON (a list of words)."""
+        file = next((text for text in self._texts[name] if text.suffix.lower() == ".json"), None)
+        if file is None:
             return {}
         try:
-            told = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError:
+            told = json.loads(file.read_text(encoding="utf-8-sig"))
+        except (ValueError, RecursionError):
             raise InputError(file, "is not JSON", "delete or repair it") from None
+        if isinstance(told, list):
+            return {}
         if not isinstance(told, dict):
             raise InputError(file, "is not an object", "delete or repair it")
         return told

@@ -3,6 +3,9 @@
 Nothing leaks from one split to another: the test split has its own topics and sentence templates, its own voices and
 strokes that no other split plays, and the real readings kept for it are never trained on. Recording `i` depends on
 (seed, i) alone, so it is the same in any order and on any number of workers.
+
+The synthetic talks are in English, and every reading there is is used, unless `Options.languages` names the languages
+of both.
 """
 
 from __future__ import annotations
@@ -59,6 +62,9 @@ class Performer:
         self._options = options
         self._tiny = options.preset == "tiny"
         if self._tiny:
+            if options.languages:
+                raise InputError("--languages", "is not for the tiny preset, which speaks English letters only",
+                                 "take --preset default")
             self._source = None
             self.licence = "free of rights: procedural strokes and a numpy voice"
             return
@@ -70,8 +76,13 @@ class Performer:
                 raise InputError(source / needed, "does not exist",
                                  "--source is the folder that holds strokes/ and speech/")
         self._source = source
-        self.licence = ("strokes: LGPL 2.1 (SmartBody); speech: public domain (LibriVox), BSD-like (Austen excerpts) "
-                        "and synthetic voices")
+        unknown = sorted(set(options.languages) - set(voices.VOICES_OF))
+        if unknown:
+            raise InputError(f"--languages {','.join(options.languages)}", f"nobody here speaks {', '.join(unknown)}",
+                             f"choose among {', '.join(voices.VOICES_OF)}")
+        austen = any(stem.startswith("en_austen") for stem in self._stems)
+        real = f"public domain (LibriVox){', BSD-like (Austen excerpts)' if austen else ''} and " if self._stems else ""
+        self.licence = f"strokes: LGPL 2.1 (SmartBody); speech: {real}synthetic voices"
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
                              "pip install 'gesticulator[align]'")
@@ -83,6 +94,8 @@ class Performer:
         if self._source is not None:
             files = [*sorted((self._source / "strokes").glob("*")), *sorted((self._source / "speech").glob("*"))]
             settings |= {"hours": self._options.hours, "source": _hash_of(files, self._source)}
+        if self._options.languages:
+            settings["languages"] = sorted(set(self._options.languages))
         return settings
 
     def items(self) -> Sequence[Item]:
@@ -139,7 +152,11 @@ class Performer:
 
     @functools.cached_property
     def _stems(self) -> tuple[str, ...]:
-        return () if self._source is None else tuple(sorted(f.stem for f in (self._source / "speech").glob("*.flac")))
+        if self._source is None:
+            return ()
+        stems = sorted(file.stem for file in (self._source / "speech").glob("*.flac"))
+        wanted = self._options.languages
+        return tuple(stem for stem in stems if not wanted or stem.split("_")[0] in wanted)
 
     def _talks(self) -> list[Item]:
         """The synthetic recordings with their texts; no sentence is said twice in the whole corpus."""
@@ -168,7 +185,10 @@ class Performer:
     def _voices(self, split: Split) -> tuple[str, ...]:
         if self._tiny:
             return _TINY_VOICES[split]
-        return voices.TEST_VOICES if split == "test" else voices.TRAIN_VOICES
+        side = 1 if split == "test" else 0
+        own = [voices.VOICES_OF[language][side] for language in sorted(set(self._options.languages)) or ("en",)]
+        # Languages take turns, so that each gets its share however many voices it has.
+        return tuple(of[rank % len(of)] for rank in range(max(map(len, own))) for of in own)
 
     def _readings(self) -> list[Item]:
         """Every reading for training by every performer; those for test by one performer each."""

@@ -1,6 +1,7 @@
-"""Our own sentences in German and Spanish: the performer does not understand their words, and follows stress alone.
+"""Our own sentences in German, Spanish and Mandarin: the performer does not understand them, and follows stress alone.
 
-Slots are drawn from the lists of the same name; a digit after the name asks for another entry of that list.
+Slots are drawn from the lists of the same name; a digit after the name asks for another entry of that list. Mandarin
+(cmn, ISO 639-3) is in simplified characters with spaces between its words, which tell a voice where each word is.
 """
 
 from __future__ import annotations
@@ -99,5 +100,43 @@ _ES_TEST = _book(
     {cuando} | {quien} estaba {donde} | y {hizo} {cosa}.""",
     "vaya,/entonces,/hm ...")
 
+_CMN_TRAIN = _book(
+    {"shei": "老师, 医生, 邻居, 我 妹妹, 司机, 厨师, 那个 孩子, 奶奶, 我们 的 朋友, 画家, 校长, 那 位 客人",
+     "shenme": "钥匙, 雨伞, 那 本 书, 一 封 信, 旧 自行车, 红色 的 箱子, 一 张 地图, 两 把 椅子, 新 手机, 毛衣, 镜子, "
+               "三 块 面包, 梯子, 手表, 杯子, 桌布",
+     "nali": "在 厨房 里, 在 学校 门口, 在 公园 里, 在 火车站, 在 桥 旁边, 在 房子 后面, 在 市场 上, 在 楼梯 下面, "
+             "在 河边, 在 办公室",
+     "zuole": "找到 了, 买到 了, 卖掉 了, 修好 了, 忘记 了, 带来 了, 画好 了, 洗好 了, 搬走 了, 借走 了",
+     "zuo": "找, 买, 卖, 修, 带, 画, 洗, 搬, 借, 看",
+     "heshi": "昨天, 今天 早上, 晚上, 上个 星期, 吃饭 以后, 一 年 以前, 星期一, 冬天",
+     "zenme": "慢慢 地, 很 快 地, 小心 地, 悄悄 地, 高兴 地, 突然"},
+    """{heshi} {shei} {nali} {zuole} {shenme}。
+    {shei} {zuole} {shenme}， | 可是 {shei2} {zuole2} {shenme2}。
+    不， | {shei} 没有 {zuo} {shenme}。
+    {shei} 为什么 {heshi} {zuo} {shenme}？
+    也许 {shei} {zenme} {zuole} {shenme}， | 我 不 知道。
+    {nali}， | {shei} {zenme} {zuole} {shenme}。
+    {shei} 先 {zuo} {shenme}， | 再 {zuo2} {shenme2}， | 最后 {zuo3} {shenme3}。
+    大家 都 看见 | {shei} {heshi} {zuole} {shenme}。
+    没有 人 {zuo} {shenme}， | 连 {shei} 也 没有。
+    请 你 {nali} | 给 我 看 {shenme}。
+    就 {nali}， | {shei} {zuole} {shenme}。
+    {shei} {nali} 看见 {shenme}， | {shei2} {nali2} 看见 {shenme2}。""",
+    "那么，/嗯 .../你 看，/好 吧，/其实，")
+_CMN_TEST = _book(
+    {"shei": "船长, 歌手, 叔叔, 裁缝, 法官, 一个 陌生人, 舞蹈 演员, 牧羊人",
+     "shenme": "大 鼓, 硬币, 小 树, 瓶子, 渔网, 蛋糕, 蜡烛, 戒指, 木船, 帽子",
+     "nali": "在 海边, 在 森林 里, 在 塔 上, 在 山坡 上, 在 城门 前面, 在 屋顶 下",
+     "zuole": "丢 了, 拿走 了, 打开 了, 偷走 了, 扔掉 了, 收好 了",
+     "heshi": "夏天, 星期五, 半夜 里, 很 久 以前, 下午, 中午"},
+    """那边 {nali}， | {shei} {zuole} {shenme}。
+    我 觉得 | {shei} {heshi} {zuole} {shenme}。
+    是 谁 {nali} {zuole} {shenme}？
+    不是 {shenme}， | 而是 {shenme2}， | {shei} {heshi} {zuole}。
+    {shei} 什么 都 {zuole}， | {shenme}， | {shenme2}， | 还有 {shenme3}。
+    {heshi} {shei} 站 {nali}， | {zuole} {shenme}。""",
+    "哎，/所以，/呃 ...")
+
 PHRASEBOOKS = {("de", "train"): _DE_TRAIN, ("de", "test"): _DE_TEST,
-               ("es", "train"): _ES_TRAIN, ("es", "test"): _ES_TEST}
+               ("es", "train"): _ES_TRAIN, ("es", "test"): _ES_TEST,
+               ("cmn", "train"): _CMN_TRAIN, ("cmn", "test"): _CMN_TEST}

@@ -38,6 +38,7 @@ _MOST_ACCENT = 0.48
 _FARTHEST = 0.15
 _FADE_SHARE = 0.65
 _RAISE = 0.7
+_HIPS_SHARE = 0.4
 _DROP = 1.0
 _MICRO = 0.42
 _FALL = 0.22
@@ -424,9 +425,11 @@ def _add_clips(trunk: Array, planned: tuple[Planned, ...]) -> None:
             continue
         times = np.arange(first, last) / FPS
         window = _pulse(times, p.start, p.beat) * (1.0 - _pulse(times, min(p.hold_end, p.end - 0.2), p.end))
-        inside = p.stroke.trunk_at(_clip_time(p, p.beat, times)).reshape(len(times), -1, 3)
-        trunk[first:last] += window[:, None, None] * (inside - p.stroke.trunk_at(np.array([p.stroke.start])).reshape(
-            1, -1, 3))
+        inside = p.stroke.trunk_at(_clip_time(p, p.beat, times)) - p.stroke.trunk_at(np.array([p.stroke.start]))
+        own = inside.reshape(len(times), -1, 3)
+        # Some clips turn on the spot; here the feet stand still, so the hips take part less.
+        own[:, 0] *= _HIPS_SHARE
+        trunk[first:last] += window[:, None, None] * own
 
 
 # --- The arms

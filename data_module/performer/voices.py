@@ -12,7 +12,7 @@ from data_module.performer import espeak, flite, source_filter
 from data_module.performer.sound import RATE, Phone, Sounded, decibels, read_at, recorded, with_tilt, word_spans
 from data_module.performer.syllables import Nucleus, listen, pitch_track
 from data_module.performer.text import Part, Utterance, compose
-from data_module.performer.types import Phrase, Spoken
+from data_module.performer.types import Phrase, Spoken, Syllable
 from data_module.types import Array, Samples, Speech, Word
 
 # At effort 1: decibels louder, times faster, times the pitch range (log), semitones higher. At -1 the reverse.
@@ -25,7 +25,8 @@ class Voice:
     """A voice. engine: "flite", "espeak" or "numpy"; base: the engine's own name of it.
 
     pitch: Hz; spread: the engine's measure of pitch range (flite: Hz; espeak: 0 to 99; numpy: semitones);
-    tract: formants times this (flite, numpy); rate: times the engine's normal speed; language: ISO 639-1.
+    tract: formants times this (flite, numpy); rate: times the engine's normal speed; language: ISO 639-1, or 639-3
+    where that has none (cmn).
     """
 
     name: str
@@ -54,16 +55,41 @@ VOICES = _by_name(
     Voice("gb_m3", "espeak", "en+m3", 45, 60, rate=0.96),
     Voice("scot_f2", "espeak", "en-gb-scotland+f2", 45, 60, rate=1.05),
     Voice("de_f2", "espeak", "de+f2", 50, 60, language="de"),
+    Voice("de_m1", "espeak", "de+m1", 42, 60, rate=0.96, language="de"),
+    Voice("de_f4", "espeak", "de+f4", 50, 55, rate=1.05, language="de"),
+    Voice("de_m7", "espeak", "de+m7", 48, 65, language="de"),
     Voice("es_m3", "espeak", "es+m3", 45, 60, language="es"),
+    Voice("es_f2", "espeak", "es+f2", 50, 60, rate=0.96, language="es"),
+    Voice("es_m1", "espeak", "es+m1", 42, 60, rate=1.05, language="es"),
+    Voice("es_f4", "espeak", "es-419+f4", 50, 55, language="es"),
+    Voice("cmn_f2", "espeak", "cmn-latn-pinyin+f2", 50, 60, rate=1.25, language="cmn"),
+    Voice("cmn_m3", "espeak", "cmn-latn-pinyin+m3", 45, 60, rate=1.2, language="cmn"),
+    Voice("cmn_f4", "espeak", "cmn-latn-pinyin+f4", 50, 55, rate=1.3, language="cmn"),
+    Voice("cmn_m7", "espeak", "cmn-latn-pinyin+m7", 48, 65, rate=1.25, language="cmn"),
     Voice("awb", "flite", "awb", 131, 22),
     Voice("awb_high", "flite", "awb", 165, 27, tract=1.12, rate=1.05),
     Voice("rp_m7", "espeak", "en-gb-x-rp+m7", 40, 60, rate=0.95),
     Voice("de_m5", "espeak", "de+m5", 45, 60, language="de"),
+    Voice("de_f1", "espeak", "de+f1", 52, 60, rate=0.97, language="de"),
+    Voice("es_m5", "espeak", "es+m5", 45, 60, language="es"),
+    Voice("es_f1", "espeak", "es+f1", 52, 60, rate=0.97, language="es"),
+    Voice("cmn_m5", "espeak", "cmn-latn-pinyin+m5", 45, 60, rate=1.25, language="cmn"),
+    Voice("cmn_f1", "espeak", "cmn-latn-pinyin+f1", 52, 60, rate=1.2, language="cmn"),
     Voice("numpy_low", "numpy", "", 115, 3.0),
     Voice("numpy_high", "numpy", "", 195, 3.5, tract=1.15, rate=1.05),
 )
 TRAIN_VOICES = ("slt", "rms", "kal", "us_f3", "slt_deep", "rms_light", "gb_m3", "slt_high", "rms_deep", "scot_f2")
 TEST_VOICES = ("awb", "rp_m7", "awb_high")
+# Mandarin has "latn-pinyin" because the plain voice of espeak-ng 1.51 spells "lao3" as the English "lao three".
+VOICES_OF: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "cmn": (("cmn_f2", "cmn_m3", "cmn_f4", "cmn_m7"), ("cmn_m5", "cmn_f1")),
+    "de": (("de_f2", "de_m1", "de_f4", "de_m7"), ("de_m5", "de_f1")),
+    "en": (TRAIN_VOICES, TEST_VOICES),
+    "es": (("es_m3", "es_f2", "es_m1", "es_f4"), ("es_m5", "es_f1")),
+}
+"""Language -> voices that speak for training and validation, voices that speak for test."""
+TONAL = frozenset({"cmn"})
+"""Languages in which pitch tells words apart, so that a high syllable need not be a stressed one."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +120,22 @@ def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random
     if voice not in VOICES:
         raise InputError(f"voice {voice!r}", "is not known", f"choose one of {', '.join(VOICES)}")
     made = synthesise(utterances, VOICES[voice], rng)
-    syllables = listen(made.speech, made.phrases, nuclei_of(made.phones), VOICES[voice].language)
-    return Spoken(name, made.speech, syllables, made.phrases, voice, VOICES[voice].language)
+    language = VOICES[voice].language
+    syllables = listen(made.speech, made.phrases, nuclei_of(made.phones), language)
+    if language in TONAL:
+        syllables = without_tone(syllables)
+    return Spoken(name, made.speech, syllables, made.phrases, voice, language)
+
+
+def without_tone(syllables: Sequence[Syllable]) -> tuple[Syllable, ...]:
+    """The same syllables, prominent by loudness and duration alone: in a tonal language pitch belongs to the word."""
+    if not syllables:
+        return ()
+    pitch = np.array([syllable.pitch for syllable in syllables])
+    # What `listen` has added for pitch: .5 of its z-score over the recording.
+    share = 0.5 * np.clip((pitch - pitch.mean()) / (pitch.std() + 1e-6), -3, 3)
+    return tuple(replace(one, prominence=one.prominence - high)
+                 for one, high in zip(syllables, share.tolist(), strict=True))
 
 
 def numpy_speech(seconds: float, seed: int, split: str = "train") -> Spoken:

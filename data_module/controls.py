@@ -1,0 +1,322 @@
+"""Style editing: what is asked of the hands, and how it is measured (RG 7.2.1, the C_i of Eq. 20 and 21).
+
+Three features, each averaged over a sliding window of four seconds: how high the right hand is, how fast both hands
+move and how far both hands are from the body's axis. They are measured in the character's facing frame, on the
+recording's own clock, because time-scaling a block changes a speed.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from data_module import skeletons
+from data_module.errors import InputError
+from data_module.kinematics import positions_of
+from data_module.types import Array, Blocks, Motion
+
+FEATURES = ("height", "speed", "radius")
+"""Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
+vertical axis through the root (m)."""
+UNITS = {"height": "m", "speed": "m/s", "radius": "m"}
+LEVELS = ("low", "mid", "high")
+QUANTILES = (0.15, 0.5, 0.85)
+WINDOW = 4.0
+"""Seconds (RG 7.2.1)."""
+
+_HANDS = ("RightHand", "LeftHand")
+_LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}  # no body does more
+_FAR = 3.0  # spreads from the mean
+_LEAST_SPREAD = 1e-3
+
+
+class ControlWarning(UserWarning):
+    """A value can be asked for, but nothing like it was seen in training."""
+
+
+def per_frame(motion: Motion) -> Array:
+    """The three `FEATURES` of a motion with the hands of the character, frame by frame, [T, 3].
+
+    The speed at a frame is the mean over the two intervals that meet there (one at the ends), so that it is neither
+    late nor, like a difference across both, too small where a hand turns back. A single frame has speed 0.
+    """
+    positions = positions_of(skeletons.facing(motion))  # the root is at the origin
+    right, left = (positions[:, motion.skeleton.index(name)] for name in _HANDS)
+    out = np.zeros((len(motion), len(FEATURES)))
+    out[:, 0] = right[:, 1]
+    for hand in (right, left):
+        if len(motion) > 1:
+            step = np.linalg.norm(np.diff(hand, axis=0), axis=-1) * motion.fps
+            out[:, 1] += 0.25 * (np.append(step, step[-1]) + np.insert(step, 0, step[0]))
+        out[:, 2] += 0.5 * np.linalg.norm(hand[:, [0, 2]], axis=-1)
+    return out
+
+
+def measure(motion: Motion, window: float = WINDOW) -> Array:
+    """The features [T, 3] at the motion's own rate, averaged over `window` seconds about each frame (RG 7.2.1).
+
+    The window is centred; at the ends it is cut off, not padded. `InputError` for a window that is negative.
+    """
+    if not 0 <= window < math.inf:
+        raise InputError("window", f"is {window} s", f"give 0 or more seconds; the paper has {WINDOW:g}")
+    return _averaged(per_frame(motion), round(window * motion.fps / 2))
+
+
+def _averaged(values: Array, half: int) -> Array:
+    """The mean of the frames at most `half` away, [T, D]."""
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    at = np.arange(len(values))
+    first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
+    return (sums[last] - sums[first]) / (last - first)[:, None]
+
+
+def at_knots(values: Array, fps: float, blocks: Blocks) -> Array:
+    """Features [T, D], frame t at t / fps seconds, at the K frames of every block, [N, K, D]: the C_i of Eq. 20.
+
+    Linear between frames; beyond the last frame its values are held.
+    """
+    times = np.arange(len(values)) / fps
+    sampled = np.stack([np.interp(blocks.knot_times, times, column) for column in values.T], axis=-1)
+    return sampled.reshape(len(blocks), blocks.frames, -1)
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What training saw. table: [3 features, 3 levels] the 15, 50 and 85 % quantiles; mean, spread: [3].
+
+    All in the features' own units.
+    """
+
+    table: Array
+    mean: Array
+    spread: Array
+
+    def __post_init__(self) -> None:
+        shapes = self.table.shape, self.mean.shape, self.spread.shape
+        if shapes != ((len(FEATURES), len(LEVELS)), (len(FEATURES),), (len(FEATURES),)):
+            raise ValueError(f"levels of shapes {shapes}, not [3, 3], [3], [3]")
+        if not all(np.isfinite(part).all() for part in (self.table, self.mean, self.spread)):
+            raise ValueError("levels must be finite")
+        if (np.diff(self.table, axis=1) < 0).any() or (self.spread <= 0).any():
+            raise ValueError("levels must not fall from low to high, and spreads must be positive")
+
+    @classmethod
+    def fit(cls, values: Array) -> Levels:
+        """From the measured features [n, 3] of the training split.
+
+        A feature that never changes gets a spread of 1, so that standardising it stays harmless.
+        """
+        if values.ndim != 2 or values.shape[1] != len(FEATURES) or len(values) == 0:
+            raise ValueError(f"levels are fitted on [n, 3] values, not {values.shape}")
+        spread = values.std(axis=0)
+        return cls(np.quantile(values, QUANTILES, axis=0).T, values.mean(axis=0),
+                   np.where(spread > _LEAST_SPREAD, spread, 1.0))
+
+    def value(self, feature: str, level: str) -> float:
+        """What "low", "mid" or "high" means for a feature, in its unit; KeyError for another name."""
+        if feature not in FEATURES or level not in LEVELS:
+            raise KeyError(f"{feature}, {level}")
+        return float(self.table[FEATURES.index(feature), LEVELS.index(level)])
+
+    def to_dict(self) -> dict[str, Array]:
+        """As named arrays; the inverse is `from_dict`."""
+        return {"table": self.table, "mean": self.mean, "spread": self.spread}
+
+    @classmethod
+    def from_dict(cls, arrays: Mapping[str, ArrayLike]) -> Levels:
+        """The inverse of `to_dict`; KeyError or ValueError when it is none."""
+        table, mean, spread = (np.asarray(arrays[key], dtype=np.float64) for key in ("table", "mean", "spread"))
+        return cls(table, mean, spread)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A value that changes over time. times: seconds, strictly rising; values: in the feature's unit."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.times) != len(self.values) or not self.times:
+            raise ValueError(f"{len(self.times)} times for {len(self.values)} values")
+        if not np.isfinite([*self.times, *self.values]).all() or (np.diff(self.times) <= 0).any():
+            raise ValueError("a curve needs finite values at strictly rising times")
+
+    def at(self, times: Array) -> Array:
+        """Linear between its points, held before the first and after the last: [T] for times [T]."""
+        return np.interp(times, self.times, self.values)
+
+
+@dataclass(frozen=True)
+class Controls:
+    """What is asked of each feature: None leaves it free, a number holds throughout, a `Curve` follows time."""
+
+    height: float | Curve | None = None
+    speed: float | Curve | None = None
+    radius: float | Curve | None = None
+
+    def __post_init__(self) -> None:
+        for name, asked in zip(FEATURES, self._asked, strict=True):
+            if isinstance(asked, int | float) and not math.isfinite(asked):
+                raise ValueError(f"{name} must be finite, not {asked}")
+
+    @classmethod
+    def free(cls) -> Controls:
+        """Nothing is asked."""
+        return cls()
+
+    @property
+    def _asked(self) -> tuple[float | Curve | None, ...]:
+        return self.height, self.speed, self.radius
+
+    def at(self, times: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """At times [T]: what is asked, [T, 3] (0 where a feature is free), and which features are asked for, [3]."""
+        out = np.zeros((len(times), len(FEATURES)))
+        for index, asked in enumerate(self._asked):
+            if asked is not None:
+                out[:, index] = asked.at(times) if isinstance(asked, Curve) else asked
+        return out, np.array([asked is not None for asked in self._asked])
+
+
+# ------------------------------------------------------------------------------------------ the command line
+
+def controls_from(height: str | None, speed: str | None, radius: str | None, levels: Levels) -> Controls:
+    """What the options --hand-height, --hand-speed and --hand-radius ask for; see `parse`."""
+    given = dict(zip(FEATURES, (height, speed, radius), strict=True))
+    return Controls(**{name: parse(f"--hand-{name}", text, name, levels)
+                       for name, text in given.items() if text is not None})
+
+
+def parse(flag: str, text: str, feature: str, levels: Levels) -> float | Curve:
+    """What `text` asks of a feature: "low", "mid" or "high", a number in its unit, or the path of a CSV file.
+
+    A file has the columns time (s) and value, with or without a header; under a header the value's column may bear
+    the feature's own name, beside others. `InputError` names the flag, or the file and its line. What is far from
+    anything that training saw gives a `ControlWarning` and is used as told.
+    """
+    plain = text.strip()
+    if plain.lower() in LEVELS:
+        return levels.value(feature, plain.lower())
+    number = _number(plain)
+    if number is not None:
+        _check_limits(f"{flag} {plain}", number, feature)
+        _warn_if_far(f"{flag} {plain}", [number], feature, levels)
+        return number
+    if not plain or not os.path.lexists(plain):
+        raise InputError(f"{flag} {text!r}", f"is no level, no number ({UNITS[feature]}) and no file",
+                         f"give {', '.join(LEVELS)}, a number such as {levels.value(feature, 'mid'):.2f}, or the path "
+                         "of a CSV file")
+    curve = read_curve(plain, feature)
+    _warn_if_far(plain, curve.values, feature, levels)
+    return curve
+
+
+def read_curve(path: str | os.PathLike[str], feature: str) -> Curve:
+    """The curve of a feature in a CSV file (see `parse`), UTF-8, separated by commas, semicolons or tabs.
+
+    Beside semicolons and tabs numbers may have a decimal comma. Empty lines and lines that start with # are skipped.
+    """
+    file = Path(path)
+    rows = _rows(file)
+    _, first = rows[0]
+    columns = (0, 1)
+    if all(_number(cell) is None for cell in first):
+        columns = _columns(f"{file}, line {rows[0][0]}", first, feature)
+        rows = rows[1:]
+    elif len(first) != 2:
+        raise InputError(f"{file}, line {rows[0][0]}", f"has {len(first)} columns and no header",
+                         "give two columns, time and value, or a header")
+    if not rows:
+        raise InputError(file, "has a header and no values", "give a line for each point in time")
+    times: list[float] = []
+    values: list[float] = []
+    for line, cells in rows:
+        time, value = _point(f"{file}, line {line}", cells, columns)
+        if times and time <= times[-1]:
+            raise InputError(f"{file}, line {line}", f"goes back to {time:g} s", "let times rise from line to line")
+        _check_limits(f"{file}, line {line}: {value:g}", value, feature)
+        times.append(time)
+        values.append(value)
+    return Curve(tuple(times), tuple(values))
+
+
+def _rows(file: Path) -> list[tuple[int, list[str]]]:
+    """The lines that say something, with their numbers from 1, cut into cells."""
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(file, "is not text in UTF-8", "export it as a CSV file") from None
+    except OSError as error:
+        raise InputError(file, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
+    said = [(number, line) for number, line in enumerate(text.splitlines(), 1)
+            if line.strip() and not line.lstrip().startswith("#")]
+    if not said:
+        raise InputError(file, "is empty", "give the columns time and value")
+    mark = next((mark for mark in ";\t" if mark in said[0][1]), ",")
+    try:
+        return [(number, list(_cells(line, mark))) for number, line in said]
+    except csv.Error as error:
+        raise InputError(file, f"is no CSV file ({error})", "give the columns time and value") from None
+
+
+def _cells(line: str, mark: str) -> Iterator[str]:
+    for cell in next(csv.reader([line], delimiter=mark)):
+        yield cell.strip() if mark == "," else cell.strip().replace(",", ".")
+
+
+def _columns(where: str, header: list[str], feature: str) -> tuple[int, int]:
+    names = [name.lower() for name in header]
+    wanted = next((name for name in (feature, "value") if name in names), None)
+    if "time" not in names or wanted is None:
+        raise InputError(where, f"names the columns {', '.join(header)}",
+                         f"name them time and {feature}, or time and value")
+    if names.count("time") > 1 or names.count(wanted) > 1:
+        raise InputError(where, "names a column twice", "leave one out")
+    return names.index("time"), names.index(wanted)
+
+
+def _point(where: str, cells: list[str], columns: tuple[int, int]) -> tuple[float, float]:
+    if len(cells) <= max(columns):
+        raise InputError(where, f"has {len(cells)} columns, too few", "give a time and a value in each line")
+    numbers = [_number(cells[column]) for column in columns]
+    for cell, number in zip((cells[column] for column in columns), numbers, strict=True):
+        if number is None or not math.isfinite(number):
+            raise InputError(where, f"has {cell[:40]!r} for a number", "give seconds, and metres or metres per second")
+    time, value = (float(number) for number in numbers if number is not None)
+    return time, value
+
+
+def _number(text: str) -> float | None:
+    try:
+        # Python reads 0_4 as 4, which nobody means here.
+        return None if "_" in text else float(text)
+    except ValueError:
+        return None
+
+
+def _check_limits(what: str, value: float, feature: str) -> None:
+    low, high = _LIMITS[feature]
+    if not low <= value <= high:  # also NaN
+        raise InputError(what, f"is no {feature} that a hand can have",
+                         f"give {UNITS[feature]} from {low:g} to {high:g}")
+
+
+def _warn_if_far(what: str, values: ArrayLike, feature: str, levels: Levels) -> None:
+    index = FEATURES.index(feature)
+    mean, spread = float(levels.mean[index]), float(levels.spread[index])
+    asked = np.asarray(values, dtype=np.float64)
+    furthest = float(asked[np.argmax(np.abs(asked - mean))])
+    if abs(furthest - mean) > _FAR * spread:
+        # The warning is this module's own, whoever called: commands show only those of our packages.
+        warnings.warn(ControlWarning(
+            f"{what}: a {feature} of {furthest:g} {UNITS[feature]} is far from all that training saw (low "
+            f"{levels.value(feature, 'low'):.2f}, high {levels.value(feature, 'high'):.2f}); expect less"),
+            stacklevel=1)

@@ -1,0 +1,158 @@
+"""BEAT: speech and BVH of 30 speakers in four languages, with word times.
+
+DIR is `beat_english_v0.2.1` (or that of another language), a folder per speaker number:
+
+    2/2_scott_0_1_1.bvh     centimetres, 120 fps    ID_NAME_RECORD_START_END
+    2/2_scott_0_1_1.wav     16 kHz
+    2/2_scott_0_1_1.TextGrid                        optional: words and their times
+
+The split is the published one of the English part, in which some recordings of the one-hour speakers are halved: the
+first half tests, the second validates.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from data_module.audio import load_speech
+from data_module.bvh import CENTIMETRES, BvhWarning
+from data_module.corpora import DroppedError, Imported, Item, Options, split_of, trimmed
+from data_module.corpora.takes import Take, find_takes, read_motion, with_text
+from data_module.errors import InputError
+from data_module.store import RecordingInfo, Split
+from data_module.types import Motion, Word
+
+NAME = re.compile(r"(?P<id>\d+)_(?P<name>[A-Za-z]+)_(?P<record>[0-7])_(?P<start>\d+)_(?P<end>\d+)")
+LANGUAGES = ("en", "zh", "es", "ja")
+"""Recording types come in pairs, speech and conversation, in this order of languages."""
+
+FOUR_HOURS = frozenset({1, 2, 3, 4, 6, 7, 8, 9, 11, 21})
+"""Speaker numbers with four hours each; the others have one. The split differs."""
+_EMOTIONS_BEGIN = (65, 73, 81, 87, 95, 103, 111)
+_EMOTIONS_END = (72, 80, 86, 94, 102, 110, 118)
+
+
+def published_split(name: str) -> dict[str, Split] | None:
+    """The halves of a recording ('' the whole) -> their published split; None where the split says nothing.
+
+    It is known for English alone (recording types 0 and 1), by the number of the sequence.
+    """
+    told = NAME.fullmatch(name)
+    if told is None or told["record"] not in "01":
+        return None
+    numbers = range(int(told["start"]), int(told["end"]) + 1)
+    rules = [_rule(number, told["record"] == "1", int(told["id"]) in FOUR_HOURS) for number in numbers]
+    # A file of several sequences (version 0.1) is in a split when all of them are.
+    same = bool(rules) and all(rule == rules[0] for rule in rules)
+    return rules[0] if same and ("" in rules[0] or len(rules) == 1) else None
+
+
+def _rule(number: int, talk: bool, many: bool) -> dict[str, Split]:
+    """The published rule for one sequence: a conversation (`talk`) or read speech, of a speaker with `many` hours."""
+    if many:
+        tests = {1} if talk else {*range(1, 9), *_EMOTIONS_BEGIN}
+        checks = {12} if talk else {*range(57, 65), *_EMOTIONS_END}
+        return {"": "test" if number in tests else "val" if number in checks else "train"}
+    if number in ({1} if talk else set(_EMOTIONS_BEGIN)):
+        return {"a": "test", "b": "val"}
+    if talk or number > 8:
+        return {"": "train"}
+    return {"": "test" if number <= 4 else "val"}
+
+
+def info_of(name: str, split: Split, half: str = "") -> RecordingInfo:
+    """What the name ID_NAME_RECORD_START_END tells; read speech of one text is one group over all speakers."""
+    told = NAME.fullmatch(name)
+    if told is None:
+        raise ValueError(f"{name} is not named ID_NAME_RECORD_START_END")
+    record = int(told["record"])
+    speaker = f"{told['id']}_{told['name']}"
+    group = name if record % 2 else f"{record}_{told['start']}_{told['end']}"
+    return RecordingInfo(name + ("_" + half if half else ""), split, speaker, speaker, LANGUAGES[record // 2],
+                         group=group)
+
+
+class Beat:
+    """A reader of BEAT."""
+
+    licence = "CC BY-NC 4.0 (BEAT): not for commercial use, nor are weights trained on it"
+
+    def __init__(self, source: Path | None, options: Options) -> None:
+        if source is None:
+            raise InputError("--source", "is missing", "name the folder that holds BEAT's folders of speakers")
+        self._options = options
+        takes, self._notes = find_takes(source, NAME, texts=(".textgrid",))
+        self._takes: dict[str, Take] = {name: takes[name] for name in sorted(takes, key=_order)}
+        if not self._takes:
+            raise InputError(source, "holds no ID_NAME_RECORD_START_END.bvh with a .wav of the same name",
+                             "name BEAT's folder beat_english_v0.2.1")
+        self._notes += [f"left out {file}: is not named ID_NAME_RECORD_START_END"
+                        for file in sorted(source.rglob("*.bvh")) if not NAME.fullmatch(file.stem)]
+        unknown = sum(published_split(name) is None for name in self._takes)
+        if unknown:
+            self._notes.append(f"{unknown} recordings are in no published split: theirs goes by their order")
+
+    def settings(self) -> Mapping[str, Any]:
+        return {"files": {name: take.sizes() for name, take in self._takes.items()}, "motion_fps": self._options.fps,
+                "unit": self._options.unit}
+
+    def items(self) -> Sequence[Item]:
+        items: list[Item] = []
+        for place, name in enumerate(self._takes):
+            for half, split in (published_split(name) or {"": split_of(place)}).items():
+                items.append(Item(info_of(name, split, half), len(items), (name, half)))
+        return items
+
+    def read(self, item: Item) -> Imported:
+        name, half = item.content
+        take = self._takes[name]
+        try:
+            motion, unit = self._motion(take.motion)
+            speech, timing = replace(load_speech(take.sound), speaker=item.info.speaker), ""
+            if take.text is not None:
+                speech, timing = with_text(speech, take.text)
+        except InputError as error:
+            raise DroppedError(str(error)) from None
+        return halved(Imported(item.info, speech, motion, unit=unit, words=timing), half)
+
+    def notes(self) -> Sequence[str]:
+        return self._notes
+
+    def _motion(self, path: Path) -> tuple[Motion, str]:
+        """--fps is for files whose header contradicts itself (some do, as published); it must not touch the others."""
+        try:
+            return read_motion(path, replace(self._options, fps=None), CENTIMETRES)
+        except InputError as error:
+            if "its header says" not in error.wrong:
+                raise
+            if self._options.fps is None:
+                raise InputError(error.subject, error.wrong, "give its true rate with --fps") from None
+            warnings.warn(f"{path}: {error.wrong}; read at {self._options.fps:g} fps", BvhWarning, stacklevel=2)
+        return read_motion(path, self._options, CENTIMETRES)
+
+
+def halved(recording: Imported, half: str) -> Imported:
+    """The first ('a') or the second ('b') half of a recording, or the whole ('')."""
+    if not half:
+        return recording
+    speech, motion = trimmed(recording.speech, recording.motion)
+    middle = len(motion) // 2
+    if half == "a":
+        speech, motion = trimmed(speech, motion.crop(0, middle))
+        return replace(recording, speech=speech, motion=motion)
+    start = middle / motion.fps
+    words = speech.words
+    if words is not None:
+        words = tuple(Word(w.text, w.start - start, w.end - start) for w in words if w.start >= start)
+    speech = replace(speech, samples=speech.samples[round(start * speech.sample_rate):], words=words)
+    return replace(recording, speech=speech, motion=motion.crop(middle, len(motion)))
+
+
+def _order(name: str) -> tuple[int, ...]:
+    told = NAME.fullmatch(name)
+    return tuple(int(told[part]) for part in ("id", "record", "start", "end")) if told else ()

@@ -1,0 +1,148 @@
+"""SmartBody's gesture clips, as published: the strokes that the performer plays, made from `.skm` on `.sk`.
+
+There is no speech in it, so it makes no store of talks: it makes the folder `strokes/` (BVH in metres and
+`manifest.csv`) that the `performer` takes beside `speech/`. DIR is SmartBody's `data/behaviorsets`; each folder in it
+that holds `skeletons/` and `motions/` is one body:
+
+    Gestures/skeletons/ChrBrad.sk             Gestures/motions/ChrBrad@Idle01_BeatLowBt01.skm
+    Gestures2/skeletons/ChrBrad2.sk           Gestures2/motions/ChrBrad@Idle01_BeatLowBt01.skm
+    FemaleGestures/skeletons/ChrConnor.sk     FemaleGestures/motions/ChrConnor@IdleStand01_ChopBt01.skm
+    MaleGestures/skeletons/ChrGarza.sk        MaleGestures/motions/ChrGarza@IdleStand01_ChopBt01.skm
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from data_module import skeletons, smartbody
+from data_module.bvh import CENTIMETRES, bvh_text
+from data_module.corpora import Options
+from data_module.errors import InputError
+from data_module.files import write_bytes, write_text
+
+COLUMNS = ("file", "speaker", "posture", "lexeme", "hand", "frames", *smartbody.SYNC_TIMES)
+_FOLDERS = {"Gestures": "brad", "Gestures2": "brad2", "FemaleGestures": "connor", "MaleGestures": "garza"}
+"""The published folders of gestures, and whose body each holds; SmartBody has more, of walking and reaching."""
+_HANDS = {"Bt": "both", "Both": "both", "Lf": "left", "Rt": "right"}
+_NO_GESTURE = ("Guitar", "ScrewYou", "ToIdleFight", "ToWalk")
+"""A mime, an insult and two ways out of the pose: nothing that goes with a talk."""
+
+
+@dataclass(frozen=True)
+class ClipName:
+    """What a clip's name tells: whose body, the pose it starts from, what it shows, and with which hand ('' unsaid)."""
+
+    file: str
+    speaker: str
+    posture: str
+    lexeme: str
+    hand: str
+
+
+def clip_name(stem: str, speaker: str) -> ClipName:
+    """Read "ChrBrad@Idle01_BeatLowBt01": what stands after the @, on the body of `speaker`.
+
+    ValueError when it is not named so.
+    """
+    told = re.fullmatch(r"\w+@(?P<posture>[A-Za-z]+\d*)(?:_(?P<lexeme>\w+?)(?P<hand>Both|Bt|Lf|Rt)?\d*)?", stem)
+    if told is None:
+        raise ValueError(f"{stem} is not named CHARACTER@POSTURE_GESTURE")
+    name = f"{speaker}_{stem.partition('@')[2]}"
+    lexeme = told["lexeme"] or told["posture"].rstrip("0123456789")
+    return ClipName(f"{speaker}/{name}.bvh", speaker, told["posture"], lexeme, _HANDS.get(told["hand"] or "", ""))
+
+
+class SmartBody:
+    """Makes strokes/ from what SmartBody publishes."""
+
+    licence = "LGPL 2.1 (SmartBody, University of Southern California)"
+
+    def __init__(self, source: Path | None, options: Options) -> None:
+        if source is None:
+            raise InputError("--source", "is missing", "name SmartBody's folder data/behaviorsets")
+        self._source = source
+        self._bodies = {folder: _skeleton_file(source / folder) for folder in _FOLDERS
+                        if (source / folder / "motions").is_dir()}
+        self._notes: list[str] = [f"{source / folder}: is not there, so {speaker} has no clips"
+                                  for folder, speaker in _FOLDERS.items() if folder not in self._bodies]
+        if not self._bodies:
+            raise InputError(source, f"holds none of {', '.join(_FOLDERS)} with motions/ in it",
+                             "name SmartBody's folder data/behaviorsets")
+
+    def notes(self) -> Sequence[str]:
+        """What was left out, and why; complete after `write`."""
+        return self._notes
+
+    def write(self, out: Path) -> int:
+        """Write OUT/SPEAKER/CLIP.bvh, OUT/manifest.csv and the licence, whole or not at all; how many clips it holds.
+
+        InputError names the file that cannot be read, and OUT when something is there already.
+        """
+        if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+            raise InputError(out, "is already there", "delete it or choose another folder")
+        partial = out.with_name(out.name + ".partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        try:
+            rows = sorted(self._clips(partial), key=lambda row: str(row["file"]))
+            if not rows:
+                raise InputError(self._source, "holds no clip of a gesture",
+                                 "name SmartBody's folder data/behaviorsets")
+            table = io.StringIO()
+            writer = csv.DictWriter(table, COLUMNS)
+            writer.writeheader()
+            writer.writerows(rows)
+            write_text(partial / "manifest.csv", table.getvalue())
+            if (self._source / "LICENSE").is_file():
+                write_bytes(partial / "LICENSE", (self._source / "LICENSE").read_bytes())
+            if out.exists():
+                out.rmdir()
+            os.replace(partial, out)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+        return len(rows)
+
+    def _clips(self, out: Path) -> list[Mapping[str, object]]:
+        rows: list[Mapping[str, object]] = []
+        for folder, skeleton in self._bodies.items():
+            bind = smartbody.read_sk(skeleton)
+            (out / _FOLDERS[folder]).mkdir(parents=True, exist_ok=True)
+            for file in sorted((self._source / folder / "motions").glob("*.skm")):
+                row = self._clip(file, bind, _FOLDERS[folder], out)
+                if row is not None:
+                    rows.append(row)
+        return rows
+
+    def _clip(self, file: Path, bind: smartbody.BindPose, speaker: str, out: Path) -> Mapping[str, object] | None:
+        try:
+            name = clip_name(file.stem, speaker)
+        except ValueError as reason:
+            self._notes.append(f"left out {file}: {reason}")
+            return None
+        if any(kind in file.stem for kind in _NO_GESTURE):
+            self._notes.append(f"left out {file}: no gesture of a talk")
+            return None
+        clip = smartbody.read_skm(file)
+        lacking = [mark for mark in smartbody.SYNC_TIMES if mark not in clip.sync]
+        if lacking:
+            self._notes.append(f"left out {file}: has no time for {', '.join(lacking)}")
+            return None
+        motion = smartbody.motion_of(bind, clip, path=str(file))
+        # BVH files of ours are in centimetres; a stroke's are in metres.
+        write_text(out / name.file, bvh_text(skeletons.scaled(motion, CENTIMETRES)))
+        return {"file": name.file, "speaker": name.speaker, "posture": name.posture, "lexeme": name.lexeme,
+                "hand": name.hand, "frames": len(motion), **{mark: clip.sync[mark] for mark in smartbody.SYNC_TIMES}}
+
+
+def _skeleton_file(folder: Path) -> Path:
+    found = sorted((folder / "skeletons").glob("*.sk"))
+    if len(found) != 1:
+        raise InputError(folder / "skeletons", f"holds {len(found)} .sk files" if found else "holds no .sk file",
+                         "it should hold the one that motions/ was made on")
+    return found[0]

@@ -1,0 +1,137 @@
+"""Takes: the motion, the sound and the text of one recording, which data sets keep in files of one name.
+
+They may lie side by side or in sister folders (`Motion/NAME.bvh` beside `Audio/NAME.wav`). A take without sound is left
+out and said so, by file; a take without text stays, its words unknown.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from data_module import skeletons
+from data_module.audio import load_speech
+from data_module.bvh import CENTIMETRES, BvhWarning, read_bvh
+from data_module.corpora import DroppedError, Imported, Options
+from data_module.errors import InputError
+from data_module.store import RecordingInfo
+from data_module.types import Motion, Speech, Word
+
+TEXTS = (".textgrid", ".json", ".srt", ".vtt", ".txt")
+"""Endings of a text that may lie beside a take, the one with the surest times first."""
+
+
+class TakeWarning(UserWarning):
+    """A file is not quite what was published; it was read all the same."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """The files of one recording; text is None where there is none."""
+
+    motion: Path
+    sound: Path
+    text: Path | None = None
+
+    def sizes(self) -> list[int]:
+        """Bytes of its files: a file that changed is another build."""
+        return [file.stat().st_size for file in (self.motion, self.sound, self.text) if file is not None]
+
+
+def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TEXTS,
+               folders: Mapping[str, str] | None = None) -> tuple[dict[str, Take], list[str]]:
+    """The takes below `source` whose file names match `name` altogether, by name; and what is missing, by file.
+
+    texts: endings of texts to look for, in lower case, best first. folders: ending -> the folder that the data set
+    keeps such files in, for the path of what is missing. `InputError` when a file is there twice or no take is whole.
+    """
+    kinds = (".bvh", ".wav", *texts)
+    found: dict[str, dict[str, Path]] = {}
+    for file in sorted(source.rglob("*")):
+        kind = file.suffix.lower()
+        if kind not in kinds or not name.fullmatch(file.stem) or not file.is_file():
+            continue
+        files = found.setdefault(file.stem, {})
+        if kind in files:
+            raise InputError(file, f"is there twice (also {files[kind]})", "keep one of them")
+        files[kind] = file
+    takes: dict[str, Take] = {}
+    notes: list[str] = []
+    for stem, files in sorted(found.items()):
+        missing = [_expected(files, stem, kind, folders or {}) for kind in (".bvh", ".wav") if kind not in files]
+        if missing:
+            notes += [f"left out {stem}: {file} is missing" for file in missing]
+            continue
+        takes[stem] = Take(files[".bvh"], files[".wav"], next((files[kind] for kind in texts if kind in files), None))
+        if takes[stem].text is None and texts:
+            text = _expected(files, stem, texts[0], folders or {})
+            notes.append(f"{stem}: {text} is missing, so its words are unknown")
+    if not takes and notes:
+        raise InputError(source, f"has no recording with motion and sound ({notes[0]})", "add what is missing")
+    return takes, notes
+
+
+def _expected(files: Mapping[str, Path], stem: str, kind: str, folders: Mapping[str, str]) -> Path:
+    """Where a missing file should be, next to or in the sister folder of one that is there."""
+    there = files[".bvh"] if ".bvh" in files else next(iter(files.values()))
+    if there.parent.name in folders.values() and kind in folders:
+        return there.parent.parent / folders[kind] / (stem + kind)
+    return there.with_suffix(kind)
+
+
+def read_take(info: RecordingInfo, take: Take, options: Options, *, unit: float | None = None,
+              fps: float | None = None, words: Sequence[Word] | None = None) -> Imported:
+    """Read a take. unit, fps: as published, None where that is not known; words: those of its text, where the caller
+    read it. `DroppedError` names the file that cannot be used.
+    """
+    try:
+        motion, said = read_motion(take.motion, options, unit)
+        speech = replace(load_speech(take.sound), speaker=info.speaker)
+        timing = ""
+        if words is not None:
+            speech, timing = replace(speech, words=tuple(words)), "given"
+        elif take.text is not None:
+            speech, timing = with_text(speech, take.text)
+    except InputError as error:
+        raise DroppedError(str(error)) from None
+    if fps is not None and options.fps is None and abs(motion.fps - fps) > 0.01 * fps:
+        warnings.warn(f"{take.motion} says {motion.fps:g} frames a second and was published with {fps:g}; "
+                      f"say --fps {fps:g} if the file is wrong", TakeWarning, stacklevel=2)
+    return Imported(info, speech, motion, unit=said, words=timing)
+
+
+def read_motion(path: Path, options: Options, published: float | None = None) -> tuple[Motion, str]:
+    """A BVH file in metres, and what its unit was taken as.
+
+    The unit is what the user told, else what was published, else a guess by the length from hips to head.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BvhWarning)  # the user told the rate, so the warning is answered
+        raw = read_bvh(path, fps=options.fps, unit=1.0)
+    try:
+        guess = skeletons.guess_unit(raw.skeleton, skeletons.find_table(raw.skeleton.names))
+    except InputError:
+        guess = None
+    if options.unit is not None:
+        unit, how = options.unit, "told by --unit"
+    elif published is not None:
+        unit, how = published, "as published"
+        if guess is not None and guess != published:
+            warnings.warn(f"{path} has a body that fits {guess:g} m to a unit, and was published with {published:g}; "
+                          f"say --unit {guess:g} if the file is another", TakeWarning, stacklevel=2)
+    elif guess is not None:
+        unit, how = guess, "guessed by the length of the spine"
+    else:
+        unit, how = CENTIMETRES, "assumed"
+    return skeletons.scaled(raw, unit), f"{unit:g} m, {how}"
+
+
+def with_text(speech: Speech, text: Path) -> tuple[Speech, str]:
+    """The speech with the words of a text beside it, and how they got their times: given, heard or guessed."""
+    from data_module import transcript
+
+    speech, timing = transcript.with_transcript(speech, transcript.read_transcript(text, speech))
+    return speech, timing.how

@@ -1,0 +1,110 @@
+"""Trinity Speech-Gesture as released for the GENEA Challenge 2020: one actor, speech, motion and word times.
+
+DIR is `GENEA_Challenge_2020_data_release`, or a folder that holds it:
+
+    Training_data/Audio/Recording_001.wav           Test_data/Audio/TestSeq001.wav
+    Training_data/Motion/Recording_001.bvh          Test_data/Motion/TestSeq001.bvh         centimetres, 60 fps
+    Training_data/Transcripts/Recording_001.json    Test_data/Transcripts/TestSeq001.json   optional
+
+The split is that of RG's released configuration: Recording_008 validates, the other 22 recordings are trained on, the
+ten test sequences test.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from data_module.bvh import CENTIMETRES
+from data_module.corpora import DroppedError, Imported, Item, Options
+from data_module.corpora.takes import find_takes, read_take
+from data_module.errors import InputError
+from data_module.store import RecordingInfo, Split
+from data_module.types import Word
+
+FPS = 60.0
+SPLIT: dict[str, Split] = {
+    **{f"Recording_{number:03d}": "val" if number == 8 else "train" for number in range(1, 24)},
+    **{f"TestSeq{number:03d}": "test" for number in range(1, 11)},
+}
+"""Every published recording and its split."""
+
+_NAME = re.compile(r"Recording_\d{3}|TestSeq\d{3}")
+_FOLDERS = {".bvh": "Motion", ".wav": "Audio", ".json": "Transcripts"}
+_TIME = re.compile(r"\d+(\.\d+)?s")
+
+
+class Trinity:
+    """A reader of the GENEA 2020 release of Trinity Speech-Gesture."""
+
+    licence = "that of Trinity Speech-Gesture (research, on a signed agreement); weights trained on it likewise"
+
+    def __init__(self, source: Path | None, options: Options) -> None:
+        if source is None:
+            raise InputError("--source", "is missing", "name the folder GENEA_Challenge_2020_data_release")
+        self._options = options
+        takes, self._notes = find_takes(source, _NAME, texts=(".json",), folders=_FOLDERS)
+        self._notes += [f"left out {takes[name].motion}: it is no recording of the published split"
+                        for name in takes if name not in SPLIT]
+        self._takes = {name: takes[name] for name in SPLIT if name in takes}
+        if not self._takes:
+            raise InputError(source, "holds no Recording_NNN.bvh or TestSeqNNN.bvh with a .wav of the same name",
+                             "name the folder GENEA_Challenge_2020_data_release")
+        told = " ".join(self._notes)
+        absent = [name for name in SPLIT if name not in takes and name not in told]
+        if absent:
+            self._notes.append(f"not there: {', '.join(absent)}")
+
+    def settings(self) -> Mapping[str, Any]:
+        return {"files": {name: take.sizes() for name, take in self._takes.items()},
+                "motion_fps": self._options.fps, "unit": self._options.unit}
+
+    def items(self) -> Sequence[Item]:
+        return [Item(RecordingInfo(name, SPLIT[name], "trinity", "trinity", "en", group=name), index)
+                for index, name in enumerate(self._takes)]
+
+    def read(self, item: Item) -> Imported:
+        take = self._takes[item.info.name]
+        try:
+            words = read_words(take.text) if take.text is not None else None
+        except InputError as error:
+            raise DroppedError(str(error)) from None
+        return read_take(item.info, take, self._options, unit=CENTIMETRES, fps=FPS, words=words)
+
+    def notes(self) -> Sequence[str]:
+        return self._notes
+
+
+def read_words(path: Path) -> tuple[Word, ...]:
+    """The words of a transcript as Google's recogniser writes it: times are texts like "1.200s".
+
+    Either a list of segments, each with `alternatives` of which the first holds `words`, or a plain list of words.
+    `InputError` names the file, and the place in it that is wrong.
+    """
+    try:
+        told = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (ValueError, RecursionError):
+        raise InputError(path, "is no JSON", "fetch it again") from None
+    if not isinstance(told, list):
+        raise InputError(path, "is no list of words or segments", "fetch it again")
+    words: list[Word] = []
+    for place, entry in enumerate(told):
+        try:
+            said = entry["alternatives"][0].get("words", []) if "alternatives" in entry else [entry]
+            words += [Word(str(word["word"]), _seconds(word["start_time"]), _seconds(word["end_time"]))
+                      for word in said]
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+            raise InputError(path, f"entry {place}: {error} (words have word, start_time and end_time)",
+                             "fetch it again") from None
+    words.sort(key=lambda word: word.start)
+    return tuple(words)
+
+
+def _seconds(time: object) -> float:
+    """1.2 for "1.200s"."""
+    if not isinstance(time, str) or not _TIME.fullmatch(time):
+        raise ValueError(f"{str(time)[:30]!r} is no time")
+    return float(time[:-1])

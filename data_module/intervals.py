@@ -1,0 +1,124 @@
+"""How long it is from one onset of the speech to the next, and from one beat to the next (RG Fig. 5).
+
+The bounds d_min and d_max of a corpus's rhythm are read off this picture: most onsets should lie that far apart.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from data_module.beats import detect_onsets
+from data_module.blocks import BlockSettings, cut
+from data_module.errors import InputError
+from data_module.types import Array, Speech
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STEP = 0.05
+LONGEST = 2.0
+"""Seconds: the width of a bin, and where the last one begins, which holds everything longer."""
+_BAR = 40
+_BINS = round(LONGEST / STEP) + 1
+KINDS = ("onsets", "beats")
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Counts of intervals. onsets, beats: bin i holds [i * STEP, (i + 1) * STEP) seconds, the last all from LONGEST."""
+
+    onsets: tuple[int, ...] = (0,) * _BINS
+    beats: tuple[int, ...] = (0,) * _BINS
+
+    def __add__(self, other: Intervals) -> Intervals:
+        """The counts of both."""
+        return Intervals(tuple(a + b for a, b in zip(self.onsets, other.onsets, strict=True)),
+                         tuple(a + b for a, b in zip(self.beats, other.beats, strict=True)))
+
+    def share(self, low: float, high: float) -> float:
+        """Share of the intervals between onsets that is at least `low` and less than `high` seconds, to whole bins; 0
+        without any.
+        """
+        first, last = round(low / STEP), round(high / STEP)
+        return sum(self.onsets[first:last]) / max(1, sum(self.onsets))
+
+    def as_json(self) -> dict[str, Any]:
+        """For a report; `from_json` is the inverse."""
+        return {"step": STEP, "longest": LONGEST, "onsets": list(self.onsets), "beats": list(self.beats)}
+
+    @classmethod
+    def from_json(cls, told: Mapping[str, Any]) -> Intervals:
+        """The inverse of `as_json`; ValueError when the bins are others."""
+        if told.get("step") != STEP or any(len(told.get(kind, ())) != _BINS for kind in KINDS):
+            raise ValueError("other bins")
+        return cls(tuple(map(int, told["onsets"])), tuple(map(int, told["beats"])))
+
+    def lines(self) -> Iterator[str]:
+        """Bars of text: a line per bin from the first to the last that is not empty, onsets beside beats; and the share
+        of the onsets within the default bounds of a block.
+        """
+        filled = [place for place in range(_BINS) if self.onsets[place] or self.beats[place]]
+        if not filled:
+            return
+        top = max((*self.onsets, *self.beats))
+        half = _BAR // 2
+        yield f"{'seconds':>11s}  {'between onsets':<{half + 8}s}  between beats"
+        for place in range(filled[0], filled[-1] + 1):
+            name = f"{place * STEP:.2f}-{(place + 1) * STEP:.2f}" if place < _BINS - 1 else f"{LONGEST:.2f} and on"
+            onsets, beats = (f"{'#' * round(half * count / top):<{half}s} {count:<7d}"
+                             for count in (self.onsets[place], self.beats[place]))
+            yield f"{name:>11s}  {onsets}  {beats}".rstrip()
+        bounds = BlockSettings().beats
+        share = self.share(bounds.d_min, bounds.d_max)
+        yield f"{share:.0%} of the intervals between onsets lie between {bounds.d_min:g} and {bounds.d_max:g} s"
+
+
+def measure(speech: Speech) -> tuple[int, Intervals]:
+    """How many blocks a speech is cut into with the default settings, and its intervals."""
+    settings = BlockSettings()
+    blocks = cut(speech, settings)
+    onsets = detect_onsets(speech.samples, speech.sample_rate, settings.beats.merge)
+    return len(blocks), Intervals(_counts(np.diff(onsets)), _counts(blocks.durations))
+
+
+def _counts(seconds: Array) -> tuple[int, ...]:
+    # Beats lie on a grid of 10 ms, so many intervals fall on the edge of a bin, give or take a rounding error.
+    places = np.minimum(np.floor(seconds / STEP + 1e-6).astype(int), _BINS - 1)
+    return tuple(np.bincount(places, minlength=_BINS).tolist())
+
+
+def drawn(intervals: Intervals, title: str = "") -> Figure:
+    """The histogram as a picture like RG Fig. 5, with the default bounds; `InputError` without matplotlib."""
+    try:
+        from matplotlib.figure import Figure as NewFigure
+    except ImportError:
+        raise InputError("--histogram", "needs matplotlib, which is not installed",
+                         "pip install 'gesticulator[figures]'") from None
+    beats = BlockSettings().beats
+    figure = NewFigure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    edges = np.arange(_BINS) * STEP
+    for kind, colour in zip(KINDS, ("tab:blue", "tab:orange"), strict=True):
+        counts = np.array(getattr(intervals, kind), dtype=np.float64)
+        axes.bar(edges, counts / max(1.0, counts.sum()), STEP, align="edge", alpha=0.5, color=colour,
+                 label=f"between {kind} ({int(counts.sum())})")
+    for bound, name in ((beats.d_min, "d_min"), (beats.d_max, "d_max")):
+        axes.axvline(bound, color="black", linestyle=":", label=f"{name} {bound:g} s")
+    axes.set(title=title, xlabel=f"seconds (the last bar: {LONGEST:g} and longer)", ylabel="share of the intervals")
+    axes.legend()
+    return figure
+
+
+def draw(path: str | os.PathLike[str], intervals: Intervals, title: str = "") -> None:
+    """Write `drawn` as a PNG."""
+    from data_module.files import write_bytes
+
+    memory = io.BytesIO()
+    drawn(intervals, title).savefig(memory, format="png", dpi=120)
+    write_bytes(path, memory.getvalue())

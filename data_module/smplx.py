@@ -1,0 +1,104 @@
+"""SMPL-X motion files (`.npz`: axis-angle poses, translation, frame rate) as any other motion.
+
+Only rotations and the path of the pelvis are read. The body's own template is under a licence of its own and is not
+here: the offsets below are those of our character in SMPL-X's joints, standing in a T-pose, Y up, facing +Z, the
+character's left to +X, which is also SMPL-X's rest pose.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module import rotation
+from data_module.errors import InputError
+from data_module.types import Motion, Skeleton
+
+# Name, parent, offset in metres: the first 22 of SMPL-X's 55 joints, in its order.
+_BODY = [
+    ("pelvis", None, (0.0, 0.0, 0.0)),
+    ("left_hip", "pelvis", (0.060, -0.090, 0.0)),
+    ("right_hip", "pelvis", (-0.060, -0.090, 0.0)),
+    ("spine1", "pelvis", (0.0, 0.110, -0.025)),
+    ("left_knee", "left_hip", (0.040, -0.380, 0.0)),
+    ("right_knee", "right_hip", (-0.040, -0.380, 0.0)),
+    ("spine2", "spine1", (0.0, 0.130, -0.005)),
+    ("left_ankle", "left_knee", (0.0, -0.400, -0.030)),
+    ("right_ankle", "right_knee", (0.0, -0.400, -0.030)),
+    ("spine3", "spine2", (0.0, 0.060, 0.020)),
+    ("left_foot", "left_ankle", (0.020, -0.060, 0.120)),
+    ("right_foot", "right_ankle", (-0.020, -0.060, 0.120)),
+    ("neck", "spine3", (0.0, 0.170, -0.020)),
+    ("left_collar", "spine3", (0.050, 0.090, -0.010)),
+    ("right_collar", "spine3", (-0.050, 0.090, -0.010)),
+    ("head", "neck", (0.0, 0.080, 0.020)),
+    ("left_shoulder", "left_collar", (0.120, 0.0, 0.0)),
+    ("right_shoulder", "right_collar", (-0.120, 0.0, 0.0)),
+    ("left_elbow", "left_shoulder", (0.280, 0.0, 0.0)),
+    ("right_elbow", "right_shoulder", (-0.280, 0.0, 0.0)),
+    ("left_wrist", "left_elbow", (0.250, 0.0, 0.0)),
+    ("right_wrist", "right_elbow", (-0.250, 0.0, 0.0)),
+]
+_TIPS = {"head": (0.0, 0.170, 0.020), "left_wrist": (0.160, 0.0, 0.0), "right_wrist": (-0.160, 0.0, 0.0)}
+JOINTS = 55
+_PELVIS_BELOW_ORIGIN = 0.35
+"""Metres: `trans` moves the body's origin, which lies about the breastbone, and our root is the pelvis."""
+
+
+def _build() -> Skeleton:
+    names = tuple(name for name, _, _ in _BODY)
+    parents = tuple(-1 if parent is None else names.index(parent) for _, parent, _ in _BODY)
+    tips = {names.index(name): np.array(tip) for name, tip in _TIPS.items()}
+    return Skeleton(names, parents, np.array([offset for _, _, offset in _BODY]), tips)
+
+
+SKELETON: Skeleton = _build()
+
+
+def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Motion:
+    """Read `poses` [T, 165] or [T, 66 or more], `trans` [T, 3] and `mocap_frame_rate` of an SMPL-X `.npz`.
+
+    fps: the frame rate, where the file has none or a wrong one. InputError names the file that is absent, is no .npz,
+    lacks an array, or holds another shape. Nothing in it is unpickled.
+    """
+    arrays = _arrays(path)
+    poses, trans = arrays["poses"], arrays["trans"]
+    frames, joints = len(poses), len(SKELETON)
+    if poses.ndim < 2 or frames == 0 or poses.reshape(frames, -1).shape[1] < joints * 3:
+        raise InputError(path, f"has poses of shape {poses.shape}", f"SMPL-X has [T, {JOINTS * 3}]")
+    if trans.shape != (frames, 3):
+        raise InputError(path, f"has trans of shape {trans.shape} for {frames} poses", "it should be [T, 3]")
+    rate = fps if fps is not None else arrays.get("mocap_frame_rate", arrays.get("mocap_framerate"))
+    if rate is None or np.size(rate) != 1 or not 0 < float(np.ravel(rate)[0]) < 1000:
+        raise InputError(path, "has no usable mocap_frame_rate", "give the frame rate")
+    values = poses.reshape(frames, -1)[:, :joints * 3].astype(np.float64)
+    root = trans.astype(np.float64)
+    if not (np.isfinite(values).all() and np.isfinite(root).all()):
+        raise InputError(path, "has poses that are not numbers", "export it again")
+    turns = rotation.continuous(rotation.from_exponential_map(values.reshape(frames, joints, 3)))
+    return Motion(SKELETON, turns, root - np.array([0.0, _PELVIS_BELOW_ORIGIN, 0.0]), float(np.ravel(rate)[0]))
+
+
+def _arrays(path: str | os.PathLike[str]) -> Mapping[str, NDArray[Any]]:
+    wanted = ("poses", "trans", "mocap_frame_rate", "mocap_framerate")
+    try:
+        with np.load(Path(path), allow_pickle=False) as content:
+            if not isinstance(content, np.lib.npyio.NpzFile):
+                raise InputError(path, "is one array, not an .npz of SMPL-X", "give the .npz")
+            arrays = {name: content[name] for name in wanted if name in content.files}
+    except FileNotFoundError:
+        raise InputError(path, "does not exist", "check the path") from None
+    except (ValueError, EOFError, zipfile.BadZipFile):
+        raise InputError(path, "is not an .npz of plain arrays", "fetch it again") from None
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", "give an .npz") from None
+    for name in ("poses", "trans"):
+        if name not in arrays or arrays[name].dtype.kind not in "fiu":
+            raise InputError(path, f"has no numbers called {name}", "SMPL-X files have poses and trans")
+    return arrays

@@ -1,0 +1,345 @@
+"""The speech encoder: eight convolutions over samples, whose outputs are levels from sound to content (RG 4.1.3).
+
+Two stages train it on speech alone: `PredictiveCoding` tells what comes next from what was heard, and `TextContrast`
+draws the last level to the words and pushes the others away from them (Eq. 1). Published vq-wav2vec weights load too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from data_module.errors import InputError
+
+SHAPES = ((10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1))
+"""Kernel and stride of the eight convolutions; the last four levels have 100 rows a second of 16 kHz sound."""
+LEVELS = len(SHAPES)
+LOW, HIGH = 2, 8
+"""The levels that the paper takes as a_low and a_high."""
+ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {"gelu": F.gelu, "relu": F.relu}
+
+
+@dataclass(frozen=True)
+class EncoderConfig:
+    """Size and training of the speech encoder; the defaults are the paper's where it gives them."""
+
+    width: int = 512
+    """Channels of every convolution, d_a = d_A."""
+    activation: str = "gelu"
+    """"gelu" as in the published vq-wav2vec, or "relu"."""
+    projection: int = 128
+    """Width of the space in which Eq. 1 compares text with audio."""
+    temperature: float = 0.1
+    """tau of Eq. 1."""
+    mask_same_word: bool = False
+    """Leave the other level-8 frames of the anchor's word out of Eq. 1's denominator; the paper has them in."""
+    train_projections: bool = True
+    """Off: F_t and F_a stay as they were drawn, so that only the encoder itself can lower Eq. 1."""
+    prediction_steps: int = 12
+    """How many rows of 10 ms ahead predictive coding looks."""
+    negatives: int = 10
+    """Rows of the same crop that the right one is to be told from."""
+    context_width: int = 128
+    """Width of the recurrent net that sums up what was heard; only predictive coding has it."""
+
+    def __post_init__(self) -> None:
+        if self.activation not in ACTIVATIONS:
+            raise InputError("encoder.activation", f"is {self.activation!r}", f"choose from {', '.join(ACTIVATIONS)}")
+        for name in ("width", "projection", "prediction_steps", "negatives", "context_width"):
+            if getattr(self, name) < 1:
+                raise InputError(f"encoder.{name}", f"is {getattr(self, name)}", "give 1 or more")
+        if not self.temperature > 0:
+            raise InputError("encoder.temperature", f"is {self.temperature}", "give a positive number")
+
+
+def hop_and_reach(level: int) -> tuple[int, int]:
+    """Samples from one row of a level (1 to 8) to the next, and samples that a row is made from."""
+    hop, reach = 1, 1
+    for kernel, stride in SHAPES[:level]:
+        reach += (kernel - 1) * hop
+        hop *= stride
+    return hop, reach
+
+
+class SpeechEncoder(nn.Module):
+    """vq-wav2vec's feature extractor: each convolution is followed by normalisation and activation.
+
+    The normalisation takes its statistics from the whole input, so a level depends on how long the input is: every
+    caller gives it the one window of three blocks, in training as in use.
+    """
+
+    def __init__(self, config: EncoderConfig) -> None:
+        super().__init__()
+        self.config = config
+        widths = (1, *[config.width] * LEVELS)
+        self.convolutions = nn.ModuleList(nn.Conv1d(widths[layer], config.width, kernel, stride, bias=False)
+                                          for layer, (kernel, stride) in enumerate(SHAPES))
+        self.norms = nn.ModuleList(nn.GroupNorm(1, config.width) for _ in SHAPES)
+
+    def forward(self, samples: Tensor) -> list[Tensor]:
+        """Samples [B, T] at 16 kHz to the eight levels, each [B, C, T_l]; the last as log(1 + |x|).
+
+        ValueError when a window is too short for a row of the last level (465 samples).
+        """
+        shortest = hop_and_reach(LEVELS)[1]
+        if samples.ndim != 2 or samples.shape[1] < shortest:
+            raise ValueError(f"samples {tuple(samples.shape)} are not [B, T] with {shortest} or more")
+        activate = ACTIVATIONS[self.config.activation]
+        x = samples.unsqueeze(1)
+        out = []
+        for convolve, norm in zip(self.convolutions, self.norms, strict=True):
+            x = activate(norm(convolve(x)))
+            out.append(x)
+        out[-1] = torch.log1p(out[-1].abs())
+        return out
+
+    def levels(self, samples: Tensor, frames: int, which: Sequence[int] = (LOW, HIGH)) -> tuple[Tensor, ...]:
+        """The levels `which` (1 to 8) of windows [B, T], averaged over each motion frame: [B, frames, C] each."""
+        out = self(samples)
+        pooled = []
+        for level in which:
+            matrix = _pooling(level, samples.shape[1], frames).to(samples.device)
+            pooled.append((out[level - 1] @ matrix).transpose(1, 2))
+        return tuple(pooled)
+
+
+@lru_cache(maxsize=64)
+@torch.inference_mode(False)  # kept for later calls, which may be training
+def _pooling(level: int, samples: int, frames: int) -> Tensor:
+    """[T_l, frames] weights of a mean; a row belongs to the frame in which the middle of what it heard lies."""
+    hop, reach = hop_and_reach(level)
+    middles = hop * torch.arange((samples - reach) // hop + 1, dtype=torch.float64) + (reach - 1) / 2
+    owner = torch.floor(middles * frames / samples).long()
+    weights = F.one_hot(owner, frames).float()
+    # Frames shorter than a row's hop may own none: they take the nearest.
+    for empty in torch.nonzero(weights.sum(0) == 0).flatten().tolist():
+        weights[(middles - (empty + 0.5) * samples / frames).abs().argmin(), empty] = 1.0
+    return weights / weights.sum(0)
+
+
+class PredictiveCoding(nn.Module):
+    """Contrastive predictive coding: from level 8 up to now, tell which row comes 1 to 12 steps later.
+
+    A row is told from `negatives` others of the same crop by its dot product with a linear prediction per step.
+    """
+
+    def __init__(self, encoder: SpeechEncoder, config: EncoderConfig) -> None:
+        super().__init__()
+        self.encoder, self.config = encoder, config
+        self.context = nn.GRU(encoder.config.width, config.context_width, batch_first=True)
+        self.predict = nn.Linear(config.context_width, config.prediction_steps * encoder.config.width)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return {"predictive": 1.0}
+
+    def scores(self, samples: Tensor) -> tuple[Tensor, Tensor]:
+        """[B, T, steps, 1 + negatives] scores of each row as foreseen 1, 2, ... steps before it, the row that did come
+        first; and [T, steps] which of them exist (nothing was heard before the beginning).
+
+        The negatives come from torch's global generator, as dropout would.
+        """
+        rows = self.encoder(samples)[-1].transpose(1, 2)
+        batch, count, width = rows.shape
+        if count < 2:
+            raise ValueError(f"crops of {samples.shape[1]} samples are too short to tell what comes next")
+        heard, _ = self.context(rows)
+        predicted = self.predict(heard).unflatten(-1, (-1, width)) / width ** 0.5
+        time = torch.arange(count, device=rows.device)
+        ahead = torch.arange(self.config.prediction_steps, device=rows.device)
+        since = time[:, None] - 1 - ahead
+        foreseen = predicted[:, since.clamp_min(0), ahead]
+        own = time[None, :, None].expand(batch, -1, 1)
+        others = torch.randint(count - 1, (batch, count, self.config.negatives), device=rows.device)
+        picked = torch.cat([own, others + (others >= own)], dim=-1)
+        candidates = rows[torch.arange(batch, device=rows.device)[:, None, None], picked]
+        return torch.einsum("btsc,btnc->btsn", foreseen, candidates), since >= 0
+
+    def losses(self, batch: Mapping[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """Cross entropy of the right row, the mean over rows and steps. batch: "samples" [B, T], crops of speech."""
+        scores, there = self.scores(batch["samples"])
+        chosen = scores[:, there].flatten(0, 1)
+        return {"predictive": F.cross_entropy(chosen, chosen.new_zeros(len(chosen), dtype=torch.long))}
+
+    @torch.no_grad()
+    def accuracy(self, batch: Mapping[str, Tensor]) -> Tensor:
+        """[steps] share of rows told right; chance is 1 / (1 + negatives)."""
+        scores, there = self.scores(batch["samples"])
+        right = (scores.argmax(-1) == 0) & there
+        return right.float().sum(dim=(0, 1)) / (there.sum(0) * len(scores)).clamp_min(1)
+
+
+class TextContrast(nn.Module):
+    """Eq. 1 and 2: the text of a frame finds level 8 of its frame among all levels of all frames of the block.
+
+    F_t and one F_a per level are linear without bias. Even so they can lower Eq. 1 while the encoder stays as it is:
+    each level has a projection of its own, and one that turns a level's mean away from the text pushes that level
+    away. What the loss did to the encoder is therefore measured by `retrieval` and by probes on frozen levels
+    (`eval.speech_levels`), never by the loss; `train_projections` off closes the way.
+    """
+
+    def __init__(self, encoder: SpeechEncoder, config: EncoderConfig, text_width: int, frames: int) -> None:
+        super().__init__()
+        self.encoder, self.config, self.frames = encoder, config, frames
+        self.text = nn.Linear(text_width, config.projection, bias=False)
+        self.audio = nn.ModuleList(nn.Linear(encoder.config.width, config.projection, bias=False)
+                                   for _ in range(LEVELS))
+        for module in (self.text, self.audio):
+            module.requires_grad_(config.train_projections)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return {"contrast": 1.0}
+
+    def similarities(self, batch: Mapping[str, Tensor]) -> Tensor:
+        """Eq. 2 for each anchor frame, level and frame of the middle block: [B, K, 8, K] cosines."""
+        middle = slice(self.frames, 2 * self.frames)
+        levels = self.encoder.levels(batch["samples"], 3 * self.frames, range(1, LEVELS + 1))
+        audio = torch.stack([project(level[:, middle]) for project, level in zip(self.audio, levels, strict=True)], 1)
+        text = F.normalize(self.text(batch["text"]), dim=-1)
+        return torch.einsum("bkp,blip->bkli", text, F.normalize(audio, dim=-1))
+
+    def losses(self, batch: Mapping[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """Eq. 1, the mean over anchors; a frame without a word is no anchor.
+
+        batch: "samples" [B, 3K * samples per frame], windows of three blocks; "text" [B, K, d_t] word vectors of the
+        middle block; "word" [B, K] which word of the recording sounds, -1 for none.
+        """
+        logits = self.similarities(batch) / self.config.temperature
+        word = batch["word"]
+        frames = word.shape[1]
+        if self.config.mask_same_word:
+            same = (word[:, :, None] == word[:, None]) & ~torch.eye(frames, dtype=torch.bool, device=word.device)
+            last = logits[:, :, -1].masked_fill(same, -torch.inf)
+            logits = torch.cat([logits[:, :, :-1], last[:, :, None]], dim=2)
+        own = torch.arange(frames, device=word.device).expand_as(word)
+        spread = torch.logsumexp(logits.flatten(2), dim=-1)
+        terms = spread - logits[:, :, -1].gather(2, own[..., None])[..., 0]
+        spoken = (word >= 0).to(terms.dtype)
+        return {"contrast": (terms * spoken).sum() / spoken.sum().clamp_min(1.0)}
+
+    @torch.no_grad()
+    def retrieval(self, batch: Mapping[str, Tensor]) -> Tensor:
+        """[8]: how often, within one level, the frame most similar to a text frame carries the same word.
+
+        Anchors are the frames with a word, in blocks that hold another word or a silence too; NaN where there are
+        none. `retrieval_chance` gives what a frame drawn at random reaches.
+        """
+        best = self.similarities(batch).argmax(dim=-1)
+        word, anchors = batch["word"], _contested(batch["word"])
+        found = torch.gather(word[:, :, None].expand(-1, -1, LEVELS), 1, best)
+        return (found == word[..., None])[anchors].float().mean(dim=0)
+
+    @torch.no_grad()
+    def shares(self, batch: Mapping[str, Tensor]) -> Tensor:
+        """[8]: how often the candidate most similar to a text frame, of all levels and frames, is of each level."""
+        best = self.similarities(batch).flatten(2).argmax(dim=-1) // batch["word"].shape[1]
+        return F.one_hot(best[batch["word"] >= 0], LEVELS).float().mean(dim=0)
+
+
+def _contested(word: Tensor) -> Tensor:
+    """[B, K]: frames with a word, in blocks where some other frame has not that word."""
+    return (word >= 0) & (word[:, :, None] != word[:, None]).any(dim=-1)
+
+
+def contrast_bounds(word: Tensor) -> tuple[Tensor, Tensor]:
+    """What Eq. 1 can come down to, unmasked: with frames told apart, and by telling levels apart alone. word [B, K].
+
+    The frames of a word share their text, so of n such frames none can be told from the others: ln n. A model that
+    only turns seven levels away from every text reaches ln K; what is below that is content.
+    """
+    same = (word[:, :, None] == word[:, None]).sum(dim=-1).to(torch.float32)
+    return same[word >= 0].log().mean(), torch.tensor(float(word.shape[1]), device=word.device).log()
+
+
+def retrieval_chance(word: Tensor) -> Tensor:
+    """What `TextContrast.retrieval` gives for frames drawn at random; word [B, K]."""
+    share = (word[:, :, None] == word[:, None]).float().mean(dim=-1)
+    return share[_contested(word)].mean()
+
+
+def load_fairseq(path: str | os.PathLike[str]) -> SpeechEncoder:
+    """The feature extractor of a vq-wav2vec (or wav2vec) checkpoint as fairseq writes it, ready to use (frozen).
+
+    Only tensors and plain settings are read from the file, nothing in it is run. Width comes from the shapes,
+    activation from the settings (gelu where there are none). InputError where the file is not such a checkpoint.
+    """
+    stored = _read_checkpoint(path)
+    weights = {str(key): value for key, value in stored["model"].items() if isinstance(value, Tensor)}
+    settings = _settings_of(stored)
+    first = weights.get("feature_extractor.conv_layers.0.0.weight")
+    if first is None or first.ndim != 3:
+        raise InputError(path, "holds no feature extractor of vq-wav2vec", "give fairseq's vq-wav2vec.pt")
+    if settings.get("skip_connections_feat") or not settings.get("log_compression", True):
+        raise InputError(path, "was trained with other settings than vq-wav2vec (skip connections in the feature "
+                         "extractor, or no log compression)", "give fairseq's vq-wav2vec.pt")
+    activation = str(settings.get("activation", "gelu"))
+    encoder = SpeechEncoder(EncoderConfig(width=len(first), activation=activation))
+    try:
+        encoder.load_state_dict(_renamed(weights, len(first)))
+    except (KeyError, RuntimeError) as error:
+        raise InputError(path, f"has not vq-wav2vec's eight convolutions ({str(error).splitlines()[-1].strip()})",
+                         "give fairseq's vq-wav2vec.pt") from None
+    if not all(bool(torch.isfinite(value).all()) for value in encoder.state_dict().values()):
+        raise InputError(path, "holds weights that are not numbers", "fetch it again")
+    return encoder.eval().requires_grad_(False)
+
+
+def _read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
+    try:
+        # Older files keep their settings as a Namespace, which holds plain values alone.
+        with torch.serialization.safe_globals([argparse.Namespace]):
+            stored = torch.load(path, weights_only=True, map_location="cpu")
+    except FileNotFoundError:
+        raise InputError(path, "is not there", "check the path") from None
+    except pickle.UnpicklingError as error:
+        if "Unsupported" in str(error) or "GLOBAL" in str(error):
+            raise InputError(path, "holds objects besides tensors and plain settings, which are not loaded",
+                             "where you trust it, load it with fairseq and save {'model': checkpoint['model']} alone"
+                             ) from None
+        raise InputError(path, "is not a checkpoint of PyTorch", "give fairseq's vq-wav2vec.pt") from None
+    except (OSError, RuntimeError, EOFError, ValueError, KeyError, IndexError, AttributeError) as error:
+        raise InputError(path, f"cannot be read as a checkpoint of PyTorch ({type(error).__name__})",
+                         "fetch it again") from None
+    if not isinstance(stored, dict) or not isinstance(stored.get("model"), Mapping):
+        raise InputError(path, "is no checkpoint of fairseq: it holds no 'model'", "give fairseq's vq-wav2vec.pt")
+    return stored
+
+
+def _settings_of(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """The model's settings, from "args" (a Namespace) or from "cfg" (plain values) with or without its "model"."""
+    for name in ("args", "cfg"):
+        told = stored.get(name)
+        plain = vars(told) if isinstance(told, argparse.Namespace) else told
+        if isinstance(plain, Mapping):
+            inner = plain.get("model", plain)
+            inner = vars(inner) if isinstance(inner, argparse.Namespace) else inner
+            return dict(inner) if isinstance(inner, Mapping) else {}
+    return {}
+
+
+def _renamed(weights: Mapping[str, Tensor], width: int) -> dict[str, Tensor]:
+    """fairseq's names to ours; KeyError where a convolution lacks. A normalisation without weights scales by 1."""
+    prefix = "feature_extractor.conv_layers"
+    layers = {key.split(".")[2] for key in weights if key.startswith(prefix + ".")}
+    if layers != {str(layer) for layer in range(LEVELS)}:
+        raise KeyError(f"{len(layers)} layers for {LEVELS}")
+    out: dict[str, Tensor] = {}
+    for layer in range(LEVELS):
+        out[f"convolutions.{layer}.weight"] = weights[f"{prefix}.{layer}.0.weight"].float()
+        for name, default in (("weight", torch.ones(width)), ("bias", torch.zeros(width))):
+            # Dropout stands between convolution and normalisation, in some versions not.
+            stored = (weights.get(f"{prefix}.{layer}.{place}.{name}") for place in (2, 1))
+            out[f"norms.{layer}.{name}"] = next((value.float() for value in stored if value is not None), default)
+    return out

@@ -1,0 +1,380 @@
+"""Style editing: features of movements worked out by hand, averages against an oracle, what a command may ask."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter1d
+
+from data_module import bvh, kinematics, rotation, skeletons
+from data_module.controls import (
+    FEATURES,
+    Controls,
+    ControlWarning,
+    Curve,
+    Levels,
+    at_knots,
+    controls_from,
+    measure,
+    parse,
+    per_frame,
+    read_curve,
+)
+from data_module.errors import InputError
+from data_module.skeletons import CHARACTER
+from data_module.types import Array, Blocks, Motion
+
+SHOULDER = np.array([-0.18, 0.49, -0.035])
+"""The right shoulder joint over the hips at rest, added up from the table of the character's bones."""
+ARM = 0.28 + 0.25
+"""Metres from the shoulder to the wrist, the arm straight."""
+LEFT_RADIUS = float(np.hypot(0.18 + ARM, 0.035))
+
+
+def arm(angle: Array, fps: float, heading: Array | None = None) -> Motion:
+    """The straight right arm turns about Z by `angle` [T]: the wrist goes round the shoulder; the left arm is level."""
+    maps = np.zeros((len(angle), len(CHARACTER), 3))
+    maps[:, CHARACTER.index("RightArm"), 2] = angle
+    if heading is not None:
+        maps[:, 0, 1] = heading
+    return Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(angle), 3)), fps)
+
+
+def levels() -> Levels:
+    return Levels(np.array([[-0.1, 0.1, 0.4], [0.2, 0.5, 0.9], [0.2, 0.3, 0.45]]), np.array([0.12, 0.55, 0.31]),
+                  np.array([0.2, 0.3, 0.1]))
+
+
+# -------------------------------------------------------------------------------------------------- measured
+
+@pytest.mark.parametrize("fps", [15.0, 20.0, 60.0])
+@pytest.mark.parametrize("turns_per_second", [0.25, -0.5])
+def test_a_hand_on_a_circle_has_the_features_of_the_circle(fps: float, turns_per_second: float) -> None:
+    angle = 2 * np.pi * turns_per_second * np.arange(round(4 * fps)) / fps
+    got = per_frame(arm(angle, fps))
+    hand = SHOULDER - ARM * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    assert np.allclose(got[:, 0], hand[:, 1], atol=1e-9)
+    chord = 2 * ARM * np.sin(np.pi * abs(turns_per_second) / fps)  # what a straight line between frames makes of it
+    assert np.allclose(got[:, 1], chord * fps / 2, atol=1e-9), "the other hand is still"
+    assert np.isclose(got[0, 1], np.pi * abs(turns_per_second) * ARM, rtol=0.01)
+    assert np.allclose(got[:, 2], (np.hypot(hand[:, 0], hand[:, 2]) + LEFT_RADIUS) / 2, atol=1e-9)
+
+
+def test_hanging_level_and_raised_arms() -> None:
+    still = per_frame(arm(np.array([np.pi / 2, 0.0, -np.pi / 2]), 1e-3))
+    assert np.allclose(still[:, 0], [0.49 - ARM, 0.49, 0.49 + ARM])
+    assert np.allclose(still[[0, 2], 2], (np.hypot(0.18, 0.035) + LEFT_RADIUS) / 2)
+    assert np.isclose(still[1, 2], LEFT_RADIUS)
+
+
+def test_only_the_right_hand_has_a_height_and_both_a_speed() -> None:
+    time = np.arange(120) / 60
+    maps = np.zeros((120, len(CHARACTER), 3))
+    maps[:, CHARACTER.index("LeftArm"), 2] = time
+    left = per_frame(Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((120, 3)), 60.0))
+    right = per_frame(arm(-time, 60.0))
+    assert np.allclose(left[:, 0], 0.49) and np.ptp(right[:, 0]) > 0.4
+    assert np.allclose(left[:, 1:], right[:, 1:], atol=1e-9), "the character is symmetric"
+
+
+def test_a_hand_that_turns_back_every_frame_is_not_still() -> None:
+    angle = 0.1 * (np.arange(40) % 2)
+    assert np.allclose(per_frame(arm(angle, 20.0))[:, 1], 2 * ARM * np.sin(0.05) * 20 / 2)
+
+
+def test_neither_heading_nor_walking_nor_standing_height_matters() -> None:
+    rng = np.random.default_rng(0)
+    angle = np.cumsum(rng.normal(0, 0.05, 90))
+    plain = per_frame(arm(angle, 30.0))
+    turned = arm(angle, 30.0, heading=np.linspace(0, 5, 90))
+    path = np.array([3, 0.95, -2]) + np.cumsum(rng.normal(0, 0.02, (90, 3)), axis=0)
+    walking = Motion(CHARACTER, turned.rotations, path, 30.0)
+    assert np.allclose(per_frame(walking), plain, atol=1e-9)
+
+
+def test_the_frame_rate_hardly_matters() -> None:
+    def at(fps: float) -> Array:
+        time = np.arange(round(8 * fps)) / fps
+        return measure(arm(0.7 * np.sin(2 * np.pi * 0.8 * time), fps), 1.0)[round(2 * fps)]
+
+    assert np.allclose(at(30.0), at(120.0), rtol=0.03, atol=0.003)
+
+
+def test_one_frame_has_a_height_and_no_speed() -> None:
+    got = measure(arm(np.zeros(1), 20.0))
+    assert got.shape == (1, 3) and np.allclose(got[0], [0.49, 0.0, LEFT_RADIUS])
+
+
+@given(st.integers(1, 80), st.sampled_from([10.0, 15.0, 60.0]), st.floats(0, 12), st.integers(0, 2 ** 16))
+def test_the_average_is_that_of_the_frames_in_the_window(frames: int, fps: float, window: float, seed: int) -> None:
+    motion = arm(np.cumsum(np.random.default_rng(seed).normal(0, 0.3, frames)), fps)
+    raw, got = per_frame(motion), measure(motion, window)
+    half = round(window * fps / 2)
+    expected = np.array([raw[max(0, t - half):t + half + 1].mean(axis=0) for t in range(frames)])
+    assert np.allclose(got, expected, atol=1e-9)
+
+
+def test_inside_the_average_is_scipys_and_at_the_ends_it_is_not_padded() -> None:
+    motion = arm(np.cumsum(np.random.default_rng(0).normal(0, 0.2, 600)), 60.0)
+    raw, got = per_frame(motion), measure(motion)
+    assert np.allclose(got[120:-120], uniform_filter1d(raw, 241, axis=0)[120:-120])
+    assert np.allclose(got[0], raw[:121].mean(axis=0)) and np.allclose(got[-1], raw[-121:].mean(axis=0))
+    assert np.allclose(measure(motion, 0.0), raw)
+    assert np.allclose(measure(motion, 100.0), raw.mean(axis=0))
+
+
+@pytest.mark.parametrize("window", [-1.0, float("nan"), float("inf")])
+def test_an_impossible_window_is_refused(window: float) -> None:
+    with pytest.raises(InputError, match="window"):
+        measure(arm(np.zeros(5), 20.0), window)
+
+
+def blocks_of(edges: list[float], frames: int = 4) -> Blocks:
+    n = len(edges) - 1
+    return Blocks(np.array(edges), np.ones(n, np.int8), np.zeros(n, bool), frames, 20.0)
+
+
+def test_knots_are_read_on_the_recordings_own_clock() -> None:
+    blocks = blocks_of([0.0, 0.2, 0.7, 1.0])
+    values = np.outer(np.arange(31) / 30, [1.0, -2.0, 3.0])
+    got = at_knots(values, 30.0, blocks)
+    assert got.shape == (3, 4, 3)
+    assert np.allclose(got[0, :, 0], [0.05, 0.1, 0.15, 0.2]) and np.allclose(got[1, :, 1], [-0.65, -0.9, -1.15, -1.4])
+    assert np.allclose(got[:, -1, 2], [0.6, 2.1, 3.0]), "the last frame of a block lies on its beat"
+    assert np.allclose(at_knots(values[:16], 30.0, blocks)[2, -1], [0.5, -1.0, 1.5]), "held past the end"
+
+
+def test_a_steady_speed_stays_the_same_in_short_and_in_long_blocks() -> None:
+    motion = arm(1.5 * np.arange(121) / 60, 60.0)
+    speeds = at_knots(measure(motion), 60.0, blocks_of([0.0, 0.2, 0.7, 0.95, 1.5, 2.0]))[..., 1]
+    assert np.ptp(speeds) < 1e-9 and np.isclose(speeds[0, 0], 1.5 * ARM / 2, rtol=1e-3)
+
+
+def test_a_real_take_measures_like_a_real_speaker(outside_data: Path) -> None:
+    """Heights and speeds against the joints' own positions, and within what is known of speakers."""
+    folder = outside_data / "takes" / "beat_scott"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", bvh.BvhWarning)
+        motion = skeletons.to_character(bvh.read_bvh(min(folder.glob("*.bvh")), fps=15.0))
+    raw = per_frame(motion)
+    positions = kinematics.positions_of(motion)
+    hands = positions[:, [CHARACTER.index("RightHand"), CHARACTER.index("LeftHand")]]
+    assert np.allclose(raw[:, 0], hands[:, 0, 1] - positions[:, 0, 1], atol=1e-9)
+    assert np.allclose(raw[:, 2], np.linalg.norm((hands - positions[:, :1])[..., [0, 2]], axis=-1).mean(1), atol=1e-9)
+    assert 0.2 < raw[:, 1].mean() < 1.2 and 0.1 < raw[:, 2].mean() < 0.6
+    smooth = measure(motion)
+    assert (smooth.std(axis=0) < raw.std(axis=0)).all()
+    assert np.allclose(smooth.mean(axis=0), raw.mean(axis=0), rtol=0.1, atol=0.02)
+
+
+# ---------------------------------------------------------------------------------------------------- levels
+
+def test_levels_are_the_15_50_and_85_per_cent_quantiles() -> None:
+    steps = np.arange(101.0)
+    fitted = Levels.fit(np.stack([steps / 100, steps * 2, -steps], axis=1)[np.random.default_rng(0).permutation(101)])
+    assert np.allclose(fitted.table, [[0.15, 0.5, 0.85], [30, 100, 170], [-85, -50, -15]])
+    assert np.allclose(fitted.mean, [0.5, 100, -50])
+    assert np.allclose(fitted.spread, np.sqrt((101 ** 2 - 1) / 12) * np.array([0.01, 2, 1]))
+    assert fitted.value("speed", "high") == pytest.approx(170) and fitted.value("height", "low") == pytest.approx(0.15)
+
+
+def test_levels_come_back_from_a_file_of_arrays(tmp_path: Path) -> None:
+    before = Levels.fit(np.random.default_rng(0).normal(size=(50, 3)))
+    np.savez(tmp_path / "levels.npz", **before.to_dict())
+    with np.load(tmp_path / "levels.npz", allow_pickle=False) as arrays:
+        after = Levels.from_dict(arrays)
+    for name in ("table", "mean", "spread"):
+        assert np.array_equal(getattr(before, name), getattr(after, name))
+    with pytest.raises(KeyError):
+        Levels.from_dict({"table": before.table})
+
+
+def test_a_feature_that_never_changes_can_still_be_standardised() -> None:
+    fitted = Levels.fit(np.tile([0.3, 0.0, 1.0], (10, 1)))
+    assert fitted.spread.tolist() == [1, 1, 1] and fitted.table.tolist() == [[0.3] * 3, [0.0] * 3, [1.0] * 3]
+
+
+@pytest.mark.parametrize("values", [np.zeros((0, 3)), np.zeros((5, 2)), np.full((5, 3), np.nan)])
+def test_levels_need_values(values: Array) -> None:
+    with pytest.raises(ValueError):
+        Levels.fit(values)
+
+
+def test_unknown_levels_and_features_are_refused() -> None:
+    for feature, level in (("height", "top"), ("tempo", "low")):
+        with pytest.raises(KeyError):
+            levels().value(feature, level)
+    good = levels()
+    with pytest.raises(ValueError, match="fall"):
+        Levels(good.table[:, ::-1], good.mean, good.spread)
+    with pytest.raises(ValueError, match="positive"):
+        Levels(good.table, good.mean, 0 * good.spread)
+
+
+# -------------------------------------------------------------------------------------------------- controls
+
+def test_free_constant_and_curve() -> None:
+    asked = Controls(height=0.3, radius=Curve((1.0, 3.0), (0.2, 0.6)))
+    values, asked_for = asked.at(np.array([0.0, 1.0, 1.5, 3.0, 9.0]))
+    assert asked_for.tolist() == [True, False, True]
+    assert np.allclose(values[:, 0], 0.3) and (values[:, 1] == 0).all()
+    assert np.allclose(values[:, 2], [0.2, 0.2, 0.3, 0.6, 0.6])
+    nothing, none = Controls.free().at(np.arange(4.0))
+    assert (nothing == 0).all() and not none.any()
+    assert Controls.free() != asked and Controls.free() == Controls(None, None, None)
+    assert Controls(radius=Curve((1.0, 3.0), (0.2, 0.6)), height=0.3) == asked
+    zero, told = Controls(speed=0.0).at(np.zeros(1))
+    assert zero[0, 1] == 0 and told.tolist() == [False, True, False], "zero is asked for, not free"
+
+
+def test_impossible_controls_are_refused() -> None:
+    for times, values in (((), ()), ((0.0, 0.0), (1.0, 1.0)), ((1.0, 0.0), (1.0, 1.0)), ((0.0,), (1.0, 2.0)),
+                          ((0.0,), (float("nan"),))):
+        with pytest.raises(ValueError):
+            Curve(times, values)
+    with pytest.raises(ValueError, match="speed"):
+        Controls(speed=float("inf"))
+
+
+# --------------------------------------------------------------------------------------------------- parsing
+
+@pytest.mark.parametrize(("text", "expected"), [("low", 0.2), ("mid", 0.5), (" HIGH ", 0.9), ("0.35", 0.35),
+                                                ("6e-1", 0.6), ("0", 0.0)])
+def test_levels_and_numbers(text: str, expected: float) -> None:
+    assert parse("--hand-speed", text, "speed", levels()) == pytest.approx(expected)
+
+
+@given(st.floats(-0.4, 0.7))
+def test_a_number_means_itself(value: float) -> None:
+    assert parse("--hand-height", repr(value), "height", levels()) == value
+
+
+@given(st.text(max_size=12))
+def test_any_text_is_understood_or_refused_by_name(text: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ControlWarning)
+        try:
+            got = parse("--hand-radius", text, "radius", levels())
+        except InputError as error:
+            said = str(error)
+        else:
+            said, number = "", got
+    assert "\n" not in said
+    assert said or (isinstance(number, float) and 0 <= number <= 2)
+
+
+@pytest.mark.parametrize("text", ["", "lowest", "nan", "inf", "-inf", "0,4", "0.4 m", "no_such_file.csv", "-0.1", "45",
+                                  "0_4", "\0", "x" * 5000])
+def test_nonsense_names_its_flag(text: str) -> None:
+    with pytest.raises(InputError, match="--hand-radius"):
+        parse("--hand-radius", text, "radius", levels())
+
+
+def test_what_training_never_saw_is_said_and_used() -> None:
+    with pytest.warns(ControlWarning, match=r"--hand-height 1\.1.*far from all that training saw.*high 0\.40"):
+        assert parse("--hand-height", "1.1", "height", levels()) == 1.1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert parse("--hand-height", "0.5", "height", levels()) == 0.5
+
+
+def test_a_far_value_in_a_curve_is_said_once_with_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "wild.csv"
+    file.write_text("0,0.1\n1,-0.9\n2,0.9\n")
+    with pytest.warns(ControlWarning, match=r"wild\.csv: a height of -0\.9 m") as said:
+        parse("--hand-height", str(file), "height", levels())
+    assert len(said) == 1
+
+
+def test_the_warning_is_attributed_to_this_package() -> None:
+    """The command shows warnings of its own packages only."""
+    with pytest.warns(ControlWarning) as said:
+        parse("--hand-height", "1.3", "height", levels())
+    assert Path(said[0].filename).name == "controls.py"
+
+
+def test_every_option_reaches_its_own_feature(tmp_path: Path) -> None:
+    file = tmp_path / "speed.csv"
+    file.write_text("0,0.2\n2,0.6\n")
+    asked = controls_from("low", str(file), "0.25", levels())
+    assert asked == Controls(-0.1, Curve((0.0, 2.0), (0.2, 0.6)), 0.25)
+    assert controls_from(None, None, None, levels()) == Controls.free()
+    for index, name in enumerate(FEATURES):
+        texts: list[str | None] = [None, None, None]
+        texts[index] = "rubbish"
+        with pytest.raises(InputError, match=f"--hand-{name}"):
+            controls_from(texts[0], texts[1], texts[2], levels())
+
+
+SAME = Curve((0.0, 1.5, 4.0), (0.1, 0.25, 0.3))
+
+
+@pytest.mark.parametrize("text", [
+    "0,0.1\n1.5,0.25\n4,0.3\n",
+    "time,value\n0,0.1\n1.5,0.25\n4,0.3",
+    "Time,Radius\r\n0,0.1\r\n1.5,0.25\r\n4,0.3\r\n",
+    "\ufeffradius,speed,time\n0.1,9,0\n0.25,9,1.5\n0.3,,4\n",
+    "time,height,speed,radius\n0,9,8,0.1\n1.5,9,8,0.25\n4,9,8,0.3\n",
+    "# by hand\n\n0 , 0.1\n  \n1.5, 0.25 \n# then\n4,0.3\n",
+    "time;value\n0;0,1\n1,5;0,25\n4;0,3\n",
+    "time\tvalue\n0\t0.1\n1.5\t0.25\n4\t0.3\n",
+    '"time","value"\n"0","0.1"\n"1.5","0.25"\n"4","0.3"\n',
+])
+def test_a_curve_is_read_from_any_usual_csv(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "curve.csv"
+    file.write_bytes(text.encode())
+    assert parse("--hand-radius", str(file), "radius", levels()) == SAME
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    ("", "empty"),
+    ("# nothing\n\n", "empty"),
+    ("time,value\n", "no values"),
+    ("time,value\n0,0.1\n1,abc\n", "line 3: has 'abc' for a number"),
+    ("0,0.1\n\n1,\n", "line 3: has '' for a number"),
+    ("0,0.1\n1,nan\n", "line 2: has 'nan' for a number"),
+    ("0,0.1\ninf,0.2\n", "line 2: has 'inf' for a number"),
+    ("0,0.1\n1,0.2\n1,0.3\n", "line 3: goes back to 1 s"),
+    ("0,0.1\n1\n", "line 2: has 1 columns"),
+    ("0,0.1,0.2\n1,0.1,0.2\n", "line 1: has 3 columns and no header"),
+    ("0.1\n0.2\n", "line 1: has 1 columns and no header"),
+    ("when,what\n0,0.1\n", "line 1: names the columns when, what"),
+    ("time,height\n0,0.1\n", "line 1: names the columns time, height"),
+    ("time,radius,radius\n0,0.1,0.2\n", "twice"),
+    ("0,0.1\n1,45\n", "line 2: 45: is no radius"),
+    ("0,0.1\n1,-0.1\n", r"line 2: -0\.1: is no radius"),
+    ("x,0.1\n1,0.2\n", "line 1: has 'x' for a number"),
+])
+def test_a_bad_csv_names_its_line(tmp_path: Path, text: str, told: str) -> None:
+    file = tmp_path / "bad.csv"
+    file.write_text(text)
+    with pytest.raises(InputError, match=rf"bad\.csv.*{told}"):
+        read_curve(file, "radius")
+
+
+def test_what_is_not_text_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "sound.csv"
+    file.write_bytes(bytes(range(128, 256)) * 4)
+    with pytest.raises(InputError, match=r"sound\.csv: is not text"):
+        parse("--hand-radius", str(file), "radius", levels())
+    with pytest.raises(InputError, match="cannot be read"):
+        parse("--hand-radius", str(tmp_path), "radius", levels())
+    file.write_text("0," + "1" * 200_000)
+    with pytest.raises(InputError, match=r"sound\.csv: is no CSV file"):
+        read_curve(file, "radius")
+
+
+@given(st.lists(st.floats(0, 2), min_size=1, max_size=20), st.sampled_from([",", ";", "\t"]), st.booleans(),
+       st.integers(0, 2 ** 16))
+def test_a_curve_that_was_written_is_the_curve_that_is_read(
+        tmp_path_factory: pytest.TempPathFactory, values: list[float], mark: str, header: bool, seed: int) -> None:
+    times = np.cumsum(np.random.default_rng(seed).uniform(0.01, 3, len(values))).tolist()
+    lines = [f"time{mark}value"] * header + [f"{t!r}{mark}{v!r}" for t, v in zip(times, values, strict=True)]
+    file = tmp_path_factory.getbasetemp() / "round.csv"
+    file.write_text("\n".join(lines))
+    assert read_curve(file, "radius") == Curve(tuple(times), tuple(values))

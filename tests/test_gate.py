@@ -1,0 +1,177 @@
+"""The activity gate learns when to gesture, streams as it trains, and opens as `activity` asks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from interpreters import BlockFeatures
+from interpreters.gate import ActivityGate, GateConfig, Latch, follow, opened
+
+FRAMES, AUDIO, SPEAKERS, BLOCKS = 4, 3, 2, 9
+
+share = st.floats(0, 1)
+
+
+def gate(**changes: object) -> ActivityGate:
+    torch.manual_seed(0)
+    config = GateConfig(**{"audio_features": 8, "width": 16, "dropout": 0.0, **changes})  # type: ignore[arg-type]
+    return ActivityGate(config, FRAMES, AUDIO, SPEAKERS)
+
+
+def spoken(count: int, seed: int, habit: bool = False) -> dict[str, Tensor]:
+    """Windows whose blocks are loud or soft at random; a gesture goes with the loud ones, or, where `habit` is set,
+    the second performer gestures on the soft ones instead."""
+    rng = np.random.default_rng(seed)
+    loud = rng.random((count, BLOCKS + 2)) < 0.4
+    speaker = rng.integers(SPEAKERS, size=count)
+    level = np.repeat(loud.astype(np.float32), FRAMES, axis=1)
+    level = level.reshape(count, BLOCKS + 2, FRAMES)
+    windows = np.concatenate([level[:, :-2], level[:, 1:-1], level[:, 2:]], axis=2)[..., None]
+    audio = windows + 0.3 * rng.standard_normal((*windows.shape[:-1], AUDIO))
+    active = loud[:, 1:-1] ^ (habit & (speaker == 1))[:, None]
+    return {"audio_low": torch.as_tensor(audio, dtype=torch.float32), "active": torch.as_tensor(active).float(),
+            "speaker": torch.nn.functional.one_hot(torch.as_tensor(speaker), SPEAKERS).float(),
+            "valid": torch.ones(count, BLOCKS)}
+
+
+def taught(model: ActivityGate, habit: bool, steps: int = 120) -> float:
+    """Train on the toy; the share of right decisions on other windows."""
+    optimiser = torch.optim.Adam(model.parameters(), 1e-2)
+    for step in range(steps):
+        losses = model.losses(spoken(32, 100 + step, habit), step / steps)
+        loss = torch.stack([model.weights[key] * term for key, term in losses.items()]).sum()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    model.eval()
+    fresh = spoken(200, 1, habit)
+    with torch.no_grad():
+        says = model.logits(fresh["audio_low"], fresh["speaker"])[0] > 0
+    return float((says == (fresh["active"] > 0.5)).float().mean())
+
+
+def test_learns_which_block_of_the_window_is_its_own() -> None:
+    assert taught(gate(), habit=False) > 0.97
+
+
+def test_speaker_is_heard_where_wanted() -> None:
+    assert taught(gate(), habit=True) > 0.97
+    assert taught(gate(use_speaker=False), habit=True) < 0.65  # the two performers contradict each other
+
+
+def test_streams_as_it_trains() -> None:
+    model = gate(layers=2, dropout=0.3).eval()
+    batch = spoken(1, 5)
+    whole = torch.sigmoid(model.logits(batch["audio_low"], batch["speaker"])[0][0]).tolist()
+    state = model.start(int(batch["speaker"][0].argmax()))
+    streamed = []
+    for window in batch["audio_low"][0]:
+        probability, state = model.step(state, BlockFeatures(window, window * math.nan))  # the high level is not heard
+        streamed.append(probability)
+    np.testing.assert_allclose(streamed, whole, atol=1e-6)
+
+
+def test_step_leaves_its_state_alone_and_carries_the_past() -> None:
+    model = gate().eval()
+    loud, soft = (BlockFeatures(w, w) for w in (torch.ones(3 * FRAMES, AUDIO), torch.zeros(3 * FRAMES, AUDIO)))
+    start = model.start(0)
+    first, after = model.step(start, loud)
+    assert model.step(start, loud)[0] == first
+    assert model.step(after, soft)[0] != model.step(start, soft)[0]
+
+
+def test_loss_is_the_cross_entropy_by_hand_and_ignores_padding() -> None:
+    model = gate()
+    batch = spoken(3, 6)
+    batch["valid"][0, 4:] = 0
+    batch["valid"][2, 0] = 0
+    odds = model.logits(batch["audio_low"], batch["speaker"])[0].detach().double().numpy()
+    truth, valid = batch["active"].numpy(), batch["valid"].numpy()
+    probability = 1 / (1 + np.exp(-odds))
+    each = -np.log(np.where(truth > 0.5, probability, 1 - probability))
+    expected = sum(each[b, i] for b, i in itertools.product(range(3), range(BLOCKS)) if valid[b, i]) / valid.sum()
+    assert float(model.losses(batch)["activity"].detach()) == pytest.approx(expected, rel=1e-5)
+    spoilt = {**batch, "active": torch.where(batch["valid"] > 0, batch["active"], 1 - batch["active"])}
+    spoilt["audio_low"] = batch["audio_low"].clone()
+    spoilt["audio_low"][0, 4:] = 50.0  # the padding at the end of a window comes after all that counts
+    assert float(model.losses(spoilt)["activity"].detach()) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_window_of_padding_alone_costs_nothing() -> None:
+    batch = spoken(2, 7)
+    losses = gate().losses({**batch, "valid": torch.zeros(2, BLOCKS)})
+    assert float(losses["activity"].detach()) == 0.0
+
+
+def test_weights_are_keyed_like_losses() -> None:
+    model = gate()
+    assert model.weights.keys() == model.losses(spoken(2, 0)).keys()
+
+
+@given(share)
+def test_ends_of_activity(probability: float) -> None:
+    assert not opened(probability, 0.0)
+    assert opened(probability, 1.0)
+
+
+@given(share, share, share, share)
+def test_opening_is_monotone(p: float, more: float, activity: float, livelier: float) -> None:
+    p, more = sorted((p, more))
+    activity, livelier = sorted((activity, livelier))
+    assert opened(more, livelier) >= opened(p, activity)
+
+
+@pytest.mark.parametrize(("probability", "activity", "open_"), [
+    (0.5, 0.5, True), (0.49, 0.5, False), (0.26, 0.75, True), (0.24, 0.75, False), (0.8, 0.25, True), (1.0, 0.0, False),
+])
+def test_where_it_opens(probability: float, activity: float, open_: bool) -> None:
+    assert opened(probability, activity) is open_
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 1.1, math.nan])
+def test_refuses_what_is_no_share(wrong: float) -> None:
+    with pytest.raises(ValueError):
+        opened(0.5, wrong)
+    with pytest.raises(ValueError):
+        opened(wrong, 0.5)
+
+
+def run(probabilities: list[float], activity: float, hold: int) -> list[bool]:
+    latch, out = Latch(), []
+    for probability in probabilities:
+        latch = follow(latch, probability, activity, hold)
+        out.append(latch.open)
+    return out
+
+
+@given(st.lists(share, max_size=30), share)
+def test_hold_of_one_block_is_the_bare_gate(probabilities: list[float], activity: float) -> None:
+    assert run(probabilities, activity, 1) == [opened(p, activity) for p in probabilities]
+
+
+@given(st.lists(share, min_size=1, max_size=40), st.floats(0.01, 0.99), st.integers(1, 5))
+def test_it_stands_for_as_long_as_it_must(probabilities: list[float], activity: float, hold: int) -> None:
+    lengths = [len(list(group)) for _, group in itertools.groupby(run(probabilities, activity, hold))]
+    assert all(length >= hold for length in lengths[1:-1])
+    assert run(probabilities, activity, hold)[0] == opened(probabilities[0], activity)  # the first block is free
+
+
+@given(st.lists(share, max_size=20), st.integers(1, 5))
+def test_orders_turn_it_at_once(probabilities: list[float], hold: int) -> None:
+    assert run(probabilities, 0.0, hold) == [False] * len(probabilities)
+    assert run(probabilities, 1.0, hold) == [True] * len(probabilities)
+
+
+def test_a_held_gate_by_hand() -> None:
+    says = [0.9, 0.1, 0.9, 0.1, 0.1, 0.1, 0.9]
+    assert run(says, 0.5, 2) == [True, True, True, False, False, False, True]
+    with pytest.raises(ValueError):
+        follow(Latch(), 0.5, 0.5, 0)

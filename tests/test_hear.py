@@ -1,0 +1,150 @@
+"""What the models hear: sound and words on the right blocks, the same in training and in use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_module.audio import SAMPLE_RATE
+from data_module.blocks import stretch_speech, windows_of
+from data_module.features import reference_level
+from data_module.store import Store
+from data_module.types import Speech, Word
+from data_module.word_vectors import WordEncoder
+from gesticulator import bundle as bundles
+from gesticulator import config as configs
+from gesticulator import hear as hearing
+from gesticulator.hear import encode, front_end_for, hear, tempo_column, three_blocks, word_table
+from gesticulator.prepare import Corpus, prepare
+
+WORDS = (Word("one", 0.5, 1.0), Word("two", 1.1, 1.5), Word("", 1.5, 2.2), Word("three", 2.2, 2.9))
+
+
+class Numbers:
+    """A word encoder that says which word it was: the vector of word w is (w + 1, 10)."""
+
+    width = 2
+
+    def encode(self, words: tuple[Word, ...]) -> np.ndarray:
+        return np.array([[number + 1.0, 10.0] if word.text else [0.0, 0.0] for number, word in enumerate(words)],
+                        np.float32)
+
+
+def babble(seconds: float, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * SAMPLE_RATE)) / SAMPLE_RATE
+    voice = np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
+    return (0.2 * voice + 0.001 * rng.normal(size=len(t))).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def prepared(tiny_store: Path, tiny_bundle: Path) -> tuple[bundles.Bundle, Store, Corpus]:
+    bundle, store = bundles.load(tiny_bundle), Store.open(tiny_store)
+    work = tiny_bundle.with_name(tiny_bundle.name + ".work")
+    return bundle, store, prepare(store, bundle.config, work, bundle.encoder, progress=False)
+
+
+def test_three_blocks_by_hand() -> None:
+    assert three_blocks(np.arange(6).reshape(3, 2), np.array(9)).tolist() == [
+        [9, 9, 0, 1, 2, 3], [0, 1, 2, 3, 4, 5], [2, 3, 4, 5, 9, 9]]
+    assert three_blocks(np.array([[7]]), np.zeros(())).tolist() == [[0, 7, 0]], "one block has no neighbours"
+    vectors = three_blocks(np.arange(4.0).reshape(2, 1, 2), np.array([8.0, 9.0]))
+    assert vectors.tolist() == [[[8, 9], [0, 1], [2, 3]], [[0, 1], [2, 3], [8, 9]]]
+
+
+def test_the_empty_word_is_zeros_and_a_flag() -> None:
+    table = word_table(np.array([[1.0, 2.0], [3.0, 4.0]]), 2)
+    assert table.tolist() == [[0, 0, 1], [1, 2, 0], [3, 4, 0]]
+    assert word_table(np.zeros((0, 2)), 2).tolist() == [[0, 0, 1]], "no words: there is still silence"
+
+
+def test_the_tempo_column_is_the_logarithm_of_each_blocks_own_duration() -> None:
+    column = tempo_column(np.array([0.5, 0.25]), 0.5, 2)[..., 0]
+    half = np.log(0.5)
+    np.testing.assert_allclose(column, [[0, 0, 0, 0, half, half], [0, 0, half, half, half, half]], atol=1e-7)
+
+
+def test_words_sit_on_the_frames_at_which_they_sound() -> None:
+    config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
+    speech = Speech(babble(3.3), SAMPLE_RATE, WORDS)
+    heard = hear(speech, config, words=Numbers())  # type: ignore[arg-type]
+    blocks, frames = heard.blocks, config.rhythm.frames
+    assert heard.text is not None and heard.text.shape == (len(blocks), 3 * frames, 3)
+    # One and two are 0.1 s apart, which is bridged; after two there is a silence that the transcript names.
+    spoken = {1: (0.5, 1.05), 2: (1.05, 1.5), 4: (2.2, 2.9)}
+    rows = np.zeros((len(blocks) + 2, frames, 3))
+    rows[..., 2] = 1.0  # before the first block and after the last nobody speaks
+    seen = set()
+    for block, (start, end) in enumerate(zip(blocks.edges[:-1], blocks.edges[1:], strict=True)):
+        for frame in range(frames):
+            time = start + (end - start) * (frame + 1) / frames
+            for number, (first, last) in spoken.items():
+                if first < time <= last:
+                    rows[block + 1, frame] = [number, 10.0, 0.0]
+                    seen.add(number)
+    assert seen == {1, 2, 4} and (rows[1:-1, :, 2] == 1).any(), "words and silence"
+    expected = np.concatenate([rows[:-2], rows[1:-1], rows[2:]], axis=1)
+    np.testing.assert_array_equal(heard.text, expected)
+
+
+def test_without_words_or_without_an_encoder_there_is_no_text() -> None:
+    config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
+    assert hear(Speech(babble(1.0), SAMPLE_RATE, WORDS[:1]), config).text is None
+    assert hear(Speech(babble(1.0), SAMPLE_RATE), config, words=Numbers()).text is None  # type: ignore[arg-type]
+
+
+def test_a_long_recording_heard_in_pieces_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
+    speech = Speech(babble(9.0), SAMPLE_RATE)
+    whole = hear(speech, config)
+    for size in (1, 4, len(whole.blocks) - 1):
+        monkeypatch.setattr(hearing, "_CHUNK", size)
+        np.testing.assert_allclose(hear(speech, config).low, whole.low, atol=1e-4)
+    # And both are what the front end makes of all windows at once.
+    stretched = stretch_speech(speech, whole.blocks)
+    reference = reference_level(speech.samples, SAMPLE_RATE, whole.blocks.edges)
+    levels = front_end_for(config).encode(windows_of(stretched), reference)
+    np.testing.assert_allclose(whole.low[..., :-1], levels.low, atol=1e-4)
+    monkeypatch.undo()
+    np.testing.assert_allclose(encode(stretched, reference, whole.blocks.durations, config, front_end_for(config))[0],
+                               whole.low, atol=1e-6)
+
+
+def test_in_use_a_bundle_hears_what_it_was_trained_on(prepared: tuple[bundles.Bundle, Store, Corpus]) -> None:
+    bundle, store, corpus = prepared
+    front = front_end_for(bundle.config, bundle.encoder)
+    words = WordEncoder.open(bundle.config.text.encoder)
+    for recording in (0, 7):
+        speech = store.load(corpus.names[recording]).speech
+        heard = hear(speech, bundle.config, front, words)
+        own = corpus.blocks_of(recording)
+        np.testing.assert_array_equal(heard.blocks.silent, corpus.silent[own])
+        for level, cached, normaliser in ((heard.low, corpus.low, bundle.statistics.low),
+                                          (heard.high, corpus.high, bundle.statistics.high)):
+            error = np.abs(normaliser.apply(level) - cached[own].float().numpy())
+            # The sound and the features are kept in half precision, which counts most where the voice is faint.
+            assert error.mean() < 0.01 and np.quantile(error, 0.999) < 0.1
+            shifted = np.abs(normaliser.apply(level)[1:] - cached[own].float().numpy()[:-1])
+            assert shifted.mean() > 20 * error.mean(), "the next block's are others"
+        assert heard.text is not None
+        np.testing.assert_array_equal(heard.text.astype(np.float16).astype(np.float32), corpus.text(own).numpy())
+
+
+def test_every_recording_reads_its_own_words(prepared: tuple[bundles.Bundle, Store, Corpus]) -> None:
+    bundle, store, corpus = prepared
+    assert corpus.words is not None and corpus.word_at is not None and corpus.has_text.all()
+    counts = [len(store.load(name).speech.words or ()) for name in corpus.names]
+    assert len(corpus.words) == 1 + sum(counts)
+    begin = 1
+    for recording, count in enumerate(counts):
+        rows = corpus.word_at[torch.as_tensor(corpus.blocks_of(recording))]
+        used = rows[rows > 0]
+        assert begin <= int(used.min()) and int(used.max()) < begin + count
+        assert (rows[0, :bundle.config.rhythm.frames] == 0).all() and (rows[-1, -bundle.config.rhythm.frames:] == 0
+                                                                       ).all()
+        begin += count
+    flags = corpus.text(np.arange(len(corpus.silent)))[..., -1]
+    assert torch.equal(flags == 1, corpus.word_at == 0), "the flag of the empty word, and only there"

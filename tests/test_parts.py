@@ -1,0 +1,123 @@
+"""What a part bought: known interpreters have known figures, and differences are those of the pairs."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from data_module.store import Store
+from eval import parts
+from gesticulator import bundle as bundles
+from gesticulator.config import with_settings
+from gesticulator.prepare import Corpus
+
+FRAMES, SIZE = 2, 4
+
+
+def corpus(lengths: tuple[int, ...], labels: np.ndarray) -> Corpus:
+    """Recordings of these lengths, whose words say their lexemes: word w + 1 stands for lexeme w."""
+    count = sum(lengths)
+    word_at = np.repeat(labels[:, None] + 1, 3 * FRAMES, axis=1).astype(np.int32)
+    empty = torch.zeros(count, 3 * FRAMES, 1)
+    return Corpus(
+        names=tuple(f"r{i}" for i in range(len(lengths))), splits=("test",) * len(lengths),
+        speaker_of=np.zeros(len(lengths), dtype=np.int64), motion=torch.zeros(count, FRAMES, 3), low=empty, high=empty,
+        silent=np.zeros(count, bool), durations=np.ones(count), recording=np.repeat(np.arange(len(lengths)), lengths),
+        first=torch.zeros(len(lengths), 3), mask=torch.ones(len(lengths), 3),
+        control=np.zeros((count, FRAMES, 3), np.float32), statistics=None,  # type: ignore[arg-type]
+        has_text=np.ones(len(lengths), bool), word_at=torch.as_tensor(word_at),
+        words=torch.cat([torch.zeros(1, SIZE), torch.eye(SIZE)]).half())
+
+
+class ByTable:
+    """Scores by the lexeme before: log of a table [S, S]."""
+
+    encode_text = None
+    speakers = 1
+
+    def __init__(self, table: np.ndarray) -> None:
+        self.table = torch.as_tensor(table).float().log()
+
+    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: None = None, text: Tensor | None = None
+               ) -> tuple[Tensor, None]:
+        assert text is None and audio.shape[:2] == previous.shape
+        return self.table[previous], None
+
+
+class ByWord(ByTable):
+    """Scores by the word that sounds on the middle block: ten times surer than chance."""
+
+    encode_text = nn.Identity()  # type: ignore[assignment]
+
+    def __init__(self) -> None:
+        super().__init__(np.ones((1, 1)))
+
+    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: None = None, text: Tensor | None = None
+               ) -> tuple[Tensor, None]:
+        assert text is not None and text.shape[:2] == previous.shape
+        return 10.0 * text[:, :, FRAMES], None
+
+
+def test_accuracy_and_surprise_of_a_table_by_hand() -> None:
+    labels = np.array([0, 1, 2, 0, 3, 3, 1])
+    own = corpus((4, 3), labels)
+    table = np.array([[0.1, 0.7, 0.1, 0.1], [0.2, 0.2, 0.4, 0.2], [0.25, 0.3, 0.2, 0.25], [0.1, 0.1, 0.1, 0.7]])
+    got = parts.teacher_forced(ByTable(table), own, labels, [0, 1])  # type: ignore[arg-type]
+    # 0 to 1 and 1 to 2 are the likeliest, 2 to 0 is not; 3 to 3 is, 3 to 1 is not. The first block is given.
+    np.testing.assert_allclose(got["accuracy"], [200 / 3, 50.0])
+    by_hand = [-(math.log(0.7) + math.log(0.4) + math.log(0.25)) / 3, -(math.log(0.7) + math.log(0.1)) / 2]
+    np.testing.assert_allclose(got["surprise"], by_hand, rtol=1e-6)
+
+
+def test_right_words_tell_and_wrong_words_mislead() -> None:
+    labels = np.array([0, 1, 2, 3, 0, 1, 1, 2, 3])
+    own = corpus((5, 4), labels)  # the second, one block behind, is shorter: its words begin anew
+    right = parts.teacher_forced(ByWord(), own, labels, [0, 1])
+    wrong = parts.teacher_forced(ByWord(), own, labels, [0, 1], [1, 0])
+    assert right["accuracy"].tolist() == [100.0, 100.0]
+    # Recording 0 wants 1 2 3 0 and reads 1 2 3 1; recording 1 wants 1 2 3 and reads 1 2 3.
+    assert wrong["accuracy"].tolist() == [75.0, 100.0]
+    sure = math.log(math.exp(10) + 3) - 10
+    np.testing.assert_allclose(right["surprise"], sure, rtol=1e-3)
+    np.testing.assert_allclose(wrong["surprise"][0], (3 * sure + sure + 10) / 4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("recordings", [[3, 4], [5, 1, 2], list(range(9))])
+def test_nobody_reads_their_own_words(recordings: list[int]) -> None:
+    others = parts.another(None, recordings)  # type: ignore[arg-type]
+    assert sorted(others) == sorted(recordings)
+    assert all(other != own for own, other in zip(recordings, others, strict=True))
+
+
+def test_differences_are_paired() -> None:
+    rows = {"a": {"accuracy": np.array([10.0, 20.0, 60.0]), "surprise": np.array([1.0, 2.0, 3.0])},
+            "b": {"accuracy": np.array([0.0, 15.0, 30.0]), "surprise": np.array([1.5, 2.5, 3.5])}}
+    result = parts.table(rows, [("a", "b")], [1, 1, 2])
+    assert result["rows"]["a"]["accuracy"]["mean"] == pytest.approx((10 + 20 + 2 * 60) / 4)
+    difference = result["differences"]["a - b"]
+    assert difference["accuracy"]["mean"] == pytest.approx((10 + 5 + 2 * 30) / 4)
+    # The rows differ widely between recordings, but by the same in each: nothing is left to doubt.
+    assert [difference["surprise"][key] for key in ("low", "mean", "high")] == pytest.approx([-0.5] * 3)
+    assert result["rows"]["a"]["surprise"]["low"] < result["rows"]["a"]["surprise"]["high"]
+    text = parts.markdown({"text": result})
+    assert "| a - b | 18.8 [" in text and "| -0.500 [-0.500, -0.500] |" in text
+
+
+def test_the_tables_of_a_trained_bundle(tiny_store: Path, tiny_bundle: Path) -> None:
+    bundle = bundles.load(tiny_bundle)
+    bundle = dataclasses.replace(bundle, config=with_settings(bundle.config, ["schedules.interpreter.steps=5"]))
+    work = tiny_bundle.with_name(tiny_bundle.name + ".work")
+    result = parts.parts(Store.open(tiny_store), bundle, work, progress=False)
+    assert set(result["text"]["rows"]) == {"text", "wrong text", "audio only"}
+    assert set(result["speech levels"]["rows"]) == {"vqwav2vec", "mel"}
+    # All test recordings have words here, so the audio-only row is the same row in both tables.
+    assert result["text"]["rows"]["audio only"] == result["speech levels"]["rows"]["vqwav2vec"]
+    assert result["text"]["rows"]["text"]["surprise"] != result["text"]["rows"]["wrong text"]["surprise"]
+    assert result["speech levels"]["rows"]["mel"] != result["speech levels"]["rows"]["vqwav2vec"]
+    assert all(row["accuracy"]["clips"] == 2 for row in result["text"]["rows"].values())

@@ -1,0 +1,242 @@
+"""From speech to a performance in Python: which path is taken, and what each option does to the blocks."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from untrained import PLAIN, SILENT, untrained
+
+from data_module.controls import Controls, Curve
+from data_module.errors import InputError
+from data_module.types import Speech, Word
+from gesticulator.bundle import Bundle
+from gesticulator.config import with_settings
+from gesticulator.performance import Performance
+from gesticulator.pipeline import Gesticulator
+
+RATE = 16000
+WORDS = (Word("heavy", 0.2, 0.6), Word("bread", 0.6, 1.1), Word("rises", 3.3, 3.8), Word("slowly", 3.8, 4.4))
+
+
+@pytest.fixture(scope="module")
+def system() -> Gesticulator:
+    """A bundle that was never trained, with every part."""
+    return Gesticulator(untrained())
+
+
+@pytest.fixture(scope="module")
+def plain() -> Gesticulator:
+    """One that knows nothing of text, gate and style editing."""
+    return Gesticulator(untrained(*PLAIN))
+
+
+def sound(seconds: float = 4.6) -> np.ndarray:
+    """Voice with a pause from 1.2 to 3.2 s."""
+    rng = np.random.default_rng(0)
+    t = np.arange(round(seconds * RATE)) / RATE
+    voice = np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
+    voice[(t > 1.2) & (t < 3.2)] = 0
+    return (0.2 * voice + 0.001 * rng.normal(size=len(t))).astype(np.float32)
+
+
+SPEECH = Speech(sound(), RATE)
+
+
+def same(one: Performance, two: Performance) -> bool:
+    return (np.array_equal(one.motion.rotations, two.motion.rotations) and np.array_equal(one.scores, two.scores)
+            and np.array_equal(one.lexemes, two.lexemes))
+
+
+def without(bundle: Bundle, *parts: str) -> Bundle:
+    return dataclasses.replace(bundle, **dict.fromkeys(parts))
+
+
+def test_without_words_the_ear_alone_decides(system: Gesticulator) -> None:
+    bundle = system.bundle
+    assert system.interpreter("lstm") is bundle.interpreter
+    assert system.interpreter("lstm", text=True) is bundle.interpreter_text
+    heard = system(SPEECH)
+    deaf_to_text = Gesticulator(without(bundle, "interpreter_text", "style_text", "text"))
+    assert same(heard, deaf_to_text(SPEECH)), "the same as a bundle that cannot read"
+    assert same(deaf_to_text(dataclasses.replace(SPEECH, words=WORDS)), heard), "and such a bundle reads no words"
+    read = system(dataclasses.replace(SPEECH, words=WORDS))
+    assert not np.array_equal(read.scores, heard.scores) and not np.array_equal(read.codes, heard.codes)
+    half_deaf = Gesticulator(without(bundle, "style_text"))(dataclasses.replace(SPEECH, words=WORDS))
+    assert np.array_equal(read.scores[0], half_deaf.scores[0]) and not np.array_equal(read.codes[0], half_deaf.codes[0])
+    assert heard.notes == () and read.notes == ()
+
+
+def test_the_words_themselves_matter_and_when_they_are_said(system: Gesticulator) -> None:
+    def scores(words: tuple[Word, ...]) -> np.ndarray:
+        return system(dataclasses.replace(SPEECH, words=words)).scores
+
+    other = tuple(dataclasses.replace(word, text="thunder") for word in WORDS)
+    later = tuple(dataclasses.replace(word, start=word.start + 0.1, end=word.end + 0.1) for word in WORDS)
+    assert not np.array_equal(scores(WORDS), scores(other)) and not np.array_equal(scores(WORDS), scores(later))
+
+
+def transcripts(folder: Path) -> dict[str, Path]:
+    """The same words in every format; the plain text is one that no English aligner can follow."""
+    def stamp(seconds: float, mark: str) -> str:
+        return f"00:00:{int(seconds):02d}{mark}{round(seconds % 1 * 1000):03d}"
+
+    intervals = "".join(f"{w.start}\n{w.end}\n\"{w.text}\"\n" for w in WORDS)
+    texts = {
+        "words.json": json.dumps([{"word": w.text, "start": w.start, "end": w.end} for w in WORDS]),
+        "words.TextGrid": f'File type = "ooTextFile"\nObject class = "TextGrid"\n\n0\n4.6\n<exists>\n1\n'
+                          f'"IntervalTier"\n"words"\n0\n4.6\n{len(WORDS)}\n{intervals}',
+        "words.srt": "".join(f"{i}\n{stamp(w.start, ',')} --> {stamp(w.end, ',')}\n{w.text}\n\n"
+                             for i, w in enumerate(WORDS, 1)),
+        "words.vtt": "WEBVTT\n\n" + "".join(f"{stamp(w.start, '.')} --> {stamp(w.end, '.')}\n{w.text}\n\n"
+                                            for w in WORDS),
+        "words.txt": "тяжёлый хлеб медленно поднимается",
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return {name.partition(".")[2]: folder / name for name in texts}
+
+
+def test_a_transcript_is_read_like_words_that_the_speech_carries(system: Gesticulator, tmp_path: Path) -> None:
+    files = transcripts(tmp_path)
+    carried = system(dataclasses.replace(SPEECH, words=WORDS))
+    for kind in ("json", "TextGrid"):
+        made = system(SPEECH, text=files[kind])
+        assert same(made, carried), kind
+        assert len(made.notes) == 1 and "4 words, times given" in made.notes[0]
+        assert made.speech.words is not None and [w.text for w in made.speech.words if w.text] == [
+            w.text for w in WORDS]
+    heard = system(SPEECH)
+    for kind in ("srt", "vtt", "txt"):
+        made = system(SPEECH, text=str(files[kind]))
+        assert not np.array_equal(made.scores, heard.scores), kind
+        assert "4 words" in made.notes[0]
+    assert "guessed" in made.notes[0], "the plain text has no times"
+
+
+def test_a_bundle_that_cannot_read_refuses_a_transcript_and_takes_spoken_words_in_its_stride(
+        plain: Gesticulator, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--text"):
+        plain(SPEECH, text=transcripts(tmp_path)["json"])
+    assert same(plain(SPEECH), plain(dataclasses.replace(SPEECH, words=WORDS)))
+
+
+def test_another_word_encoder_than_the_one_of_training_is_refused(system: Gesticulator) -> None:
+    assert system.bundle.text is not None
+    other = dataclasses.replace(system.bundle, text=dataclasses.replace(system.bundle.text, width=301))
+    with pytest.raises(InputError, match="minilm"):
+        Gesticulator(other)(dataclasses.replace(SPEECH, words=WORDS))
+
+
+def test_activity_is_the_gates_threshold_and_the_gate_hears_no_lexemes(system: Gesticulator) -> None:
+    always = system(SPEECH)
+    assert always.gate is not None and np.isnan(always.gate).all(), "nobody asked it"
+    first = system(SPEECH, activity=0.4)
+    assert first.gate is not None and ((first.gate >= 0) & (first.gate <= 1)).all()
+    middle = float(np.median(first.gate))
+    second = system(SPEECH, activity=1 - middle, temperature=2.0, seed=3)
+    np.testing.assert_array_equal(first.gate, second.gate)
+    closed = first.gate < middle
+    assert closed.any() and not closed.all()
+    assert set(second.lexemes[closed].tolist()) <= set(SILENT)
+    # The open blocks choose freely: drawn hot from all twelve, some are not silent.
+    assert not set(second.lexemes[~closed & ~second.blocks.silent].tolist()) <= set(SILENT)
+
+
+def test_no_activity_is_stillness_with_or_without_a_gate(system: Gesticulator, plain: Gesticulator) -> None:
+    for own in (system, plain):
+        made = own(SPEECH, activity=0.0, temperature=3.0, seed=1)
+        assert set(made.lexemes.tolist()) <= set(SILENT)
+        assert same(own(SPEECH, activity=1.0), own(SPEECH)), "the bundle's own activity is 1"
+
+
+def test_a_still_performer_does_not_move_to_the_voice(system: Gesticulator) -> None:
+    # One silent lexeme leaves no choice, so whatever is said, what is done is the same.
+    one = Gesticulator(dataclasses.replace(system.bundle, silent=np.array([SILENT[0]])))
+    loud = Speech(np.clip(SPEECH.samples * np.linspace(0.2, 3, len(SPEECH.samples)), -1, 1).astype(np.float32), RATE)
+    a, b = (one(speech, activity=0.0) for speech in (SPEECH, loud))
+    count = min(len(a.blocks), len(b.blocks))
+    assert not np.array_equal(a.scores[:count], b.scores[:count]), "the voices are told apart"
+    np.testing.assert_array_equal(a.codes[:count], b.codes[:count])
+
+
+@pytest.mark.parametrize("activity", [-0.1, 1.1, float("nan")])
+def test_activity_is_a_share(system: Gesticulator, activity: float) -> None:
+    with pytest.raises(InputError, match="--activity"):
+        system(SPEECH, activity=activity)
+
+
+def test_a_bundle_without_a_gate_knows_all_and_nothing_only(plain: Gesticulator) -> None:
+    with pytest.raises(InputError, match="gate"):
+        plain(SPEECH, activity=0.5)
+
+
+def test_what_is_asked_of_the_hands_is_heard_and_nothing_asked_is_free(system: Gesticulator) -> None:
+    free = system(SPEECH)
+    assert same(free, system(SPEECH, controls=Controls.free()))
+    made = [system(SPEECH, controls=Controls(**{name: value}))
+            for name, value in (("height", 0.3), ("height", -0.1), ("speed", 0.8), ("radius", 0.4))]
+    for i, one in enumerate(made):
+        assert not np.array_equal(one.motion.rotations, free.motion.rotations)
+        assert not any(np.array_equal(one.motion.rotations, two.motion.rotations) for two in made[:i])
+        assert not np.array_equal(one.scores, free.scores), "the lexeme interpreter hears it too"
+
+
+def test_a_curve_changes_nothing_before_its_time(system: Gesticulator) -> None:
+    steady = system(SPEECH, controls=Controls(height=0.1))
+    rising = system(SPEECH, controls=Controls(height=Curve((0.0, 3.3, 3.4), (0.1, 0.1, 0.4))))
+    before = steady.blocks.edges[1:] <= 3.3
+    assert before.any() and not before.all()
+    np.testing.assert_array_equal(steady.scores[before], rising.scores[before])
+    assert not np.array_equal(steady.scores[~before], rising.scores[~before])
+
+
+def test_a_bundle_without_style_editing_refuses_to_be_asked(plain: Gesticulator) -> None:
+    with pytest.raises(InputError, match="use_control"):
+        plain(SPEECH, controls=Controls(speed=0.3))
+    assert same(plain(SPEECH), plain(SPEECH, controls=Controls.free()))
+
+
+def test_the_seed_decides_all_that_is_left_to_chance(system: Gesticulator) -> None:
+    spoken = dataclasses.replace(SPEECH, words=WORDS)
+
+    def made(seed: int) -> Performance:
+        return system(spoken, seed=seed, temperature=1.5, activity=0.6, controls=Controls(height=0.2), speaker="bob",
+                      fps=25)
+
+    assert same(made(4), made(4)) and not np.array_equal(made(4).lexemes, made(5).lexemes)
+
+
+def test_what_the_performance_tells_fits_its_blocks(system: Gesticulator) -> None:
+    calls: list[tuple[int, int]] = []
+    made = system(SPEECH, activity=0.5, on_block=lambda done, total: calls.append((done, total)))
+    count = len(made.blocks)
+    assert calls == [(i + 1, count) for i in range(count)]
+    assert made.codes is not None and made.codes.shape == (count, system.bundle.config.generator.style_width)
+    assert (np.diff(made.scores, axis=1) <= 0).all()
+
+
+def test_silence_has_silent_lexemes_unless_the_settings_let_it_go(system: Gesticulator) -> None:
+    free = Gesticulator(dataclasses.replace(system.bundle, config=with_settings(system.bundle.config,
+                                                                                ["silence.mask=false"])))
+    for own, masks in ((system, True), (free, False)):
+        made = [own(SPEECH, temperature=5.0, seed=seed) for seed in range(2)]
+        silent = made[0].blocks.silent
+        assert silent.any() and not silent.all()
+        played = {int(lexeme) for one in made for lexeme in one.lexemes[silent]}
+        assert (played <= set(SILENT)) == masks
+
+
+def test_joints_that_no_data_moved_stay_where_the_mean_has_them(system: Gesticulator) -> None:
+    bounds = system.bundle.statistics.bounds.copy()
+    bounds[:, 6:9] = 0.0
+    statistics = dataclasses.replace(system.bundle.statistics, bounds=bounds)
+    bundle = dataclasses.replace(system.bundle, statistics=statistics)
+    made = Gesticulator(bundle)(SPEECH, fps=20)
+    poses = made.motion.rotations[:, 2]
+    # The seed is the rest pose; after the first block it is the mean pose to the end.
+    np.testing.assert_allclose(poses[20:], np.broadcast_to(poses[20], poses[20:].shape), atol=1e-6)
+    assert np.ptp(made.motion.rotations[20:, 3], axis=0).max() > 1e-3

