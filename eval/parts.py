@@ -73,7 +73,9 @@ def teacher_forced(model: LstmInterpreter, corpus: Corpus, labels: NDArray[np.in
 
 
 def another(corpus: Corpus, recordings: Sequence[int]) -> list[int]:
-    """For each recording the next one with words, so that nobody reads their own."""
+    """For each recording the next one with words, so that nobody reads their own; ValueError for one alone."""
+    if len(recordings) < 2:
+        raise ValueError("a wrong text takes two recordings with words")
     return [recordings[(place + 1) % len(recordings)] for place in range(len(recordings))]
 
 
@@ -116,6 +118,8 @@ def _on_mel(store: Store, bundle: bundles.Bundle, work: Path, workers: int, prog
             ) -> tuple[LstmInterpreter, Corpus]:
     run = Run(configs.with_settings(bundle.config, _MEL), store, work, progress=progress)
     run.corpus = prepare(store, run.config, work, workers=workers, progress=progress)
+    # The same silent lexemes as the bundle's, by hand or found, so that both rows are taught the same labels.
+    run.config = configs.with_settings(run.config, [f"silence.lexemes={bundle.silent.tolist()}"])
     model, _ = train_interpreter(run, bundle.lexicon, label(run, bundle.lexicon))
     return model, run.corpus
 

@@ -84,6 +84,9 @@ class SilenceConfig:
     longest_insert: int = 10
     mask: bool = True
     """At inference let silent blocks choose among silent lexemes only."""
+    settle: float = 0.5
+    """At inference, from the third quiet block in a row on, the share of the way to the block's mean pose that a block
+    goes; the small swings that the generator would repeat in every block of a rest are left out. 0 leaves them in."""
     lexemes: tuple[int, ...] = ()
     """The silent lexemes by hand; empty finds them."""
 
@@ -104,6 +107,9 @@ class Schedules:
     contrast: FitSettings = _NONE
     """Eq. 1 on speech with text."""
     gate: FitSettings = _NONE
+    interpreter_text: FitSettings = _NONE
+    """The lexeme interpreter that reads the words, when it begins as the audio-only one; without steps it is trained
+    from nothing, as the audio-only one is."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +271,8 @@ def default() -> Config:
     classes; LSTM 2 x 192; interpreters 192 and 128 wide; batches of 64 windows. Training to match: a cosine fall of a
     higher rate, since there are 35 epochs and not 600, and for the same reason 5e-2 for the style codes; a quarter of
     the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
-    Beyond size: the interpreter reads the words of three blocks, since a gesture sets out before its word; the style
+    Beyond size: the interpreter reads the words of three blocks, since a gesture sets out before its word, and begins
+    as the audio-only one, since four hours hold too few words to learn both at once; the style
     interpreter reads none (Table 3 finds little in them); the generator is taught frame differences, the three
     features of style at once, and to do without a style code in three windows of ten, since the codes of unheard
     speech are guesses; there are 100 lexemes, as TED has; the trunk's small turns count less (least deviation 0.1),
@@ -277,7 +284,8 @@ def default() -> Config:
         schedules=Schedules(
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
             generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
-            interpreter=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            interpreter=FitSettings(steps=500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            interpreter_text=FitSettings(steps=300, batch=64, rate=5e-4, schedule="cosine", weight_decay=0.01),
             style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
             speech=FitSettings(steps=1_000, batch=8, rate=1e-3, schedule="cosine"),
             contrast=FitSettings(steps=500, batch=16, rate=3e-4, schedule="cosine"),

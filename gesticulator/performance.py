@@ -59,19 +59,25 @@ class Performance:
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture, ready for JSON.
 
-        {"blocks": [{"start", "end", "flag", "silent", "lexemes": [{"id", "score"}, ... best first]}]}: seconds; `flag`
-        is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last one ended.
+        {"blocks": [{"start", "end", "flag", "silent", "played", "lexemes": [{"id", "score"}, ... best first]}]}:
+        seconds; `flag` is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last
+        one ended; `played` is the lexeme that was taken, and `gate`, where the gate was asked, how likely it thought a
+        gesture.
         """
         edges = self.blocks.edges.tolist()
+        gates = np.full(len(self.blocks), np.nan) if self.gate is None else self.gate
         return {"blocks": [
             {
                 "start": start,
                 "end": end,
                 "flag": BeatFlag(int(flag)).name.lower(),
                 "silent": bool(silent),
+                "played": int(played),
+                **({} if np.isnan(gate) else {"gate": float(gate)}),
                 "lexemes": [{"id": int(lexeme), "score": float(score)}
                             for lexeme, score in zip(best, scores, strict=True)],
             }
-            for start, end, flag, silent, best, scores in zip(
-                edges[:-1], edges[1:], self.blocks.flags, self.blocks.silent, self.best, self.scores, strict=True)
+            for start, end, flag, silent, played, gate, best, scores in zip(
+                edges[:-1], edges[1:], self.blocks.flags, self.blocks.silent, self.lexemes, gates, self.best,
+                self.scores, strict=True)
         ]}

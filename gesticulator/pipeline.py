@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from data_module.audio import SAMPLE_RATE, load_speech, resample
 from data_module.blocks import denormalise
@@ -116,7 +117,7 @@ class Gesticulator:
         if text is not None:
             speech, note = self.read(speech, text)
         who = self.speaker_index(speaker)
-        reads = self.reads_text and speech.words is not None
+        reads = self.reads_text and any(word.text.strip() for word in speech.words or ())
         heard = hear(speech, self.bundle.config, self._front_end, self.word_encoder() if reads else None)
         system = self.interpreter(interpreter, reads) if isinstance(interpreter, str) else interpreter
         asked = None
@@ -162,6 +163,20 @@ class _Made:
     gate: NDArray[np.float64]
 
 
+_SETTLES_AFTER = 2
+"""Quiet blocks that are played as they are generated: the arms come down in them."""
+
+
+def settled(last: Tensor, block: Tensor, share: float) -> Tensor:
+    """A block of rest [B, K, D_m]: evenly from the last pose [B, 1, D_m] a share of the way to the block's mean pose.
+
+    The distance to rest shrinks by `share` with each block, so a long rest becomes still.
+    """
+    frames = block.shape[1]
+    steps = torch.arange(1, frames + 1, dtype=block.dtype)[:, None] / frames
+    return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
+
+
 class _Roll:
     """One performance in the making: the states of interpreter, gate, style and generator."""
 
@@ -190,6 +205,7 @@ class _Roll:
         made = _Made(np.empty((count, *past.shape[1:]), np.float32), np.empty(count, np.int64),
                      np.empty((count, best_count), np.int64), np.empty((count, best_count)),
                      np.empty((count, style.code_width), np.float32), np.full(count, np.nan))
+        resting = _SETTLES_AFTER  # who has not begun is at rest
         for i in range(count):
             features = self._features(heard, i, asked)
             closed = self.activity == 0
@@ -206,9 +222,12 @@ class _Roll:
             code, style_state = style.step(style_state, features, previous)
             audio = b.generator.encode_audio(features.low[None])
             control = None if features.control is None else features.control[None]
-            past, state, _ = b.generator.step(past, audio, vectors[[previous]], code, state, control=control)
+            block, state, _ = b.generator.step(past, audio, vectors[[previous]], code, state, control=control)
+            resting = resting + 1 if quiet else 0
+            if resting > _SETTLES_AFTER and b.config.silence.settle > 0:
+                block = settled(past[:, -1:], block, b.config.silence.settle)
             # What it was never shown it must not feed itself: one odd pose would lead to the next.
-            past = torch.clamp(past, *bounds)
+            past = torch.clamp(block, *bounds)
             made.motion[i], made.lexemes[i], made.codes[i] = past[0].numpy(), previous, code[0].numpy()
             made.best[i] = np.argsort(-scores, kind="stable")[:best_count]
             made.scores[i] = scores[made.best[i]]

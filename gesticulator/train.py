@@ -83,7 +83,8 @@ class Run:
         parts: dict[str, list[Any]] = {
             "speech": speech, "contrast": [*speech, c.text, s.contrast], "lexicon": lexicon, "generator": made,
             "interpreter": [*read, c.control, self.sized("interpreter"), s.interpreter],
-            "interpreter_text": [*read, c.control, c.text, self.sized("interpreter_text"), s.interpreter],
+            "interpreter_text": [*read, c.control, c.text, self.sized("interpreter_text"), s.interpreter,
+                                 s.interpreter_text],
             "style": [*made, self.sized("style"), s.style], "style_text": [*made, c.text, self.sized("style_text"),
                                                                            s.style],
             "gate": [*read, c.gate, s.gate],
@@ -91,10 +92,23 @@ class Run:
         return configs.digest(stage, *[configs.to_dict(p) if dataclasses.is_dataclass(p) else p
                                        for p in parts[stage]])
 
+    def schedule(self, stage: str) -> fitting.FitSettings:
+        """How long a stage is trained."""
+        schedules = self.config.schedules
+        if stage == "interpreter_text" and self.begins_deaf:
+            return schedules.interpreter_text
+        return getattr(schedules, stage.removesuffix("_text"))
+
+    @property
+    def begins_deaf(self) -> bool:
+        """The interpreter that reads the words begins as the audio-only one."""
+        return self.config.schedules.interpreter_text.steps > 0
+
     def sized(self, stage: str) -> Any:
         """The settings of an interpreter: those of the bundle, without text for the audio-only twin."""
         own = self.config.interpreter if stage.startswith("interpreter") else self.config.style
-        return own if stage.endswith("_text") else dataclasses.replace(own, text_features=0)
+        return own if stage.endswith("_text") else dataclasses.replace(own, text_features=0, text_blocks=1,
+                                                                       text_bottleneck=0)
 
     @property
     def representation(self) -> Representation:
@@ -124,7 +138,7 @@ class Run:
     def fit(self, stage: str, model: nn.Module, make_batch: fitting.MakeBatch, losses: fitting.Losses, folder: Path,
             validate: fitting.Validate, before_step: Callable[[int], None] | None = None) -> dict[str, float]:
         """The one loop, with this run's settings."""
-        schedule = getattr(self.config.schedules, stage.removesuffix("_text"))
+        schedule = self.schedule(stage)
         return fitting.fit(stage, model, make_batch, losses, schedule, folder,
                            seed=self.seed(stage), validate=validate, device=self.device, before_step=before_step,
                            progress=self.progress)
@@ -390,6 +404,8 @@ def train_interpreter(run: Run, lexicon: Lexicon, labelled: Labelled, text: bool
     torch.manual_seed(run.seed(stage))
     model = LstmInterpreter(sized, config.rhythm.frames, corpus.high.shape[-1], lexicon.vectors,
                             len(corpus.statistics.speakers), corpus.text_width, CONTROL_WIDTH)
+    if text and run.begins_deaf:
+        model.begin_as(train_interpreter(run, lexicon, labelled)[0])
     windows = Windows(corpus, sequences(corpus, labelled.hinted, "train", labelled.style_numbers, text), config.window,
                       text=text, control=config.control if sized.use_control else None)
     checks = _validation(run, labelled.hinted, labelled.style_numbers, text)
@@ -412,7 +428,7 @@ def train_interpreter(run: Run, lexicon: Lexicon, labelled: Labelled, text: bool
 
     def train(folder: Path) -> dict[str, float]:
         return run.fit(stage, model,
-                       lambda rng: as_labels(windows.drawn(rng, config.schedules.interpreter.batch)), model.losses,
+                       lambda rng: as_labels(windows.drawn(rng, run.schedule(stage).batch)), model.losses,
                        folder, validate)
 
     return model, run.stage(stage, model, train)
@@ -492,6 +508,8 @@ def train(config: Config, store: Store, out: Path, work: Path, *, device: str = 
     if run.corpus.words is None and any(stage.endswith("_text") for stage in _wanted(run)):
         raise InputError(store.path, "has no recording with words", "set text.encoder= (nothing) to train without text")
     encoder, every = None, dict[str, Any]()
+    if only is not None and only not in (*_FIRST, *_wanted(run)):
+        raise InputError(f"--stage {only}", "is not part of these settings", "see text, gate and front_end in --set")
     if config.front_end.name == "vqwav2vec" and only != "lexicon":
         encoder, every = train_encoder(run)
         if only in ("speech", "contrast"):
@@ -523,6 +541,7 @@ def train(config: Config, store: Store, out: Path, work: Path, *, device: str = 
     return trained
 
 
+_FIRST = ("speech", "contrast", "lexicon")
 _STYLES = ("style", "style_text")
 
 

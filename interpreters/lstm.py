@@ -75,6 +75,22 @@ class LstmInterpreter(nn.Module):
         self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
         self.classify = nn.Linear(config.width, len(lexemes))
 
+    @torch.no_grad()
+    def begin_as(self, deaf: LstmInterpreter) -> None:
+        """Take over the weights of an audio-only interpreter of the same sizes; the words then begin without a say.
+
+        The columns of the first LSTM layer that read the words start at zero, so both give the same scores at first.
+        """
+        own = self.state_dict()
+        for name, value in deaf.state_dict().items():
+            if name != "lstm.weight_ih_l0":
+                own[name].copy_(value)
+        before = self.config.audio_features + self.lexemes.shape[1]
+        width = self.config.text_features
+        first = dict(deaf.lstm.named_parameters())["weight_ih_l0"]
+        own["lstm.weight_ih_l0"].copy_(torch.cat(
+            [first[:, :before], first.new_zeros(len(first), width), first[:, before:]], dim=1))
+
     @property
     def weights(self) -> dict[str, float]:
         """Loss weights, keyed like `losses`."""

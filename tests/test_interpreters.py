@@ -112,6 +112,22 @@ def test_lstm_reads_its_own_block_and_the_next_only_when_it_is_to(blocks: int) -
         assert np.array_equal(base, scores) != heard, part
 
 
+def test_one_that_reads_begins_as_the_one_that_does_not() -> None:
+    deaf, reads = lstm(use_control=True).eval(), lstm(use_control=True, text_features=5, text_blocks=3).eval()
+    reads.begin_as(deaf)
+    arguments = (torch.tensor([[0, 3, 2]]), windows(1, 3, AUDIO), torch.tensor([[0.0, 1.0]]), None)
+    texts = [windows(seed, 3) for seed in (2, 3)]
+    control = torch.randn(1, 3, FRAMES, CONTROL)
+    first, other = (reads.scores(*arguments, text, control)[0] for text in texts)
+    torch.testing.assert_close(first, deaf.scores(*arguments, None, control)[0])
+    torch.testing.assert_close(first, other)
+    # The words have no say yet, but they can get one.
+    reads.scores(*arguments, texts[0], control)[0].square().sum().backward()
+    column = deaf.config.audio_features + reads.lexemes.shape[1]
+    gradient = dict(reads.lstm.named_parameters())["weight_ih_l0"].grad
+    assert gradient is not None and float(gradient[:, column:column + 5].abs().max()) > 0
+
+
 def test_those_that_read_say_so_when_there_is_nothing_to_read() -> None:
     reader = lstm(text_features=4).eval()
     with pytest.raises(ValueError, match="audio-only"):

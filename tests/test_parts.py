@@ -95,6 +95,11 @@ def test_nobody_reads_their_own_words(recordings: list[int]) -> None:
     assert all(other != own for own, other in zip(recordings, others, strict=True))
 
 
+def test_one_recording_has_nobody_elses_words() -> None:
+    with pytest.raises(ValueError, match="two"):
+        parts.another(None, [3])  # type: ignore[arg-type]
+
+
 def test_differences_are_paired() -> None:
     rows = {"a": {"accuracy": np.array([10.0, 20.0, 60.0]), "surprise": np.array([1.0, 2.0, 3.0])},
             "b": {"accuracy": np.array([0.0, 15.0, 30.0]), "surprise": np.array([1.5, 2.5, 3.5])}}
