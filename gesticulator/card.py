@@ -8,6 +8,14 @@ if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
 
 
+def _words(bundle: Bundle) -> str:
+    if bundle.text is None:
+        return ("It hears the voice and does not know what is said: pointing and negation come at times the sound "
+                "suggests, not words.")
+    return (f"What is said counts only where a transcript is given; its words are read by `{bundle.text.encoder}`, an "
+            "English model. Without one, pointing and negation come at times the sound suggests.")
+
+
 def model_card(bundle: Bundle) -> str:
     """Markdown: what the weights were trained on, what they do, and what they cannot do."""
     p, c = bundle.provenance, bundle.config
@@ -32,7 +40,7 @@ Licence of the data: {p["licence"]}
 - When the store is the scripted performer, the motion is real motion-capture strokes arranged by rule on (mostly
   synthetic) speech. The model then learned a rule's idea of when people gesture, not people.
 - Upper body only: no fingers, legs, face or walking. The root neither turns nor moves.
-- It hears the voice and does not know what is said: pointing and negation come at times the sound suggests, not words.
+- {_words(bundle)}
 - A speaker is a performer's habit of moving; it has nothing to do with whose voice is heard.
 - Speech over music or over other speakers was not trained on.
 """

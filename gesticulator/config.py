@@ -120,6 +120,9 @@ class SelectionConfig:
     """0 takes the best (the paper); above, one is drawn from softmax(scores / temperature)."""
     top: int = 0
     """Draw among the best `top` only; 0 for all."""
+    guidance: float = 5.0
+    """How far what is asked of the style is followed: 1 takes what the models make of it, more goes on in the direction
+    from what they would do unasked to what they do asked (they were taught both)."""
     activity: float = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never."""
 
@@ -285,7 +288,7 @@ def default() -> Config:
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
             generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
             interpreter=FitSettings(steps=500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
-            interpreter_text=FitSettings(steps=300, batch=64, rate=5e-4, schedule="cosine", weight_decay=0.01),
+            interpreter_text=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
             style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
             speech=FitSettings(steps=1_000, batch=8, rate=1e-3, schedule="cosine"),
             contrast=FitSettings(steps=500, batch=16, rate=3e-4, schedule="cosine"),

@@ -200,6 +200,8 @@ class _Roll:
         past = rest.expand(1, b.lexicon.frames, -1)
         state = b.generator.first_state(rest[None], vectors[[previous]])
         inner, style_state = self.interpreter.start(self.speaker, previous), style.start(self.speaker)
+        free, free_state = inner, state
+        guidance = b.config.selection.guidance
         gate_state = None if b.gate is None else b.gate.start(self.speaker)
         bounds = torch.as_tensor(b.statistics.bounds, dtype=torch.float32)
         made = _Made(np.empty((count, *past.shape[1:]), np.float32), np.empty(count, np.int64),
@@ -213,6 +215,9 @@ class _Roll:
                 made.gate[i], gate_state = b.gate.step(gate_state, features)
                 closed = not opened(float(made.gate[i]), self.activity)
             scores, inner = self.interpreter.step(inner, features, previous)
+            if asked is not None:
+                unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
+                scores = unasked + guidance * (scores - unasked)
             quiet = closed or (features.silent and b.config.silence.mask)
             previous = select(scores, allowed=b.silent if quiet else None, temperature=self.temperature, top=self.top,
                               rng=self.rng)
@@ -223,6 +228,9 @@ class _Roll:
             audio = b.generator.encode_audio(features.low[None])
             control = None if features.control is None else features.control[None]
             block, state, _ = b.generator.step(past, audio, vectors[[previous]], code, state, control=control)
+            if asked is not None:
+                unled, free_state, _ = b.generator.step(past, audio, vectors[[previous]], code, free_state)
+                block = unled + guidance * (block - unled)
             resting = resting + 1 if quiet else 0
             if resting > _SETTLES_AFTER and b.config.silence.settle > 0:
                 block = settled(past[:, -1:], block, b.config.silence.settle)

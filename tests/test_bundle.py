@@ -100,8 +100,8 @@ def test_a_file_that_the_listing_does_not_name_is_ignored(whole: Path, tmp_path:
 
 
 NEW = {"encoder", "text", "control", "gate"}
-NEW_INSIDE = {"front_end": {"layers"}, "motion": {"representation"}, "silence": {"lexemes"},
-              "selection": {"activity"}, "schedules": {"speech", "contrast", "gate"},
+NEW_INSIDE = {"front_end": {"layers"}, "motion": {"representation"}, "silence": {"lexemes", "settle"},
+              "selection": {"activity", "guidance"}, "schedules": {"speech", "contrast", "gate", "interpreter_text"},
               "generator": {"audio_bottleneck", "use_control", "style_dropout"},
               "interpreter": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck", "use_control"},
               "style": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck"}}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from untrained import PLAIN, SILENT, untrained
 
 from data_module.controls import Controls, Curve
@@ -16,7 +17,7 @@ from data_module.types import Speech, Word
 from gesticulator.bundle import Bundle
 from gesticulator.config import with_settings
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
+from gesticulator.pipeline import Gesticulator, settled
 
 RATE = 16000
 WORDS = (Word("heavy", 0.2, 0.6), Word("bread", 0.6, 1.1), Word("rises", 3.3, 3.8), Word("slowly", 3.8, 4.4))
@@ -240,3 +241,14 @@ def test_joints_that_no_data_moved_stay_where_the_mean_has_them(system: Gesticul
     # The seed is the rest pose; after the first block it is the mean pose to the end.
     np.testing.assert_allclose(poses[20:], np.broadcast_to(poses[20], poses[20:].shape), atol=1e-6)
     assert np.ptp(made.motion.rotations[20:, 3], axis=0).max() > 1e-3
+
+
+def test_a_rest_closes_half_of_the_way_with_every_block_and_never_swings() -> None:
+    last = torch.tensor([[[1.0, -2.0]]])
+    # Generated: a swing about (3, 0), the same in every block.
+    swing = torch.tensor([[[4.0, 1.0], [2.0, -1.0], [4.0, 1.0], [2.0, -1.0]]])
+    first = settled(last, swing, 0.5)
+    torch.testing.assert_close(first, torch.tensor([[[1.25, -1.75], [1.5, -1.5], [1.75, -1.25], [2.0, -1.0]]]))
+    for _ in range(12):
+        last = settled(last, swing, 0.5)[:, -1:]
+    torch.testing.assert_close(last, torch.tensor([[[3.0, 0.0]]]), atol=2e-3, rtol=0)

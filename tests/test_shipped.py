@@ -25,7 +25,7 @@ def example() -> Performance:
 
 def test_the_bundle_is_small_and_says_what_it_was_trained_on() -> None:
     size = sum(file.stat().st_size for file in bundles.SHIPPED.iterdir())
-    assert size < 10e6
+    assert size < 20e6
     index = bundles.read_index(bundles.SHIPPED)
     assert index["config"]["name"] == "default"
     assert "LGPL" in index["provenance"]["licence"] and "SmartBody" in (ROOT / "NOTICE").read_text()
@@ -42,7 +42,7 @@ def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Perfo
     rest = float(clip.hand_speed[pause[30:-30]].mean())
     assert len(pause) > 90, "the example has a pause of several seconds"
     assert speech > 0.15, "m/s"
-    assert rest < 0.15, "m/s: near rest, not frozen"
+    assert rest < 0.1, "m/s"
     assert rest < 0.4 * speech
 
 
@@ -52,7 +52,8 @@ def test_no_activity_is_a_person_who_listens(example: Performance) -> None:
     assert set(still.lexemes.tolist()) <= set(system.bundle.silent.tolist())
     quiet, lively = (figures.measure(made.motion, made.speech, made.blocks.edges).hand_speed.mean()
                      for made in (still, example))
-    assert quiet < 0.5 * lively
+    assert quiet < 0.05, "m/s: stillness"
+    assert quiet < 0.2 * lively
 
 
 def test_the_example_looks_like_a_person(example: Performance) -> None:
