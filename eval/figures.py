@@ -7,7 +7,6 @@ commonest lexeme, and, where GESTICULATOR_DATA is set, a real take of a person s
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import warnings
@@ -28,7 +27,6 @@ from data_module.audio import load_speech
 from data_module.beats import detect_onsets
 from data_module.blocks import cut, normalise_motion
 from data_module.errors import InputError, one_line_errors
-from data_module.files import write_text
 from data_module.kinematics import positions_of, resample
 from data_module.motion_beats import motion_beats
 from data_module.silence import FRAME as SILENCE_FRAME
@@ -38,6 +36,7 @@ from data_module.types import Array, Motion, Speech
 from eval import pmb
 from eval.bootstrap import interval
 from eval.parts import hinted_labels
+from eval.results import keep
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import FPS, Gesticulator
 from gesticulator.prepare import Corpus, prepare, representation_of
@@ -371,10 +370,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not any(info.split == "test" for info in store.recordings):
             raise InputError(store.path, "has no test split", "build the store again")
         result = figures(store, system, work)
-        out = Path(arguments.out)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_text(out, json.dumps(result, indent=1) + "\n")
-        write_text(out.with_suffix(".md"), markdown(result))
+        keep(result, markdown(result), arguments.out)
         print(markdown(result))
     return 0
 

@@ -19,11 +19,9 @@ the blocks that it closed, each beside the same blocks of the same speech withou
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,12 +31,12 @@ from sklearn.metrics import roc_auc_score
 from tqdm import tqdm
 
 from data_module.errors import InputError, one_line_errors
-from data_module.files import write_text
 from data_module.silence import FRAME, frame_levels
 from data_module.store import SPLITS, Recording, Store
 from data_module.types import Array, Speech
 from eval.bootstrap import Interval, interval
 from eval.lexicon_map import block_of_frames, evenly, hand_speed, read_blocks
+from eval.results import keep
 from gesticulator.bundle import Bundle
 from gesticulator.hear import front_end_for, hear
 from gesticulator.pipeline import Gesticulator
@@ -323,10 +321,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         result = figures(system, [store.load(info.name) for info in evenly(store, arguments.split, arguments.limit)])
         result["store"] = {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split}
         if arguments.out:
-            out = Path(arguments.out)
-            out.parent.mkdir(parents=True, exist_ok=True)
-            write_text(out, json.dumps(result, indent=1) + "\n")
-            write_text(out.with_suffix(".md"), markdown(result))
+            keep(result, markdown(result), arguments.out)
         print(markdown(result))
     return 0
 

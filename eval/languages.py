@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import functools
 import itertools
-import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -32,7 +31,6 @@ from tqdm import tqdm
 from data_module.audio import load_speech
 from data_module.corpora.performer import TEST_READINGS, tail_begins
 from data_module.errors import InputError, one_line_errors
-from data_module.files import write_text
 from data_module.performer import voices
 from data_module.performer.text import compose
 from data_module.store import Store
@@ -40,6 +38,7 @@ from data_module.types import Array, Motion, Speech
 from eval import pmb
 from eval.bootstrap import interval
 from eval.figures import Clip, measure
+from eval.results import keep
 from gesticulator.pipeline import FPS, Gesticulator
 from interpreters import INTERPRETERS
 
@@ -372,9 +371,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         heard = passages(told.data, spoken, told.seconds)
         result = _plain(figures(systems, heard, interpreters, takes=told.takes, progress=True))
         if told.out is not None:
-            told.out.parent.mkdir(parents=True, exist_ok=True)
-            write_text(told.out, json.dumps(result, indent=1) + "\n")
-            write_text(told.out.with_suffix(".md"), markdown(result))
+            keep(result, markdown(result), told.out)
         print(markdown(result))
     return 0
 

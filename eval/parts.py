@@ -15,7 +15,6 @@ interpreter on mel bands instead of the learned levels: it is trained here (in D
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -27,9 +26,9 @@ import torch
 from numpy.typing import NDArray
 
 from data_module.errors import one_line_errors
-from data_module.files import write_text
 from data_module.store import Store
 from eval.bootstrap import interval
+from eval.results import keep
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator.prepare import Corpus, prepare
@@ -151,10 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         work.mkdir(parents=True, exist_ok=True)
         result = parts(Store.open(arguments.data), bundles.load(arguments.bundle or bundles.SHIPPED), work)
         if arguments.out:
-            out = Path(arguments.out)
-            out.parent.mkdir(parents=True, exist_ok=True)
-            write_text(out, json.dumps(result, indent=1) + "\n")
-            write_text(out.with_suffix(".md"), markdown(result))
+            keep(result, markdown(result), arguments.out)
         print(markdown(result))
     return 0
 

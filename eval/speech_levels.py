@@ -22,12 +22,10 @@ one of its columns. The encoder itself has heard the training voices.
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +36,6 @@ from tqdm import tqdm
 from data_module import blocks as block_module
 from data_module.errors import InputError, one_line_errors
 from data_module.features import MelFrontEnd, reference_level, scaled_windows
-from data_module.files import write_text
 from data_module.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.types import Array, Samples
@@ -47,6 +44,7 @@ from eval import audio_clusters
 from eval.bootstrap import interval
 from eval.lexicon_map import evenly, read_blocks
 from eval.probes import Judged, Spoken, grouped, probe_frames, probe_words, tokens_of
+from eval.results import keep
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
@@ -280,10 +278,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         result = figures(system, store, split=arguments.split, limit=arguments.limit, train_limit=arguments.train)
         result["store"] = {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split}
         if arguments.out:
-            out = Path(arguments.out)
-            out.parent.mkdir(parents=True, exist_ok=True)
-            write_text(out, json.dumps(result, indent=1) + "\n")
-            write_text(out.with_suffix(".md"), markdown(result))
+            keep(result, markdown(result), arguments.out)
         print(markdown(result))
     return 0
 

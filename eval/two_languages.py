@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,10 +25,10 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file
 
 from data_module.errors import InputError, one_line_errors
-from data_module.files import write_text
 from data_module.speech_encoder import PredictiveCoding, SpeechEncoder
 from data_module.store import Store
 from eval.bootstrap import interval
+from eval.results import keep
 from gesticulator import config as configs
 from gesticulator.config import Config
 from gesticulator.fit import generator_for
@@ -134,10 +133,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         config = dataclasses.replace(config, schedules=dataclasses.replace(config.schedules, speech=speech))
         result = figures(config, store, arguments.language, other, Path(arguments.work))
         if arguments.out:
-            out = Path(arguments.out)
-            out.parent.mkdir(parents=True, exist_ok=True)
-            write_text(out, json.dumps(result, indent=1) + "\n")
-            write_text(out.with_suffix(".md"), markdown(result))
+            keep(result, markdown(result), arguments.out)
         print(markdown(result))
     return 0
 
