@@ -2,7 +2,7 @@
 
 Onsets are found with a look-ahead of `LOOK_AHEAD` seconds and beats with one of d_max + d_min more; nothing needs the
 loudest moment of the recording, so a stream gets what a file gets. The rule that the paper prints, which needs the
-whole recording, is kept as the option "paper".
+whole recording, is kept as the option "paper"; "even" hears nothing and gives blocks of one fixed length.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from data_module.errors import InputError
 from data_module.silence import FRAME, silent_frames
 from data_module.types import Array, BeatFlag, Beats, Samples, Speech
 
-RULES = ("bounded", "paper")
+RULES = ("bounded", "paper", "even")
 LOOK_AHEAD = 0.25
 """Seconds of sound after an onset that `detect_onsets` needs to be sure of it."""
 
@@ -37,7 +37,9 @@ _EPS = 1e-9
 class BeatSettings:
     """How beats are placed. Seconds; every interval between beats lies in [d_min, d_max].
 
-    merge: onsets closer than this count as one. rule: "bounded" or "paper" (RG 4.2.1, guarded).
+    merge: onsets closer than this count as one. rule: "bounded", "paper" (RG 4.2.1, guarded) or "even": beats d_max
+    apart whatever the sound, for a codec of a fixed rate such as RACER's. Only "even" may have d_min = d_max: no
+    remainder could be divided then, and the last two intervals share it, each d_max / 2 or longer.
     """
 
     d_min: float = 0.2
@@ -48,7 +50,8 @@ class BeatSettings:
     def __post_init__(self) -> None:
         if not 0 < self.d_min < np.inf or not self.d_max < np.inf:
             raise InputError("d_min", f"is {self.d_min}, which is no interval between beats", "give 0.2, for example")
-        if self.d_max < 2 * self.d_min - _EPS:
+        one_rate = self.rule == "even" and abs(self.d_max - self.d_min) <= _EPS
+        if self.d_max < 2 * self.d_min - _EPS and not one_rate:
             raise InputError("d_max", f"is {self.d_max}, less than twice d_min ({self.d_min})",
                              "an interval that is too long must be divisible into two that are not too short")
         if not self.merge >= 0:
@@ -158,14 +161,17 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
 
 
 def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings | None = None) -> Beats:
-    """Beats from onsets: a pure function of rising seconds (RG 4.2.1; `next_beat` and `_paper_beats` tell the rules).
+    """Beats from onsets: a pure function of rising seconds (RG 4.2.1; `next_beat`, `_paper_beats` and `_even_beats`
+    tell the rules).
 
     onsets: [n]; loud: [m] the times of the frames louder than the noise. 0 and `duration` are beats. Every interval
-    lies in [d_min, d_max], unless the whole recording is shorter than d_min.
+    lies in [d_min, d_max], unless the whole recording is shorter than d_min, or d_min = d_max (`_even_beats`).
     """
     settings = settings or BeatSettings()
     onsets = merged(onsets, settings.merge)
     loud = np.asarray(loud, dtype=np.float64)
+    if settings.rule == "even":
+        return _even_beats(duration, settings)
     if settings.rule == "paper":
         beats = _paper_beats(onsets, loud, duration, settings)
     else:
@@ -200,9 +206,31 @@ def _paper_beats(onsets: Array, loud: Array, duration: float, settings: BeatSett
     return done
 
 
+def _even_beats(duration: float, settings: BeatSettings) -> Beats:
+    """Beats d_max apart: what the bounded rule gives where nothing is heard.
+
+    When less than d_min is left at the end, the last beat but one moves forward to d_min before the end, so the
+    remainder is shared by the last two intervals. With d_min = d_max nothing shorter than d_max is allowed and nothing
+    longer fits in a block; there d_max / 2 stands for d_min, and it is the last two intervals alone that may be
+    shorter than d_max.
+    """
+    shortest = min(settings.d_min, settings.d_max / 2)
+    count = max(1, int(np.ceil(duration / settings.d_max - _EPS)))
+    # Multiples, not a running sum: an hour of steps must not drift.
+    times = np.arange(count + 1, dtype=np.float64) * settings.d_max
+    times[-1] = duration
+    if count > 1:
+        times[-2] = min(times[-2], duration - shortest)
+    flags = np.full(count + 1, BeatFlag.EVEN_PSEUDO, dtype=np.int8)
+    flags[[0, -1]] = BeatFlag.BOUNDARY
+    return Beats(times, flags)
+
+
 def find_beats(speech: Speech, settings: BeatSettings | None = None) -> Beats:
     """The beats of a recording: its onsets, pseudo-beats between them, its start and its end (RG 4.2.1)."""
     settings = settings or BeatSettings()
+    if settings.rule == "even":
+        return _even_beats(speech.duration, settings)
     onsets = detect_onsets(speech.samples, speech.sample_rate, settings.merge)
     audible = ~silent_frames(speech.samples, speech.sample_rate)
     loud = np.flatnonzero(audible).astype(np.float64) * FRAME

@@ -41,7 +41,7 @@ from gesticulator import bundle as bundles
 from gesticulator.pipeline import FPS, Gesticulator
 from gesticulator.prepare import Corpus, prepare, representation_of
 from gesticulator.train import lexicon_figures
-from interpreters import BlockFeatures, LexemeInterpreter
+from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter
 
 REAL_FPS = 15.0
 _HANDS = ("RightHand", "LeftHand")
@@ -106,7 +106,7 @@ def stroke_kinds(recording: Recording, edges: Array) -> NDArray[np.int64]:
 @torch.no_grad()
 def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor) -> dict[str, NDArray[np.float32]]:
     """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m]."""
-    latents = bundle.lexicon.latents(motion)
+    latents = bundle.drawn.lexicon.latents(motion)
     labels = bundle.lexicon.quantizer.labels(latents)
     one = int(np.mean([bundle.inventory.frequencies[name] for name in bundle.speakers], axis=0).argmax())
     codes = {"unquantised": latents, "quantised": bundle.lexicon.vectors[labels],
@@ -149,7 +149,7 @@ def lexicon_table(bundle: bundles.Bundle, corpus: Corpus, recordings: Sequence[R
         for name, error in reconstructions(bundle, torch.as_tensor(centred, dtype=torch.float32)).items():
             table[f"real take (BEAT), {name}"] = interval([float(error.mean())]).to_dict()
     return {"errors": table, "variance": float(unknown.var(0).mean()),
-            **lexicon_figures(bundle.lexicon, corpus.motion[test])}
+            **lexicon_figures(bundle.drawn.lexicon, corpus.motion[test])}
 
 
 # --------------------------------------------------------------------------------------------------- accuracy
@@ -165,7 +165,7 @@ def accuracy_table(bundle: bundles.Bundle, corpus: Corpus, hinted: NDArray[np.in
     for name, system in rows.items():
         scores: dict[str, list[float]] = {"teacher_forced": [], "free_running": []}
         sizes = []
-        for recording in corpus.recordings("test", getattr(system, "encode_text", None) is not None):
+        for recording in corpus.recordings("test", isinstance(system, LstmInterpreter) and system.config.reads):
             own = corpus.blocks_of(recording)
             sizes.append(len(own) - 1)
             for kind, values in scores.items():
@@ -312,7 +312,7 @@ def figures(store: Store, system: Gesticulator, work: Path, progress: bool = Tru
     for name, interpreter in deaf.items():
         rows[name] = play(system, recordings, interpreter, progress, name)
     out["accuracy"] = accuracy_table(bundle, corpus, hinted, {
-        "lstm": bundle.interpreter, **read, "previous lexeme and speaker": by_table, **deaf})
+        "lstm": bundle.drawn.interpreter, **read, "previous lexeme and speaker": by_table, **deaf})
     if take is not None:
         motion, speech = take
         made = system(speech)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
@@ -33,18 +33,24 @@ from generator.model import Generator
 from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
 from gesticulator.prepare import CONTROL_WIDTH, Statistics, representation_of
+from interpreters.cql import QNetwork
 from interpreters.gate import ActivityGate
 from interpreters.lstm import LstmInterpreter
+from interpreters.reward import RewardModel
 from interpreters.statistical import StatisticalInterpreter
 from interpreters.style import StyleInterpreter
 from lexicon.autoencoder import Lexicon
 from lexicon.inventory import Inventory
+from lexicon.racer import RacerCodec
 
-FORMAT = 2
-_READABLE = (1, 2)
-"""Format 1 had no text, speech levels, gate or style editing; what it holds means the same."""
+FORMAT = 3
+_READABLE = (1, 2, 3)
+"""Format 1 had no text, speech levels, gate or style editing, format 2 no Q-network; what they hold means the same."""
 _INDEX = "bundle.json"
+_TIED = "lexicon_hash"
 CARD = "MODEL_CARD.md"
+_LONG = 65
+"""Codes of a stillness whose middle no longer sees where it begins and ends."""
 SHIPPED = Path(__file__).parent / "assets" / "bundle"
 """The bundle that comes with the package."""
 
@@ -63,6 +69,16 @@ class TextSource:
 
 
 @dataclass(frozen=True)
+class Drawn:
+    """What a bundle of blocks at the beat cannot do without."""
+
+    lexicon: Lexicon
+    generator: Generator
+    interpreter: LstmInterpreter
+    style: StyleInterpreter
+
+
+@dataclass(frozen=True)
 class Bundle:
     """Trained models and all that goes with them.
 
@@ -73,10 +89,10 @@ class Bundle:
 
     config: Config
     statistics: Statistics
-    lexicon: Lexicon
-    generator: Generator
-    interpreter: LstmInterpreter
-    style: StyleInterpreter
+    lexicon: Lexicon | RacerCodec
+    generator: Generator | None
+    interpreter: LstmInterpreter | None
+    style: StyleInterpreter | None
     inventory: Inventory
     silent: NDArray[np.int64]
     provenance: dict[str, Any]
@@ -86,6 +102,23 @@ class Bundle:
     interpreter_text: LstmInterpreter | None = None
     style_text: StyleInterpreter | None = None
     text: TextSource | None = None
+    q_network: QNetwork | None = None
+    reward: RewardModel | None = None
+    reward_judge: RewardModel | None = None
+
+    @property
+    def drawn(self) -> Drawn:
+        """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's own."""
+        if not isinstance(self.lexicon, Lexicon) or not (self.generator and self.interpreter and self.style):
+            raise InputError("the bundle", "holds RACER's own codec, without lexicon, generator and style",
+                             "use one of blocks at the beat (--preset default)")
+        return Drawn(self.lexicon, self.generator, self.interpreter, self.style)
+
+    @property
+    def interpreters(self) -> tuple[str, ...]:
+        """Names of the interpreters that it holds; the first is taken when none is named."""
+        there = {"lstm": self.interpreter is not None, "cql": self.q_network is not None, "statistical": True}
+        return tuple(name for name, own in there.items() if own)
 
     @property
     def levels(self) -> Levels | None:
@@ -108,13 +141,17 @@ class Bundle:
         return torch.as_tensor(rest, dtype=torch.float32)
 
     def rest_lexeme(self, speaker: int) -> int:
-        """The silent lexeme nearest to standing still in the resting pose (a_0, s_0)."""
-        still = self.rest_feature(speaker).expand(1, self.lexicon.frames, -1)
-        distances = self.lexicon.quantizer.distances(self.lexicon.latents(still))[0]
+        """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); of RACER's codec, which has no
+        silence, its code in the middle of a long stillness."""
+        rest = self.rest_feature(speaker)
+        if isinstance(self.lexicon, RacerCodec):
+            codes = self.lexicon.label(rest.expand(1, _LONG * self.lexicon.frames, -1))[0]
+            return int(codes[_LONG // 2])
+        distances = self.lexicon.quantizer.distances(self.lexicon.latents(rest.expand(1, self.lexicon.frames, -1)))[0]
         return int(self.silent[int(distances[torch.as_tensor(self.silent)].argmin())])
 
 
-def lexicon_hash(lexicon: Lexicon) -> str:
+def lexicon_hash(lexicon: Lexicon | RacerCodec) -> str:
     """SHA-256 of the codebook, which ties an interpreter to its lexicon."""
     return hashlib.sha256(lexicon.vectors.detach().half().cpu().numpy().tobytes()).hexdigest()
 
@@ -134,15 +171,24 @@ def _statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
     return {key: torch.as_tensor(np.ascontiguousarray(value), dtype=torch.float32) for key, value in arrays.items()}
 
 
+def _check_lexicon(file: Path, lexicon: Lexicon | RacerCodec) -> None:
+    """InputError unless the weights were trained over this very lexicon: their actions are its lexemes."""
+    with safe_open(file, framework="pt") as opened:
+        if (opened.metadata() or {}).get(_TIED) != lexicon_hash(lexicon):
+            raise InputError(file, "was trained over another lexicon than the bundle's",
+                             "train the Q-network again (gesticulator.train --redo cql)")
+
+
 def _half(module: nn.Module, leave_out: str = " ") -> dict[str, Tensor]:
     return {key: (value.half() if value.is_floating_point() else value).contiguous().cpu()
             for key, value in module.state_dict().items() if not key.startswith(leave_out)}
 
 
-_OPTIONAL = {"lexeme_interpreter": "interpreter", "style_interpreter": "style",
+_OPTIONAL = {"generator": "generator", "lexeme_interpreter": "interpreter", "style_interpreter": "style",
              "lexeme_interpreter_text": "interpreter_text", "style_interpreter_text": "style_text",
-             "speech_encoder": "encoder", "gate": "gate"}
-"""File of a bundle -> field of `Bundle`; all but the first two may be absent."""
+             "speech_encoder": "encoder", "gate": "gate", "q_network": "q_network", "reward": "reward",
+             "reward_judge": "reward_judge"}
+"""File of a bundle -> field of `Bundle`; any may be absent."""
 
 
 def save(bundle: Bundle, path: str | Path, card: str) -> None:
@@ -154,12 +200,12 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
     try:
         save_file(_half(bundle.lexicon), temporary / "lexicon.safetensors")
-        # The table of style codes belongs to the training blocks; nothing at inference looks into it.
-        save_file(_half(bundle.generator, "styles."), temporary / "generator.safetensors")
+        # The table of style codes belongs to the training blocks; nothing at inference looks into it ("styles.").
         for name, module in _OPTIONAL.items():
             own = getattr(bundle, module)
             if own is not None:
-                save_file(_half(own), temporary / f"{name}.safetensors")
+                tied = {_TIED: lexicon_hash(bundle.lexicon)} if name == "q_network" else None
+                save_file(_half(own, "styles."), temporary / f"{name}.safetensors", tied)
         save_file(_statistics_tensors(bundle), temporary / "statistics.safetensors")
         (temporary / CARD).write_text(card, encoding="utf-8")
         files = {file.name: _sha(file) for file in sorted(temporary.iterdir())}
@@ -255,34 +301,52 @@ def _assemble(folder: Path, index: dict[str, Any], config: Config) -> Bundle:
     inventory = Inventory(dict(zip(speakers, tensors["frequencies"], strict=True)), tensors["transitions"])
     width = representation_of(config).width
     frames = config.rhythm.frames
-    lexicon = Lexicon(config.lexicon, frames, width, statistics.present)
+    lexicon: Lexicon | RacerCodec = (
+        RacerCodec(config.racer, width, statistics.present) if config.tokens == "racer"
+        else Lexicon(config.lexicon, frames, width, statistics.present))
     lexicon.load_state_dict(_read(folder, "lexicon"))
     text = TextSource(**index["text"]) if index.get("text") else None
-    generator = Generator(config.generator, frames, width, len(low["mean"]), config.lexicon.code_width,
-                          control_width=CONTROL_WIDTH, present=statistics.present)
-    generator.load_state_dict(_read(folder, "generator"))
+    silent = np.array(index["silent_lexemes"], dtype=np.int64)
     there = {name.removesuffix(".safetensors") for name in index["files"]}
     parts = _optional_models(folder, there, config, lexicon, text, (len(low["mean"]), len(high["mean"])),
-                             len(speakers))
-    for module in (lexicon, generator, *parts.values()):
+                             len(speakers), silent)
+    if lacking := [name for name in _REQUIRED[config.tokens] if name not in parts]:
+        raise KeyError(f"lacks {', '.join(lacking)}")
+    for module in (lexicon, *parts.values()):
         freeze(module)
-    return Bundle(config, statistics, lexicon, generator, inventory=inventory,
-                  silent=np.array(index["silent_lexemes"], dtype=np.int64), provenance=index["provenance"],
-                  figures=index["figures"], text=text, **parts)
+    return Bundle(config, statistics, lexicon, inventory=inventory, silent=silent, provenance=index["provenance"],
+                  figures=index["figures"], text=text, **{name: parts.pop(name, None) for name in _DRAWN}, **parts)
 
 
-def _optional_models(folder: Path, there: set[str], config: Config, lexicon: Lexicon, text: TextSource | None,
-                     widths: tuple[int, int], speakers: int) -> dict[str, Any]:
+_DRAWN = ("generator", "interpreter", "style")
+_REQUIRED = {"lexicon": _DRAWN, "racer": ("q_network",)}
+"""Fields that a bundle of either kind of token cannot do without."""
+
+
+def _optional_models(folder: Path, there: set[str], config: Config, lexicon: Lexicon | RacerCodec,
+                     text: TextSource | None, widths: tuple[int, int], speakers: int, silent: NDArray[np.int64]
+                     ) -> dict[str, Any]:
     """The models of `_OPTIONAL` that are there, by field. widths: of the low and the high level."""
     frames, words, (low, high) = config.rhythm.frames, text.width if text else 0, widths
+    motion = lexicon.motion_width
     made: dict[str, Any] = {}
     for file, name in _OPTIONAL.items():
         if file not in there:
             continue
         reads = name.endswith("_text")
-        if name.startswith("interpreter"):
-            sized = config.interpreter if reads else replace(config.interpreter, text_features=0)
-            model: nn.Module = LstmInterpreter(sized, frames, high, lexicon.vectors, speakers, words, CONTROL_WIDTH)
+        if name == "generator":
+            model: nn.Module = Generator(config.generator, frames, motion, low, config.lexicon.code_width,
+                                         control_width=CONTROL_WIDTH, present=lexicon.present)
+        elif name == "q_network":
+            _check_lexicon(folder / f"{file}.safetensors", lexicon)
+            model = QNetwork(config.cql, frames, high, len(lexicon.vectors), speakers, silent.tolist())
+        elif name.startswith("reward"):
+            # One level of audio or both, as the front end has it: the weights know.
+            heard = _read(folder, file)["read_audio.weight"].shape[1] // frames
+            model = RewardModel(config.reward, frames, motion, heard)
+        elif name.startswith("interpreter"):
+            sized = config.interpreter if reads else config.interpreter.without_text()
+            model = LstmInterpreter(sized, frames, high, lexicon.vectors, speakers, words, CONTROL_WIDTH)
         elif name.startswith("style"):
             style = config.style if reads else replace(config.style, text_features=0)
             model = StyleInterpreter(style, frames, low, lexicon.vectors, config.generator.style_width, speakers, words)

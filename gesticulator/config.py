@@ -16,11 +16,15 @@ from data_module.errors import InputError
 from data_module.speech_encoder import EncoderConfig
 from generator.model import GeneratorConfig
 from gesticulator.fit import FitSettings
+from interpreters.cql import QConfig
+from interpreters.episodes import EpisodeConfig
 from interpreters.gate import GateConfig
 from interpreters.lstm import LstmConfig
+from interpreters.reward import RewardConfig
 from interpreters.statistical import StatisticalConfig
 from interpreters.style import StyleConfig
 from lexicon.autoencoder import LexiconConfig
+from lexicon.racer import RacerConfig
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,10 @@ class Schedules:
     interpreter_text: FitSettings = _NONE
     """The lexeme interpreter that reads the words, when it begins as the audio-only one; without steps it is trained
     from nothing, as the audio-only one is."""
+    reward: FitSettings = _NONE
+    """Each of RACER's two reward models."""
+    cql: FitSettings = _NONE
+    """RACER's Q-network."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +126,8 @@ class SelectionConfig:
 
     temperature: float = 0.0
     """0 takes the best (the paper); above, one is drawn from softmax(scores / temperature)."""
+    q_temperature: float = 0.0
+    """The same for the Q-network, whose scores are returns: 0 is RACER's own greedy choice."""
     top: int = 0
     """Draw among the best `top` only; 0 for all."""
     guidance: float = 5.0
@@ -145,6 +155,13 @@ class Config:
     statistical: StatisticalConfig = field(default_factory=StatisticalConfig)
     style: StyleConfig = field(default_factory=StyleConfig)
     gate: GateConfig = field(default_factory=GateConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
+    cql: QConfig = field(default_factory=QConfig)
+    tokens: str = "lexicon"
+    """What names gestures: "lexicon", block by block at the beat, and a generator draws them; or "racer", RACER's own
+    codec at a fixed rate, which decodes them itself."""
+    racer: RacerConfig = field(default_factory=RacerConfig)
     silence: SilenceConfig = field(default_factory=SilenceConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
     default_speaker: str = ""
@@ -153,6 +170,9 @@ class Config:
     """Generated blocks in a training window: 4 s at 8 blocks of 0.5 s (RG 7.1.2)."""
     seed: int = 1
 
+
+LITERAL = EpisodeConfig(truth=1.0, sampled=0.0, statistical=0.0, perturbed=0.0)
+"""RACER's own data set: what was really done, and nothing else."""
 
 T = TypeVar("T")
 
@@ -274,13 +294,15 @@ def default() -> Config:
     classes; LSTM 2 x 192; interpreters 192 and 128 wide; batches of 64 windows. Training to match: a cosine fall of a
     higher rate, since there are 35 epochs and not 600, and for the same reason 5e-2 for the style codes; a quarter of
     the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
-    Beyond size: the interpreter reads the words of three blocks, since a gesture sets out before its word, and begins
-    as the audio-only one, since four hours hold too few words to learn both at once; the style
-    interpreter reads none (Table 3 finds little in them); the generator is taught frame differences, the three
-    features of style at once, and to do without a style code in three windows of ten, since the codes of unheard
-    speech are guesses; there are 100 lexemes, as TED has; the trunk's small turns count less (least deviation 0.1),
-    so that lexemes tell arms apart. Lexemes are drawn (temperature 0.7) and not taken by arg max, which from sound
-    alone settles on few: a rule that gestures by chance cannot be predicted block by block, only its manner can.
+    Beyond size: the interpreter that reads is the audio-only one with a head beside it that reads the words of three
+    blocks and adds to its scores, since four hours hold too few words to learn both at once; the style interpreter
+    reads none (Table 3 finds little in them); the generator is taught frame differences, the three features of style
+    at once, and to do without a style code in three windows of ten, since the codes of unheard speech are guesses;
+    there are 100 lexemes, as TED has; the trunk's small turns count less (least deviation 0.1), so that lexemes tell
+    arms apart. Lexemes are drawn (temperature 0.7) and not taken by arg max, which from sound alone settles on few: a
+    rule that gestures by chance cannot be predicted block by block, only its manner can.
+    The Q-network looks ten blocks ahead (gamma 0.9), a little further than a reward looks back, and its target follows
+    every 25 steps: 1,000 steps would not bring values of a hundred blocks (gamma 0.99) to rest.
     """
     return Config(
         name="default", default_speaker="connor",
@@ -288,11 +310,14 @@ def default() -> Config:
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
             generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
             interpreter=FitSettings(steps=500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
-            interpreter_text=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            interpreter_text=FitSettings(steps=2_000, batch=64, rate=2e-3, schedule="cosine", weight_decay=0.1),
             style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
             speech=FitSettings(steps=1_000, batch=8, rate=1e-3, schedule="cosine"),
             contrast=FitSettings(steps=500, batch=16, rate=3e-4, schedule="cosine"),
-            gate=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01)),
+            gate=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            reward=FitSettings(steps=1_000, batch=128, rate=1e-3, schedule="cosine", weight_decay=0.05),
+            cql=FitSettings(steps=1_000, batch=64, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
+                            weight_decay=0.01)),
         front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=128),
         text=TextConfig(encoder="minilm"),
         motion=MotionConfig(least_deviation=0.1), lexicon=LexiconConfig(size=100, widths=(32, 64, 96, 128)),
@@ -300,10 +325,11 @@ def default() -> Config:
         generator=GeneratorConfig(motion_features=48, audio_features=32, audio_bottleneck=48, hidden=192, groups=16,
                                   classes=32, lstm_width=192, own_past_until=0.4, swap_share=0.25, style_rate=5e-2,
                                   use_control=True, velocity=10.0, style_dropout=0.3),
-        interpreter=LstmConfig(audio_features=32, audio_bottleneck=48, text_features=32, text_blocks=3,
-                               text_bottleneck=32, use_control=True, width=192, dropout=0.2),
+        interpreter=LstmConfig(audio_features=32, audio_bottleneck=48, text_reading=256, text_bottleneck=64,
+                               use_control=True, width=192, dropout=0.2),
         style=StyleConfig(audio_features=32, audio_bottleneck=48, width=128),
         gate=GateConfig(audio_features=16, audio_bottleneck=32, width=64),
+        cql=QConfig(gamma=0.9, copy_every=25),
     )
 
 
@@ -317,7 +343,8 @@ def tiny() -> Config:
             interpreter=FitSettings(steps=80, batch=8, rate=3e-3, schedule="cosine"),
             style=FitSettings(steps=60, batch=8, rate=3e-3, schedule="cosine"),
             speech=FitSettings(steps=20, batch=4, rate=1e-3), contrast=FitSettings(steps=20, batch=8, rate=1e-3),
-            gate=FitSettings(steps=40, batch=8, rate=3e-3)),
+            gate=FitSettings(steps=40, batch=8, rate=3e-3), reward=FitSettings(steps=40, batch=16, rate=3e-3),
+            cql=FitSettings(steps=30, batch=8, rate=3e-3, betas=(0.5, 0.999))),
         front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=16), text=TextConfig(encoder="minilm"),
         lexicon=LexiconConfig(size=12, code_width=32, widths=(16, 24, 32, 32), revive_below=0.2),
         generator=GeneratorConfig(motion_features=16, audio_features=8, audio_bottleneck=8, style_width=8,
@@ -327,11 +354,70 @@ def tiny() -> Config:
                                use_control=True, width=48),
         style=StyleConfig(audio_features=8, audio_bottleneck=8, text_features=4, text_bottleneck=8, width=32),
         gate=GateConfig(audio_features=4, audio_bottleneck=8, width=16),
+        reward=RewardConfig(width=16, projection=8, window=4, longest=6), episodes=EpisodeConfig(prefix=2),
+        cql=QConfig(width=16, heads=2, layers=2, decisions=6, audio_features=4, audio_bottleneck=8, copy_every=10),
     )
 
 
+_FIXED_RATE = BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.4, rule="even"), fps=20.0)
+"""Eight frames at 20 fps, whatever is heard: RACER cuts speech at no beats."""
+
+
+def racer_trinity() -> Config:
+    """RACER as published (RACER 5.1, 5.2), for a GPU: its own codec, no lexicon of beats, no generator.
+
+    Codec: 512 wide, 512 codes, 6 s windows of 15 codes, batch 64, 500 epochs of 221 minutes: 17,000 steps of 0.5
+    TFLOP. Q-network: 768 wide, 12 heads, 12 layers (the paper does not say how many; 86 M weights), batch 256, 1,500
+    epochs: 13,000 steps. A pass over a batch of 256 windows of 30 tokens costs 1.3 TFLOP, a step about seven of them
+    (forward and backward, two target windows, two for the double choice): 120 PFLOP, an hour at 30 TFLOP/s, weeks on
+    two CPU cores. The data set is what was really done, as in the paper; mel and onset are heard, eight frames of them.
+    """
+    learn = FitSettings(steps=17_000, batch=64, rate=3e-5)
+    return Config(
+        name="racer-trinity", tokens="racer", rhythm=_FIXED_RATE,
+        schedules=Schedules(
+            lexicon=learn, generator=_NONE, interpreter=_NONE, style=_NONE, reward=learn,
+            cql=FitSettings(steps=13_000, batch=256, rate=1e-4, betas=(0.5, 0.999), schedule="cosine")),
+        front_end=FrontEndConfig(name="mel", bands=128), episodes=LITERAL,
+        reward=RewardConfig(width=256, projection=128, window=15, longest=15),
+        cql=QConfig(width=768, heads=12, layers=12, audio_blocks=1, audio_bottleneck=0, audio_features=128,
+                    use_speaker=False))
+
+
+def racer_chinese() -> Config:
+    """As `racer_trinity`, for an hour of speech: 400 epochs of the codec, 1,200 of the Q-network (RACER 5.2)."""
+    trinity = racer_trinity()
+    learn = dataclasses.replace(trinity.schedules.lexicon, steps=3_800)
+    return dataclasses.replace(trinity, name="racer-chinese", schedules=dataclasses.replace(
+        trinity.schedules, lexicon=learn, reward=learn, cql=dataclasses.replace(trinity.schedules.cql, steps=2_800)))
+
+
+def racer_native() -> Config:
+    """RACER's own form a quarter as wide, for two CPU cores: codec 128 wide, Q-network 192 wide with 3 heads.
+
+    Beyond width: 4 layers for 12, batches of 32 in the Q-network, far fewer steps at a higher rate, the mixture of
+    behaviours for the paper's ground truth alone (without the supervised interpreter, of which there is none over
+    these codes), 256 codes for 512 since four hours use no more, the performers told apart.
+    """
+    trinity = racer_trinity()
+    return dataclasses.replace(
+        trinity, name="racer-native", default_speaker="connor", front_end=FrontEndConfig(name="mel", bands=32),
+        motion=MotionConfig(least_deviation=0.1),
+        schedules=dataclasses.replace(
+            trinity.schedules,
+            lexicon=FitSettings(steps=800, batch=32, rate=1e-3, schedule="cosine"),
+            reward=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
+            cql=FitSettings(steps=300, batch=32, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
+                            weight_decay=0.01)),
+        episodes=EpisodeConfig(truth=0.7, sampled=0.0, statistical=0.15, perturbed=0.15),
+        racer=RacerConfig(width=128, size=256, revive_below=0.2),
+        reward=RewardConfig(window=8, longest=15),
+        cql=QConfig(width=192, heads=3, layers=4, audio_blocks=1, audio_bottleneck=0, audio_features=32,
+                    use_speaker=True))
+
+
 PRESETS = {"default": default, "paper-trinity": paper_trinity, "paper-chinese": paper_chinese, "paper-ted": paper_ted,
-           "tiny": tiny}
+           "racer-trinity": racer_trinity, "racer-chinese": racer_chinese, "racer-native": racer_native, "tiny": tiny}
 
 
 def preset(name: str) -> Config:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from gesticulator.pipeline import Gesticulator
 
 PROGRAM = "gesticulator"
-INTERPRETERS = ("lstm", "statistical")
+INTERPRETERS = ("lstm", "cql", "statistical")
 TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 _CONTROLS = (("height", "height of the right hand over the hips", "METRES"),
              ("speed", "mean speed of the hands", "METRES/S"),
@@ -44,7 +44,9 @@ def parser() -> argparse.ArgumentParser:
                    help="what is said: plain text, TextGrid, SRT, VTT or JSON with word times; a folder of files named "
                         "like the recordings when there are several. Without it the voice alone is heard")
     p.add_argument("--speaker", help="whose habits of moving (a performer of the bundle, not a voice)")
-    p.add_argument("--interpreter", choices=INTERPRETERS, default="lstm", help="what chooses the lexemes")
+    p.add_argument("--interpreter", choices=INTERPRETERS,
+                   help="what chooses the lexemes: the LSTM of Rhythmic Gesticulator, RACER's Q-network (cql), or a "
+                        "speaker's frequencies alone (default: lstm where the bundle has it)")
     p.add_argument("--seed", type=int, default=0, help="the same seed gives the same bytes (default 0)")
     p.add_argument("--temperature", type=float,
                    help="how freely lexemes are drawn; 0 always takes the likeliest (default: the bundle's)")

@@ -23,8 +23,9 @@ from gesticulator import bundle as bundles
 from gesticulator.hear import Heard, front_end_for, hear
 from gesticulator.performance import BEST, Performance
 from gesticulator.prepare import control_rows, representation_of
-from interpreters import INTERPRETERS, BlockFeatures, LexemeInterpreter, select
+from interpreters import BlockFeatures, LexemeInterpreter, QNetwork, select
 from interpreters.gate import opened
+from lexicon.racer import RacerCodec
 
 FPS = 60.0
 """Frames per second of the result when not told: the models' 20 fps knots, interpolated."""
@@ -64,11 +65,14 @@ class Gesticulator:
 
     def interpreter(self, name: str, text: bool = False) -> LexemeInterpreter:
         """The lexeme interpreter of that name over the bundle's lexicon; with `text`, the one that reads the words."""
-        if name == "lstm":
-            return self.bundle.interpreter_text if text and self.bundle.interpreter_text else self.bundle.interpreter
-        if name == "statistical":
-            return self.bundle.statistical()
-        raise InputError(f"--interpreter {name}", "is not in the bundle", f"choose among {', '.join(INTERPRETERS)}")
+        b = self.bundle
+        there: dict[str, LexemeInterpreter | None] = {
+            "lstm": b.interpreter_text if text and b.interpreter_text else b.interpreter, "cql": b.q_network}
+        found = b.statistical() if name == "statistical" else there.get(name)
+        if found is None:
+            raise InputError(f"--interpreter {name}", "is not in the bundle",
+                             f"choose among {', '.join(b.interpreters)}")
+        return found
 
     def word_encoder(self) -> WordEncoder:
         """The word encoder that the bundle was trained on, opened once."""
@@ -90,7 +94,7 @@ class Gesticulator:
 
     def __call__(self, speech: Speech | str | PathLike[str], *, text: str | PathLike[str] | None = None,
                  speaker: str | None = None, seed: int = 0, fps: float | None = None,
-                 interpreter: str | LexemeInterpreter = "lstm", temperature: float | None = None,
+                 interpreter: str | LexemeInterpreter | None = None, temperature: float | None = None,
                  controls: Controls | None = None, activity: float | None = None,
                  on_block: Callable[[int, int], None] | None = None) -> Performance:
         """Gesture for a recording.
@@ -98,10 +102,11 @@ class Gesticulator:
         speech: a `Speech` at any sample rate, or the path of a sound file; words that it carries are read. text: a
         transcript of it (plain text, TextGrid, SRT, VTT, JSON). Without words the audio-only path is taken (RG 6.3).
         speaker: a performer's habits. fps: frames per second of the result (60). interpreter: what chooses the lexemes,
-        by name or as an object. temperature: how freely lexemes are drawn, 0 for always the likeliest. controls: what
-        is asked of hand height, speed and radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to
-        1 (always). What is not told is the bundle's own. on_block(done, total) is called after each block. The same
-        seed, bundle and speech give the same result.
+        by name ("lstm", "cql", "statistical"; the bundle's first when none is named) or as an object. temperature:
+        how freely lexemes are drawn, 0 for always the likeliest. controls: what is asked of hand height, speed and
+        radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to 1 (always). What is not told is the
+        bundle's own. on_block(done, total) is called after each block. The same seed, bundle and speech give the same
+        result.
         """
         if not isinstance(speech, Speech):
             speech = load_speech(speech)
@@ -119,14 +124,17 @@ class Gesticulator:
         who = self.speaker_index(speaker)
         reads = self.reads_text and any(word.text.strip() for word in speech.words or ())
         heard = hear(speech, self.bundle.config, self._front_end, self.word_encoder() if reads else None)
+        interpreter = self.bundle.interpreters[0] if interpreter is None else interpreter
         system = self.interpreter(interpreter, reads) if isinstance(interpreter, str) else interpreter
+        usual = chosen.q_temperature if isinstance(system, QNetwork) else chosen.temperature
         asked = None
         if controls is not None and self.bundle.levels is not None:
             values, given = controls.at(heard.blocks.knot_times)
             rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
             asked = rows.reshape(len(heard.blocks), heard.blocks.frames, -1)
-        roll = _Roll(self.bundle, system, who, np.random.default_rng(seed),
-                     chosen.temperature if temperature is None else temperature, chosen.top or None, activity)
+        rolls = _Decoded if isinstance(self.bundle.lexicon, RacerCodec) else _Roll
+        roll = rolls(self.bundle, system, who, np.random.default_rng(seed),
+                     usual if temperature is None else temperature, chosen.top or None, activity)
         made = roll.run(heard, asked, on_block)
         motion = self.to_motion(made.motion, heard, who, FPS if fps is None else fps)
         return Performance(motion=motion, speech=speech, blocks=heard.blocks, lexemes=made.lexemes, best=made.best,
@@ -192,13 +200,14 @@ class _Roll:
             ) -> _Made:
         """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
         b = self.bundle
-        vectors, count = b.lexicon.vectors, len(heard.blocks)
+        drawn = b.drawn
+        generator, vectors, count = drawn.generator, drawn.lexicon.vectors, len(heard.blocks)
         best_count = min(BEST, len(vectors))
-        style = b.style_text if heard.text is not None and b.style_text is not None else b.style
+        style = b.style_text if heard.text is not None and b.style_text is not None else drawn.style
         previous = b.rest_lexeme(self.speaker)
         rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.lexicon.frames, -1)
-        state = b.generator.first_state(rest[None], vectors[[previous]])
+        state = generator.first_state(rest[None], vectors[[previous]])
         inner, style_state = self.interpreter.start(self.speaker, previous), style.start(self.speaker)
         free, free_state = inner, state
         guidance = b.config.selection.guidance
@@ -225,11 +234,11 @@ class _Roll:
                 # A block on which nothing is to be done is one on which nothing is said.
                 features = replace(features, low=self.quiet, silent=True)
             code, style_state = style.step(style_state, features, previous)
-            audio = b.generator.encode_audio(features.low[None])
+            audio = generator.encode_audio(features.low[None])
             control = None if features.control is None else features.control[None]
-            block, state, _ = b.generator.step(past, audio, vectors[[previous]], code, state, control=control)
+            block, state, _ = generator.step(past, audio, vectors[[previous]], code, state, control=control)
             if asked is not None:
-                unled, free_state, _ = b.generator.step(past, audio, vectors[[previous]], code, free_state)
+                unled, free_state, _ = generator.step(past, audio, vectors[[previous]], code, free_state)
                 block = unled + guidance * (block - unled)
             resting = resting + 1 if quiet else 0
             if resting > _SETTLES_AFTER and b.config.silence.settle > 0:
@@ -237,11 +246,15 @@ class _Roll:
             # What it was never shown it must not feed itself: one odd pose would lead to the next.
             past = torch.clamp(block, *bounds)
             made.motion[i], made.lexemes[i], made.codes[i] = past[0].numpy(), previous, code[0].numpy()
-            made.best[i] = np.argsort(-scores, kind="stable")[:best_count]
-            made.scores[i] = scores[made.best[i]]
-            if on_block is not None:
-                on_block(i + 1, count)
+            self._note(made, i, scores, on_block)
         return made
+
+    @staticmethod
+    def _note(made: _Made, i: int, scores: NDArray[np.float64], on_block: Callable[[int, int], None] | None) -> None:
+        made.best[i] = np.argsort(-scores, kind="stable")[:made.best.shape[1]]
+        made.scores[i] = scores[made.best[i]]
+        if on_block is not None:
+            on_block(i + 1, len(made.best))
 
     def _features(self, heard: Heard, i: int, asked: NDArray[np.float32] | None) -> BlockFeatures:
         s = self.bundle.statistics
@@ -250,3 +263,30 @@ class _Roll:
         text = None if heard.text is None else torch.as_tensor(heard.text[i])
         return BlockFeatures(low, high, bool(heard.blocks.silent[i]), text,
                              None if asked is None else torch.as_tensor(asked[i]))
+
+
+class _Decoded(_Roll):
+    """A performance of RACER's own: codes are chosen one by one and decoded together, without a generator (RACER 5.2).
+
+    There is no style, no gate and no silence in it; `activity` 0 holds the resting code.
+    """
+
+    @torch.inference_mode()
+    def run(self, heard: Heard, asked: NDArray[np.float32] | None, on_block: Callable[[int, int], None] | None
+            ) -> _Made:
+        """Every code in turn; nothing can be asked of the style."""
+        codec = self.bundle.lexicon
+        assert isinstance(codec, RacerCodec)
+        count, best = len(heard.blocks), min(BEST, len(codec.vectors))
+        rest = previous = self.bundle.rest_lexeme(self.speaker)
+        made = _Made(np.empty((0, 0, 0), np.float32), np.empty(count, np.int64), np.empty((count, best), np.int64),
+                     np.empty((count, best)), np.zeros((count, 0), np.float32), np.full(count, np.nan))
+        state = self.interpreter.start(self.speaker, previous)
+        for i in range(count):
+            scores, state = self.interpreter.step(state, self._features(heard, i, asked), previous)
+            previous = select(scores, temperature=self.temperature, top=self.top, rng=self.rng)
+            made.lexemes[i] = previous = rest if self.activity == 0 else previous
+            self._note(made, i, scores, on_block)
+        # The resting code before the first: the codec then begins where the figure stands.
+        codes = torch.as_tensor(np.concatenate([[rest], made.lexemes]))[None]
+        return replace(made, motion=codec.decode_tokens(codes)[0, 1:].numpy())

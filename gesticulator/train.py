@@ -44,6 +44,7 @@ from gesticulator.prepare import (
     sequences,
     with_silence,
 )
+from gesticulator.racer import Tokens, token_labels, train_codec, train_q_network, train_reward
 from gesticulator.sounds import Crops, folder_digest
 from interpreters.gate import ActivityGate
 from interpreters.lstm import LstmInterpreter
@@ -53,7 +54,7 @@ from lexicon.autoencoder import Lexicon
 from lexicon.quantizer import perplexity
 
 STAGES = ("lexicon", "generator", "interpreter", "style", "speech", "contrast", "interpreter_text", "style_text",
-          "gate")
+          "gate", "reward", "reward_judge", "cql")
 """Everything that is trained. "interpreter" and "style" hear audio alone, their "_text" twins the words too."""
 
 
@@ -76,10 +77,13 @@ class Run:
         speech: list[Any] = [self.store.fingerprint, c.seed, c.rhythm, c.encoder, s.speech,
                              [folder_digest(folder) for folder in self.speech]]
         heard = [*speech, c.text, s.contrast, c.front_end] if c.front_end.name == "vqwav2vec" else [c.front_end]
-        lexicon: list[Any] = [self.store.fingerprint, c.seed, c.rhythm, c.motion, c.lexicon, s.lexicon]
+        named = [c.racer, "racer"] if c.tokens == "racer" else [c.lexicon]
+        lexicon: list[Any] = [self.store.fingerprint, c.seed, c.rhythm, c.motion, *named, s.lexicon]
         made = [*lexicon, *heard, c.window, c.silence.augmentation, c.silence.longest_insert, c.silence.lexemes,
                 c.control, c.generator, s.generator]
         read = [*lexicon, *heard, c.window, c.silence.hint, c.silence.lexemes]
+        rewarded = [*lexicon, *heard, c.reward, s.reward]
+        acted = [*read, *rewarded, c.control, c.statistical, self.sized("interpreter"), s.interpreter, c.episodes]
         parts: dict[str, list[Any]] = {
             "speech": speech, "contrast": [*speech, c.text, s.contrast], "lexicon": lexicon, "generator": made,
             "interpreter": [*read, c.control, self.sized("interpreter"), s.interpreter],
@@ -87,7 +91,8 @@ class Run:
                                  s.interpreter_text],
             "style": [*made, self.sized("style"), s.style], "style_text": [*made, c.text, self.sized("style_text"),
                                                                            s.style],
-            "gate": [*read, c.gate, s.gate],
+            "gate": [*read, c.gate, s.gate], "reward": rewarded, "reward_judge": rewarded,
+            "episodes": acted, "cql": [*acted, c.cql, s.cql],
         }
         return configs.digest(stage, *[configs.to_dict(p) if dataclasses.is_dataclass(p) else p
                                        for p in parts[stage]])
@@ -97,7 +102,7 @@ class Run:
         schedules = self.config.schedules
         if stage == "interpreter_text" and self.begins_deaf:
             return schedules.interpreter_text
-        return getattr(schedules, stage.removesuffix("_text"))
+        return getattr(schedules, stage.removesuffix("_text").removesuffix("_judge"))
 
     @property
     def begins_deaf(self) -> bool:
@@ -106,7 +111,10 @@ class Run:
 
     def sized(self, stage: str) -> Any:
         """The settings of an interpreter: those of the bundle, without text for the audio-only twin."""
-        own = self.config.interpreter if stage.startswith("interpreter") else self.config.style
+        if stage.startswith("interpreter"):
+            heard = self.config.interpreter
+            return heard if stage.endswith("_text") else heard.without_text()
+        own = self.config.style
         return own if stage.endswith("_text") else dataclasses.replace(own, text_features=0, text_blocks=1,
                                                                        text_bottleneck=0)
 
@@ -320,25 +328,27 @@ class Labelled:
     inventory: inventories.Inventory
 
 
-def label(run: Run, lexicon: Lexicon) -> Labelled:
+def label(run: Run, lexicon: Tokens) -> Labelled:
     """Lexemes of all blocks, the silent ones, the hint on silent blocks, and the counts (RG 6.4.1, Eq. 24)."""
     corpus = run.corpus
-    labels = lexicon.label(corpus.motion).numpy()
+    labels = token_labels(lexicon, corpus)
     train = corpus.select("train")
     silent = silent_lexemes(run, labels)
     nearest = inventories.nearest_silent(lexicon.vectors.detach().double().numpy(), silent)
-    hinted = np.where(corpus.silent & run.config.silence.hint, nearest[labels], labels)
+    hinted = np.where(corpus.silent & (run.config.silence.hint and len(silent) > 0), nearest[labels], labels)
     numbers = np.zeros(len(labels), dtype=np.int64)
     numbers[train] = np.arange(1, len(train) + 1)
     names = corpus.statistics.speakers
     counts = inventories.count(((names[corpus.speaker_of[r]], hinted[corpus.blocks_of(r)])
-                                for r in corpus.recordings("train")), run.config.lexicon.size)
+                                for r in corpus.recordings("train")), len(lexicon.vectors))
     return Labelled(labels, hinted, silent, nearest, ~np.isin(labels, silent), numbers, counts)
 
 
 def silent_lexemes(run: Run, labels: NDArray[np.int64]) -> NDArray[np.int64]:
     """Those that the settings name, or those found: slow, and at home in silence (RG 6.4.1)."""
     corpus, named = run.corpus, run.config.silence.lexemes
+    if run.config.tokens == "racer":
+        return np.zeros(0, dtype=np.int64)  # RACER knows no silence
     if named:
         if not 0 <= min(named) <= max(named) < run.config.lexicon.size:
             raise InputError("silence.lexemes", f"names {list(named)}", f"there are 0 to {run.config.lexicon.size - 1}")
@@ -515,43 +525,70 @@ def train(config: Config, store: Store, out: Path, work: Path, *, device: str = 
         if only in ("speech", "contrast"):
             return None
         run.corpus = prepare(store, config, work, encoder, workers=workers, progress=progress)
-    lexicon, every["lexicon"] = train_lexicon(run)
+    tokens: Tokens
+    tokens, every["lexicon"] = train_codec(run) if config.tokens == "racer" else train_lexicon(run)
     if only == "lexicon":
         return None
-    labelled = label(run, lexicon)
-    models: dict[str, Any] = {}
-    for stage in (name for name in _wanted(run) if only in (None, name) or (name == "generator" and only in _STYLES)):
-        if stage.startswith("interpreter"):
-            models[stage], every[stage] = train_interpreter(run, lexicon, labelled, stage.endswith("_text"))
-        elif stage == "generator":
-            models[stage], every[stage] = train_generator(run, lexicon, labelled)
-        elif stage == "gate":
-            models[stage], every[stage] = train_gate(run, labelled)
-        else:
-            models[stage], every[stage] = train_style(run, lexicon, models["generator"], labelled,
-                                                      stage.endswith("_text"))
+    labelled = label(run, tokens)
+    models = _models(run, tokens, labelled, every, only)
     if only:
         return None
     trained = bundles.Bundle(
-        config, run.corpus.statistics, lexicon, models["generator"], models["interpreter"], models["style"],
-        labelled.inventory, labelled.silent, _provenance(run), every, encoder=encoder, gate=models.get("gate"),
-        interpreter_text=models.get("interpreter_text"), style_text=models.get("style_text"),
+        config, run.corpus.statistics, tokens, models.get("generator"), models.get("interpreter"),
+        models.get("style"), labelled.inventory, labelled.silent, _provenance(run), every, encoder=encoder,
+        gate=models.get("gate"), q_network=models.get("cql"), reward=models.get("reward"),
+        reward_judge=models.get("reward_judge"), interpreter_text=models.get("interpreter_text"),
+        style_text=models.get("style_text"),
         text=bundles.TextSource.of(config, run.corpus.text_width))
     bundles.save(trained, out, model_card(trained))
     return trained
 
 
+def _models(run: Run, tokens: Tokens, labelled: Labelled, every: dict[str, Any], only: str | None) -> dict[str, Any]:
+    """The stages after the lexicon, by name; their figures go to `every`."""
+    models: dict[str, Any] = {}
+    made: tuple[nn.Module, dict[str, float]]
+    for stage in (name for name in _wanted(run) if only in (None, name) or name in _NEEDS.get(only, ())):
+        if stage.startswith("reward"):
+            made = train_reward(run, tokens, labelled, stage == "reward_judge")
+        elif stage == "cql":
+            made = train_q_network(run, tokens, labelled, models["reward"], models.get("interpreter"))
+        elif stage == "gate":
+            made = train_gate(run, labelled)
+        else:
+            assert isinstance(tokens, Lexicon)
+            made = _drawn(run, stage, tokens, labelled, models)
+        models[stage], every[stage] = made
+    return models
+
+
+def _drawn(run: Run, stage: str, lexicon: Lexicon, labelled: Labelled, models: dict[str, Any]
+           ) -> tuple[nn.Module, dict[str, float]]:
+    """The stages of Rhythmic Gesticulator alone."""
+    text = stage.endswith("_text")
+    if stage.startswith("interpreter"):
+        return train_interpreter(run, lexicon, labelled, text)
+    if stage == "generator":
+        return train_generator(run, lexicon, labelled)
+    return train_style(run, lexicon, models["generator"], labelled, text)
+
+
 _FIRST = ("speech", "contrast", "lexicon")
-_STYLES = ("style", "style_text")
+_NEEDS: dict[str | None, tuple[str, ...]] = {
+    "style": ("generator",), "style_text": ("generator",), "cql": ("interpreter", "reward")}
+"""What else is trained, or read, when one stage alone is asked for."""
 
 
 def _wanted(run: Run) -> list[str]:
     """The stages that these settings ask for, in order, after the speech encoder and the lexicon."""
     config = run.config
-    stages = ["interpreter", "gate", "generator", "style"]
+    racer = ["reward", "reward_judge", "cql"] if config.schedules.cql.steps else []
+    if config.tokens == "racer":
+        return racer
+    stages = ["interpreter", "gate", *racer, "generator", "style"]
     if config.schedules.gate.steps == 0:
         stages.remove("gate")
-    if config.text.encoder and config.interpreter.text_features:
+    if config.text.encoder and config.interpreter.reads:
         stages.insert(0, "interpreter_text")
     if config.text.encoder and config.style.text_features:
         stages.append("style_text")

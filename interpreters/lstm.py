@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -10,8 +10,10 @@ from torch.nn import functional
 
 from data_module.layers import BlockLinear, repeat_frames
 from interpreters.base import BlockFeatures, Scores
+from interpreters.reading import Reading
 
 Hidden = tuple[Tensor, Tensor]
+_NO_TEXT = "this interpreter reads text; take the audio-only one"
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,10 @@ class LstmConfig:
     """Blocks of text that are read: 1 (the paper), or 3, the one before and the one after too."""
     text_bottleneck: int = 0
     """Width that a word vector is brought to before the FC; 0 for none (the paper)."""
+    text_reading: int = 0
+    """Width of a head that reads the words of three blocks beside the LSTM and adds to its scores; 0 (the paper) takes
+    `text_features` into the LSTM instead."""
+    reading_dropout: float = 0.5
     use_control: bool = False
     """Hear what is asked of the style (C_i of RG 7.2.1)."""
     use_speaker: bool = True
@@ -40,6 +46,15 @@ class LstmConfig:
     own_past_most: float = 0.5
     """The share of previous lexemes that are its own predictions rises from 0 to `own_past_most` by this share of the
     run (scheduled sampling in two passes)."""
+
+    @property
+    def reads(self) -> bool:
+        """Words are read, in one way or the other."""
+        return self.text_features > 0 or self.text_reading > 0
+
+    def without_text(self) -> LstmConfig:
+        """The settings of the audio-only twin (RG 6.3)."""
+        return replace(self, text_features=0, text_blocks=1, text_bottleneck=0, text_reading=0)
 
 
 @dataclass(frozen=True)
@@ -68,6 +83,10 @@ class LstmInterpreter(nn.Module):
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
         self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
                                        config.text_bottleneck) if config.text_features else None
+        self.reading = Reading(text_width, config.text_reading, config.text_bottleneck or text_width, lexemes.shape[1],
+                               speakers, len(lexemes), config.reading_dropout) if config.text_reading else None
+        self.held = False
+        """All but the reading head is held as it is."""
         self.control_width = control_width if config.use_control else 0
         width = config.audio_features + lexemes.shape[1] + (speakers if config.use_speaker else 0)
         width += config.text_features + self.control_width
@@ -79,8 +98,16 @@ class LstmInterpreter(nn.Module):
     def begin_as(self, deaf: LstmInterpreter) -> None:
         """Take over the weights of an audio-only interpreter of the same sizes; the words then begin without a say.
 
-        The columns of the first LSTM layer that read the words start at zero, so both give the same scores at first.
+        With a reading head the rest is then held as it is. Else the columns of the first LSTM layer that read the words
+        start at zero, so both give the same scores at first.
         """
+        if self.reading is not None:
+            self.load_state_dict(deaf.state_dict(), strict=False)
+            for name, parameter in self.named_parameters():
+                parameter.requires_grad_(name.startswith("reading."))
+            # What is held as it is need not be kept from memorising, nor be taught to bear its own mistakes.
+            self.held, self.dropout.p = True, 0.0
+            return
         own = self.state_dict()
         for name, value in deaf.state_dict().items():
             if name != "lstm.weight_ih_l0":
@@ -107,7 +134,7 @@ class LstmInterpreter(nn.Module):
         parts = [self.encode_audio(audio), repeat_frames(self.lexemes[previous], self.frames)]
         if self.encode_text is not None:
             if text is None:
-                raise ValueError("this interpreter reads text; take the audio-only one")
+                raise ValueError(_NO_TEXT)
             parts.append(self.encode_text(text))
         if self.control_width:
             free = audio.new_zeros(*audio.shape[:2], self.frames, self.control_width)
@@ -117,7 +144,12 @@ class LstmInterpreter(nn.Module):
         rows = self.dropout(torch.cat(parts, dim=-1)).flatten(1, 2)
         out, hidden = self.lstm(rows, hidden)
         last = out.unflatten(1, (blocks, self.frames))[:, :, -1]
-        return self.classify(self.dropout(last)), hidden
+        heard = self.classify(self.dropout(last))
+        if self.reading is not None:
+            if text is None:
+                raise ValueError(_NO_TEXT)
+            heard = heard + self.reading(text, self.lexemes[previous], speaker)
+        return heard, hidden
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """Cross-entropy of the next lexeme.
@@ -127,11 +159,11 @@ class LstmInterpreter(nn.Module):
         first block is the seed.
         """
         labels, audio = batch["lexeme"], batch["audio_high"][:, 1:]
-        text = batch["text"][:, 1:] if self.encode_text is not None else None
+        text = batch["text"][:, 1:] if self.config.reads else None
         control = batch["control"][:, 1:] if self.control_width else None
         previous = labels[:, :-1]
         share = self.config.own_past_most * min(progress / max(self.config.own_past_until, 1e-9), 1.0)
-        if self.training and share > 0:
+        if self.training and share > 0 and not self.held:
             with torch.no_grad():
                 drawn = torch.distributions.Categorical(
                     logits=self.scores(previous, audio, batch["speaker"], None, text, control)[0]).sample()

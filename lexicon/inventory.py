@@ -61,6 +61,8 @@ def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, 
 
 
 def nearest_silent(vectors: Array, silent: Labels) -> Labels:
-    """For each lexeme [S] the silent lexeme nearest to it in latent space (RG 6.4.1)."""
+    """For each lexeme [S] the silent lexeme nearest to it in latent space (RG 6.4.1); itself when none is silent."""
+    if len(silent) == 0:
+        return np.arange(len(vectors))
     distances = ((vectors[:, None] - vectors[None, silent]) ** 2).sum(-1)
     return silent[distances.argmin(axis=1)]

@@ -137,6 +137,64 @@ def test_the_rule_of_the_paper_by_hand(onsets: list[float], loud: Array, duratio
     assert beats.flags.tolist() == flags
 
 
+@pytest.mark.parametrize(("bounds", "duration", "times"), [
+    # a multiple of d_max
+    ((0.2, 0.4), 1.2, [0, 0.4, 0.8, 1.2]),
+    # and one that floats make a little longer
+    ((0.2, 0.4), 0.4 + 0.4 + 0.4, [0, 0.4, 0.8, 1.2]),
+    # what is left is long enough to be an interval
+    ((0.2, 0.4), 1.45, [0, 0.4, 0.8, 1.2, 1.45]),
+    # what is left is too short: the beat before the end makes room
+    ((0.2, 0.4), 1.3, [0, 0.4, 0.8, 1.1, 1.3]),
+    # shorter than an interval
+    ((0.2, 0.4), 0.3, [0, 0.3]),
+    ((0.2, 0.4), 0.1, [0, 0.1]),
+    # one length alone: half of it is what the end may have
+    ((0.4, 0.4), 1.2, [0, 0.4, 0.8, 1.2]),
+    ((0.4, 0.4), 1.45, [0, 0.4, 0.8, 1.2, 1.45]),
+    ((0.4, 0.4), 1.3, [0, 0.4, 0.8, 1.1, 1.3]),
+])
+def test_even_beats_by_hand(bounds: tuple[float, float], duration: float, times: list[float]) -> None:
+    beats = place_beats(np.array([0.17, 0.55]), EVERYWHERE, duration, BeatSettings(*bounds, rule="even"))
+    assert np.allclose(beats.times, times)
+    assert beats.flags.tolist() == [0, *[3] * (len(times) - 2), 0]
+
+
+@given(duration=st.floats(0.01, 4000), bounds=st.sampled_from([(0.2, 0.4), (0.1, 0.4), (0.2, 0.5), (0.4, 0.4)]))
+def test_even_beats_are_as_far_apart_as_they_may_be(duration: float, bounds: tuple[float, float]) -> None:
+    settings = BeatSettings(*bounds, rule="even")
+    beats = place_beats(NOWHERE, NOWHERE, duration, settings)
+    assert beats.times[0] == 0 and beats.times[-1] == duration
+    assert np.abs(beats.intervals[:-2] - settings.d_max).max(initial=0) < 1e-9
+    assert len(beats.intervals) == max(1, np.ceil(duration / settings.d_max - 1e-9)), "no beat more than it takes"
+    if len(beats.intervals) > 1:
+        shortest = min(settings.d_min, settings.d_max / 2)
+        assert beats.intervals.min() >= shortest - 1e-9
+        assert beats.intervals.max() <= settings.d_max + 1e-9
+
+
+@given(onsets=times, loud=loudness, duration=st.floats(0.05, 60), preset=st.sampled_from(RANGES))
+def test_even_beats_are_those_of_a_recording_in_which_nothing_is_heard(onsets: Array, loud: Array, duration: float,
+                                                                       preset: tuple[float, float]) -> None:
+    even = place_beats(onsets, loud, duration, BeatSettings(*preset, rule="even"))
+    unheard = place_beats(NOWHERE, NOWHERE, duration, BeatSettings(*preset))
+    assert np.allclose(even.times, unheard.times, atol=1e-9)
+    assert np.array_equal(even.flags, unheard.flags)
+
+
+def test_an_hour_of_even_beats_does_not_drift() -> None:
+    beats = place_beats(NOWHERE, NOWHERE, 3600.0, BeatSettings(0.4, 0.4, rule="even"))
+    assert len(beats.intervals) == 9000
+    assert np.abs(beats.times * 20 - 8 * np.arange(9001)).max() < 1e-9
+
+
+def test_even_beats_do_not_listen() -> None:
+    settings = BeatSettings(0.2, 0.4, rule="even")
+    one, other = (find_beats(Speech(sounds()[name], RATE), settings) for name in ("babble", "silence"))
+    assert np.array_equal(one.times, other.times)
+    assert np.array_equal(one.flags, other.flags)
+
+
 def sounds() -> dict[str, Samples]:
     time = np.arange(6 * RATE) / RATE
     return {
@@ -215,11 +273,23 @@ def test_long_recordings_are_done_in_pieces_that_leave_no_trace(monkeypatch: pyt
 
 
 def test_settings_that_cannot_hold_are_refused() -> None:
-    for wrong in ({"d_min": 0.3, "d_max": 0.5}, {"d_min": 0.0}, {"d_max": float("inf")}, {"rule": "other"},
-                  {"merge": -1.0}, {"d_min": float("nan")}):
-        with pytest.raises(InputError):
-            BeatSettings(**wrong)  # type: ignore[arg-type]
+    for wrong in ({"d_min": 0.3, "d_max": 0.5}, {"d_min": 0.0}, {"d_max": float("inf")}, {"d_max": 0.1},
+                  {"merge": -1.0}, {"d_min": float("nan")}, {"d_max": float("nan")}, {"d_min": -0.2}):
+        for rule in RULES:
+            with pytest.raises(InputError):
+                BeatSettings(**wrong, rule=rule)
+    with pytest.raises(InputError, match="other"):
+        BeatSettings(rule="other")
     BeatSettings(0.25, 0.5)
+
+
+def test_one_length_alone_is_for_even_beats() -> None:
+    for rule in RULES:
+        if rule == "even":
+            BeatSettings(0.4, 0.4, rule=rule)
+            continue
+        with pytest.raises(InputError, match="d_max"):
+            BeatSettings(0.4, 0.4, rule=rule)
 
 
 def test_onsets_agree_with_librosa_on_real_speech(outside_data: Path) -> None:

@@ -80,6 +80,32 @@ def test_cut_tiles_the_recording() -> None:
     assert not blocks.silent[blocks.edges[1:] < 1.9].any()
 
 
+@pytest.mark.parametrize("shortest", [0.2, 0.4])
+def test_even_beats_give_the_fixed_rate_of_racer(shortest: float) -> None:
+    """8 frames at 20 fps a block, and neither sound nor motion is stretched."""
+    settings = BlockSettings(BeatSettings(shortest, 0.4, rule="even"))
+    sound = buzz(6.0)
+    blocks = cut(Speech(sound, RATE), settings)
+    assert blocks.frames == settings.frames == 8
+    assert len(blocks) == 15
+    assert np.array_equal(stretch_speech(Speech(sound, RATE), blocks).ravel(), sound)
+    motion = smooth_motion(6.0, 20.0)
+    knots = normalise_motion(motion, blocks)
+    assert np.allclose(knots.reshape(120, 48), skeletons.to_vector(motion)[1:], atol=1e-9)
+
+
+def test_only_the_end_of_a_recording_is_stretched_where_beats_are_even() -> None:
+    sound = buzz(6.1)
+    blocks = cut(Speech(sound, RATE), BlockSettings(BeatSettings(0.4, 0.4, rule="even")))
+    assert len(blocks) == 16
+    stretched = stretch_speech(Speech(sound, RATE), blocks)
+    assert np.array_equal(stretched[:14].ravel(), sound[:14 * 6400])
+    assert np.allclose(rms(stretched[14:], 1), rms(sound), rtol=0.1)
+    motion = smooth_motion(6.1, 60.0)
+    back = denormalise(normalise_motion(motion, blocks), first_pose(motion), blocks, 20.0, smooth_over=0)
+    assert np.abs(back - skeletons.to_vector(motion)[:-1:3]).max() < 0.002
+
+
 @pytest.mark.parametrize("hertz", [110.0, 220.0, 440.0, 1000.0])
 @pytest.mark.parametrize("method", METHODS)
 def test_stretching_keeps_pitch_level_and_length(hertz: float, method: str) -> None:

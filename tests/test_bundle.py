@@ -18,7 +18,8 @@ from data_module.types import Speech
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 
-PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text")
+PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text",
+         "q_network", "reward", "reward_judge")
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +62,8 @@ def test_every_part_survives_a_round_trip(whole: Path) -> None:
     assert read.interpreter_text.encode_text is not None
 
 
-@pytest.mark.parametrize("lacking", [("gate",), ("style_text",), ("interpreter_text", "style_text", "text")])
+@pytest.mark.parametrize("lacking", [("gate",), ("style_text",), ("q_network", "reward", "reward_judge"),
+                                     ("interpreter_text", "style_text", "text")])
 def test_what_a_bundle_has_not_is_not_there_after_reading(lacking: tuple[str, ...], tmp_path: Path) -> None:
     less = dataclasses.replace(untrained(), **dict.fromkeys(lacking))
     bundles.save(less, tmp_path / "less", "a card")
@@ -99,11 +101,13 @@ def test_a_file_that_the_listing_does_not_name_is_ignored(whole: Path, tmp_path:
     assert read.gate is None and read.interpreter_text is not None
 
 
-NEW = {"encoder", "text", "control", "gate"}
+NEW = {"encoder", "text", "control", "gate", "reward", "episodes", "cql", "tokens", "racer"}
 NEW_INSIDE = {"front_end": {"layers"}, "motion": {"representation"}, "silence": {"lexemes", "settle"},
-              "selection": {"activity", "guidance"}, "schedules": {"speech", "contrast", "gate", "interpreter_text"},
+              "selection": {"activity", "guidance", "q_temperature"},
+              "schedules": {"speech", "contrast", "gate", "interpreter_text", "reward", "cql"},
               "generator": {"audio_bottleneck", "use_control", "style_dropout"},
-              "interpreter": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck", "use_control"},
+              "interpreter": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck", "text_reading",
+                              "reading_dropout", "use_control"},
               "style": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck"}}
 
 
@@ -135,7 +139,34 @@ def test_a_bundle_of_format_1_still_gestures(tmp_path: Path) -> None:
     np.testing.assert_array_equal(made.motion.rotations, again.motion.rotations)
 
 
-@pytest.mark.parametrize("number", [0, 3, 99, "2", None])
+def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) -> None:
+    other = untrained(seed=7)
+    bundles.save(other, tmp_path / "other", "a card")
+    copy = copy_of(whole, tmp_path)
+    shutil.copy(tmp_path / "other" / "q_network.safetensors", copy)
+    foreign = json.loads((tmp_path / "other" / "bundle.json").read_text())["files"]["q_network.safetensors"]
+    edit(copy, files={**json.loads((copy / "bundle.json").read_text())["files"], "q_network.safetensors": foreign})
+    with pytest.raises(InputError, match=r"q_network\.safetensors.*another lexicon"):
+        bundles.load(copy)
+
+
+def test_a_bundle_of_format_2_still_gestures(tmp_path: Path) -> None:
+    bundles.save(untrained("schedules.cql.steps=0"), tmp_path / "old", "a card")
+    index = json.loads((tmp_path / "old" / "bundle.json").read_text())
+    config = {key: value for key, value in index["config"].items()
+              if key not in ("reward", "episodes", "cql", "tokens", "racer")}
+    config["interpreter"] = {key: value for key, value in config["interpreter"].items() if "reading" not in key}
+    for group, names in {"schedules": ("reward", "cql"), "selection": ("q_temperature",)}.items():
+        config[group] = {key: value for key, value in config[group].items() if key not in names}
+    edit(tmp_path / "old", format=2, config=config)
+    system = Gesticulator(bundles.load(tmp_path / "old"))
+    speech = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)
+    assert np.isfinite(system(speech).motion.rotations).all()
+    with pytest.raises(InputError, match=r"--interpreter cql: is not in the bundle.*lstm, statistical"):
+        system(speech, interpreter="cql")
+
+
+@pytest.mark.parametrize("number", [0, 4, 99, "2", None])
 def test_an_unknown_format_is_refused_by_its_number(number: object, whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     edit(copy, format=number)

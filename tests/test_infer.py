@@ -126,6 +126,11 @@ def test_other_interpreters_and_speakers_change_the_motion(recording: Path, tiny
     system = Gesticulator.from_pretrained(tiny_bundle)
     base = system(recording).motion.rotations
     assert not np.array_equal(base, system(recording, interpreter="statistical", temperature=1.0).motion.rotations)
+    greedy = system(recording, interpreter="cql")
+    assert not np.array_equal(base, greedy.motion.rotations)
+    np.testing.assert_array_equal(greedy.lexemes, system(recording, interpreter="cql", seed=9).lexemes, "no draw")
+    silent = system.bundle.silent
+    assert np.isin(greedy.lexemes[greedy.blocks.silent], silent).all()
     if len(system.speakers) > 1:
         assert not np.array_equal(base, system(recording, speaker=system.speakers[1]).motion.rotations)
 

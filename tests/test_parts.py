@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from data_module.store import Store
 from eval import parts
 from gesticulator import bundle as bundles
 from gesticulator.config import with_settings
 from gesticulator.prepare import Corpus
+from interpreters.lstm import LstmConfig
 
 FRAMES, SIZE = 2, 4
 
@@ -38,7 +39,7 @@ def corpus(lengths: tuple[int, ...], labels: np.ndarray) -> Corpus:
 class ByTable:
     """Scores by the lexeme before: log of a table [S, S]."""
 
-    encode_text = None
+    config = LstmConfig()
     speakers = 1
 
     def __init__(self, table: np.ndarray) -> None:
@@ -53,7 +54,7 @@ class ByTable:
 class ByWord(ByTable):
     """Scores by the word that sounds on the middle block: ten times surer than chance."""
 
-    encode_text = nn.Identity()  # type: ignore[assignment]
+    config = LstmConfig(text_features=1)
 
     def __init__(self) -> None:
         super().__init__(np.ones((1, 1)))
@@ -73,6 +74,10 @@ def test_accuracy_and_surprise_of_a_table_by_hand() -> None:
     np.testing.assert_allclose(got["accuracy"], [200 / 3, 50.0])
     by_hand = [-(math.log(0.7) + math.log(0.4) + math.log(0.25)) / 3, -(math.log(0.7) + math.log(0.1)) / 2]
     np.testing.assert_allclose(got["surprise"], by_hand, rtol=1e-6)
+    np.testing.assert_allclose(got["drawn"], [100 * (0.7 + 0.4 + 0.25) / 3, 100 * (0.7 + 0.1) / 2], rtol=1e-6)
+    sharper = parts.teacher_forced(ByTable(table), own, labels, [0, 1], temperature=0.5)  # type: ignore[arg-type]
+    shares = [0.7**2 / (0.7**2 + 3 * 0.1**2), 0.1**2 / (0.7**2 + 3 * 0.1**2)]
+    assert sharper["drawn"][1] == pytest.approx(50 * sum(shares)) and sharper["accuracy"][1] == 50
 
 
 def test_right_words_tell_and_wrong_words_mislead() -> None:
@@ -88,21 +93,36 @@ def test_right_words_tell_and_wrong_words_mislead() -> None:
     np.testing.assert_allclose(wrong["surprise"][0], (3 * sure + sure + 10) / 4, rtol=1e-4)
 
 
+def test_a_wrong_text_is_the_mean_over_several() -> None:
+    labels = np.array([0, 1, 2, 3, 0, 1, 1, 2, 3, 0, 2, 2])
+    own = corpus((4, 4, 4), labels)
+    mean = parts.wrongly_read(ByWord(), own, labels, [0, 1, 2])  # type: ignore[arg-type]
+    each = [parts.teacher_forced(ByWord(), own, labels, [0, 1, 2], words) for words in ([1, 2, 0], [2, 0, 1])]  # type: ignore[arg-type]
+    for key, values in mean.items():
+        np.testing.assert_allclose(values, (each[0][key] + each[1][key]) / 2)
+    one = parts.wrongly_read(ByWord(), own, labels, [0, 1, 2], most=1)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(one["surprise"], each[0]["surprise"])
+
+
 @pytest.mark.parametrize("recordings", [[3, 4], [5, 1, 2], list(range(9))])
 def test_nobody_reads_their_own_words(recordings: list[int]) -> None:
-    others = parts.another(None, recordings)  # type: ignore[arg-type]
+    others = parts.another(recordings)
     assert sorted(others) == sorted(recordings)
     assert all(other != own for own, other in zip(recordings, others, strict=True))
 
 
 def test_one_recording_has_nobody_elses_words() -> None:
     with pytest.raises(ValueError, match="two"):
-        parts.another(None, [3])  # type: ignore[arg-type]
+        parts.another([3])
+    with pytest.raises(ValueError, match="two"):
+        parts.another([3, 4], 2)
 
 
 def test_differences_are_paired() -> None:
-    rows = {"a": {"accuracy": np.array([10.0, 20.0, 60.0]), "surprise": np.array([1.0, 2.0, 3.0])},
-            "b": {"accuracy": np.array([0.0, 15.0, 30.0]), "surprise": np.array([1.5, 2.5, 3.5])}}
+    rows = {"a": {"accuracy": np.array([10.0, 20.0, 60.0]), "drawn": np.array([5.0, 6.0, 7.0]),
+                  "surprise": np.array([1.0, 2.0, 3.0])},
+            "b": {"accuracy": np.array([0.0, 15.0, 30.0]), "drawn": np.array([4.0, 5.0, 6.0]),
+                  "surprise": np.array([1.5, 2.5, 3.5])}}
     result = parts.table(rows, [("a", "b")], [1, 1, 2])
     assert result["rows"]["a"]["accuracy"]["mean"] == pytest.approx((10 + 20 + 2 * 60) / 4)
     difference = result["differences"]["a - b"]
@@ -111,7 +131,7 @@ def test_differences_are_paired() -> None:
     assert [difference["surprise"][key] for key in ("low", "mean", "high")] == pytest.approx([-0.5] * 3)
     assert result["rows"]["a"]["surprise"]["low"] < result["rows"]["a"]["surprise"]["high"]
     text = parts.markdown({"text": result})
-    assert "| a - b | 18.8 [" in text and "| -0.500 [-0.500, -0.500] |" in text
+    assert "| a - b | 18.8 [" in text and "| 1.0 [1.0, 1.0] | -0.500 [-0.500, -0.500] |" in text
 
 
 def test_the_tables_of_a_trained_bundle(tiny_store: Path, tiny_bundle: Path) -> None:

@@ -27,9 +27,10 @@ from gesticulator import infer, train
 from gesticulator.prepare import Windows, prepare, sequences, with_silence
 
 SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter_text": 10, "interpreter": 10, "gate": 6,
-         "generator": 12, "style": 8, "style_text": 8}
+         "reward": 6, "reward_judge": 6, "cql": 14, "generator": 12, "style": 8, "style_text": 8}
 """Steps of every stage of a short run, in the order in which the stages are trained."""
-SHORT = [f"schedules.{stage}.steps={steps}" for stage, steps in SIZES.items() if not stage.endswith("_text")]
+SHORT = [f"schedules.{stage}.steps={steps}" for stage, steps in SIZES.items()
+         if not stage.endswith(("_text", "_judge"))]
 
 
 def short() -> configs.Config:
@@ -47,7 +48,8 @@ def test_every_stage_learned(work: Path) -> None:
     for stage, term in (("speech", "predictive"), ("contrast", "contrast"), ("lexicon", "reconstruction"),
                         ("generator", "val_reconstruction"), ("interpreter", "cross_entropy"),
                         ("interpreter_text", "cross_entropy"), ("style", "code"), ("style_text", "code"),
-                        ("gate", "activity")):
+                        ("gate", "activity"), ("reward", "contrast"), ("reward_judge", "contrast"),
+                        ("cql", "conservative")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
         values = [row[term] for row in rows if term in row]
@@ -103,7 +105,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
     monkeypatch.setattr(fitting, "_one_step", one_step)
     train.train(short(), store, tmp_path / "broken", broken, progress=False)
     names = sorted(file.name for file in (tmp_path / "whole").glob("*.safetensors"))
-    assert len(names) == 9 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
+    assert len(names) == 12 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
     for name in names:
         a, b = (load_file(tmp_path / run / name) for run in ("whole", "broken"))
         assert a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a), name
@@ -111,7 +113,8 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
     assert set(whole) == set(SIZES) and whole == again
 
 
-HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "generator", "style", "style_text"}
+HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "generator", "style", "style_text", "reward",
+         "reward_judge", "cql"}
 """What follows the first stage of the speech encoder."""
 MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_text"}
 
@@ -120,9 +123,13 @@ MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_
     ("style.width=33", {"style", "style_text"}),
     ("generator.lstm_width=50", MADE),
     ("silence.augmentation=0.1", MADE),
-    ("silence.lexemes=[1,2]", {*MADE, *READ, "gate"}),
-    ("control.asked=0.6", {*MADE, *READ}),
-    ("interpreter.width=49", READ),
+    ("silence.lexemes=[1,2]", {*MADE, *READ, "gate", "cql"}),
+    ("control.asked=0.6", {*MADE, *READ, "cql"}),  # the interpreter acts in the Q-network's data set
+    ("interpreter.width=49", {*READ, "cql"}),
+    ("statistical.gain=2.0", {"cql"}),
+    ("reward.width=17", {"reward", "reward_judge", "cql"}),
+    ("episodes.replace=0.3", {"cql"}),
+    ("cql.width=18", {"cql"}), ("schedules.cql.steps=31", {"cql"}), ("selection.q_temperature=1.0", set()),
     ("gate.width=17", {"gate"}),
     ("interpreter.text_features=9", {"interpreter_text"}),
     ("style.text_features=9", {"style_text"}),
@@ -340,7 +347,7 @@ def test_the_speed_of_a_lexeme_is_that_of_its_training_blocks(tiny_store: Path, 
 
 def test_ten_joints_in_space_are_trained_on_and_become_a_skeleton(tiny_store: Path, tmp_path: Path) -> None:
     settings = ["motion.representation=positions", "lexicon.warm_up=0.5",
-                *(f"schedules.{stage}.steps=10" for stage in SIZES if not stage.endswith("_text"))]
+                *(f"schedules.{stage}.steps=10" for stage in SIZES if not stage.endswith(("_text", "_judge")))]
     out = tmp_path / "bundle"
     assert train.main(["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet",
                        *(part for setting in settings for part in ("--set", setting))]) == 0

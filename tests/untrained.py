@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -11,12 +13,14 @@ from data_module.layers import freeze
 from data_module.speech_encoder import SpeechEncoder
 from generator.model import Generator
 from gesticulator.bundle import Bundle, TextSource
-from gesticulator.config import preset, with_settings
+from gesticulator.config import Config, preset, with_settings
 from gesticulator.hear import front_end_for
 from gesticulator.prepare import CONTROL_WIDTH, Statistics, representation_of
 from gesticulator.train import Run
+from interpreters.cql import QNetwork
 from interpreters.gate import ActivityGate
 from interpreters.lstm import LstmInterpreter
+from interpreters.reward import RewardModel
 from interpreters.style import StyleInterpreter
 from lexicon.autoencoder import Lexicon
 from lexicon.inventory import Inventory
@@ -24,8 +28,8 @@ from lexicon.inventory import Inventory
 SPEAKERS = ("ann", "bob")
 SILENT = (2, 5)
 PLAIN = ("front_end.name=mel", "text.encoder=", "interpreter.text_features=0", "interpreter.use_control=false",
-         "style.text_features=0", "generator.use_control=false", "schedules.gate.steps=0")
-"""Settings of a bundle without text, learned speech levels, gate and style editing."""
+         "style.text_features=0", "generator.use_control=false", "schedules.gate.steps=0", "schedules.cql.steps=0")
+"""Settings of a bundle without text, learned speech levels, gate, style editing and Q-network."""
 
 
 def half(module: torch.nn.Module) -> torch.nn.Module:
@@ -75,6 +79,17 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
         np.array(SILENT), {"store": "none", "fingerprint": "0" * 64, "licence": "none", "hours": {"train": 0.0}}, {},
         encoder=encoder,  # type: ignore[arg-type]
         gate=half(ActivityGate(config.gate, frames, low, len(SPEAKERS))) if config.schedules.gate.steps else None,  # type: ignore[arg-type]
-        interpreter_text=lexemes("interpreter_text") if words and config.interpreter.text_features else None,
+        interpreter_text=lexemes("interpreter_text") if words and config.interpreter.reads else None,
         style_text=style("style_text") if words and config.style.text_features else None,
-        text=TextSource.of(config, words))
+        text=TextSource.of(config, words), **racer(config, lexicon, low, high, learned))
+
+
+def racer(config: Config, lexicon: Lexicon, low: int, high: int, two_levels: bool) -> dict[str, Any]:
+    """Q-network and reward models, where the settings train them."""
+    if not config.schedules.cql.steps:
+        return {}
+    heard = low + high - 1 if two_levels else low
+    return {"q_network": half(QNetwork(config.cql, config.rhythm.frames, high, len(lexicon.vectors), len(SPEAKERS),
+                                       SILENT)),
+            **{name: half(RewardModel(config.reward, config.rhythm.frames, lexicon.motion_width, heard))
+               for name in ("reward", "reward_judge")}}

@@ -1,0 +1,161 @@
+"""Controls: motion that is known to be wrong, or right, to see what a metric says of it.
+
+A metric is worth what it makes of these (mir_eval's rule that perfect input gives a perfect score, turned round):
+
+- `split_halves`: one half of the real clips against the other. A distance between sets cannot be lower than that by
+  skill: it is the floor.
+- `shuffled`: each speech with the motion of another clip. Real motion, wrong speech: the chance level of what claims
+  to see synchrony or meaning. A distance between sets does not move at all.
+- `reversed_in_time`: real poses, played backwards: strokes recoil and retractions strike. What takes no notice of it
+  sees poses, not movement.
+- `jittered`: every joint 2 cm off, anew in each frame. Hardly a change of pose, and no person moves so; a metric that
+  improves by it rewards noise (the beat consistency of the BEAT family does: 0.48 clean, 0.81 with jitter).
+
+Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module import kinematics, rotation
+from data_module.types import Array, Motion, Skeleton
+
+JITTER = 0.02
+"""Metres: the standard deviation along each axis."""
+_EPS = 1e-9
+
+Clips = Sequence[Motion]
+
+
+def split_halves(clips: Clips, seed: int, groups: Sequence[str] | None = None) -> tuple[list[Motion], list[Motion]]:
+    """Two halves of the clips, drawn at random; with `groups` (a name for each clip) a group stays together.
+
+    Halves are as equal in seconds as one pass allows: the groups, in random order, go each to the shorter half. Clips
+    of one sound or text must share a group, or the halves are no strangers and the floor is too low.
+    """
+    names = _groups(clips, groups)
+    order = np.random.default_rng(seed).permutation(np.unique(names))
+    if len(order) < 2:
+        raise ValueError("a split needs two groups of clips at least")
+    seconds = np.array([clip.duration for clip in clips])
+    halves: tuple[list[int], list[int]] = ([], [])
+    length = [0.0, 0.0]
+    for name in order:
+        members = np.flatnonzero(names == name)
+        side = int(length[1] < length[0])
+        halves[side].extend(members.tolist())
+        length[side] += float(seconds[members].sum())
+    first, second = ([clips[k] for k in sorted(half)] for half in halves)
+    return first, second
+
+
+def donors(clips: Clips, seed: int, groups: Sequence[str] | None = None) -> NDArray[np.int64]:
+    """[clips] whose motion each speech gets in `shuffled`: each clip gives once, and never to its own group."""
+    names = _groups(clips, groups)
+    rng = np.random.default_rng(seed)
+    kinds, counts = np.unique(names, return_counts=True)
+    largest = int(counts.max(initial=0))
+    if len(names) < 2 or 2 * largest > len(names):
+        raise ValueError(f"{len(names)} clips, {largest} of them of one group, cannot all have another's motion")
+    # Groups side by side in a circle: a step as wide as the largest of them leaves every group.
+    order = np.concatenate([rng.permutation(np.flatnonzero(names == kind)) for kind in rng.permutation(kinds)])
+    giver = np.empty(len(names), dtype=np.int64)
+    giver[order] = np.roll(order, -largest)
+    return giver
+
+
+def shuffled(clips: Clips, seed: int, groups: Sequence[str] | None = None) -> list[Motion]:
+    """Each clip with the motion of another one (see `donors`), cut to its own length.
+
+    A donor that is shorter ends early: take `to_common_length` of both before frames are compared with frames.
+    """
+    if len({clip.fps for clip in clips}) > 1:
+        raise ValueError("the clips have different frame rates: resample them first")
+    return [clips[giver].crop(0, len(clip)) for clip, giver in zip(clips, donors(clips, seed, groups), strict=True)]
+
+
+def to_common_length(first: Clips, second: Clips) -> tuple[list[Motion], list[Motion]]:
+    """Pairs of clips, each pair cut to the shorter of the two."""
+    lengths = [min(len(a), len(b)) for a, b in zip(first, second, strict=True)]
+    left, right = ([clip.crop(0, n) for clip, n in zip(clips, lengths, strict=True)] for clips in (first, second))
+    return left, right
+
+
+def reversed_in_time(clips: Clips, seed: int = 0) -> list[Motion]:
+    """Each clip played backwards (the seed is there so that all controls are called alike)."""
+    return [replace(clip, rotations=clip.rotations[::-1].copy(), root_positions=clip.root_positions[::-1].copy())
+            for clip in clips]
+
+
+def jittered(clips: Clips, seed: int, metres: float = JITTER) -> list[Motion]:
+    """Each joint moved by white Gaussian noise of `metres` along each axis, as far as bones of fixed length allow.
+
+    Bones turn towards where the noise puts their ends, from the root outwards, so what would stretch a bone is lost:
+    the joints are off by about `metres` along an axis, and errors do not add up along an arm. Where several bones leave
+    a joint the first with a length leads. The root, and so what hangs on it, stays as it is: metrics look from there,
+    and with a root that shakes the whole body would. A joint where nothing begins keeps its rotation in the world.
+    """
+    if not (np.isfinite(metres) and metres >= 0):
+        raise ValueError(f"the jitter must be 0 metres or more, not {metres}")
+    rng = np.random.default_rng(seed)
+    return [_jittered(clip, rng, metres) for clip in clips]
+
+
+CONTROLS: Mapping[str, Callable[[Clips, int], list[Motion]]] = {
+    "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered,
+}
+"""Those that make one set of clips of another, by the name they have in a table."""
+
+
+def _jittered(clip: Motion, rng: np.random.Generator, metres: float) -> Motion:
+    skeleton = clip.skeleton
+    world = kinematics.global_rotations(skeleton, clip.rotations)
+    wanted = kinematics.positions_of(clip)
+    wanted = wanted + rng.normal(0.0, metres, wanted.shape)
+    leads = _leading_children(skeleton)
+    places, turned = np.empty_like(wanted), np.empty_like(world)
+    for joint, parent in enumerate(skeleton.parents):
+        places[:, joint] = clip.root_positions if parent < 0 else (
+            places[:, parent] + rotation.rotate(turned[:, parent], skeleton.offsets[joint]))
+        # What a source lacks follows its parent: it holds the identity, as everywhere.
+        lacking = parent >= 0 and skeleton.names[joint] in clip.absent
+        turned[:, joint] = turned[:, parent] if lacking else world[:, joint]
+        if parent >= 0 and joint in leads and not lacking:
+            bone = rotation.rotate(world[:, joint], skeleton.offsets[leads[joint]])
+            turn = _shortest(bone, wanted[:, leads[joint]] - places[:, joint])
+            turned[:, joint] = rotation.multiply(turn, world[:, joint])
+    local = rotation.continuous(rotation.normalise(kinematics.local_rotations(skeleton, turned)))
+    # Not only but for rounding.
+    local[:, [skeleton.index(name) for name in clip.absent]] = (1.0, 0.0, 0.0, 0.0)
+    return replace(clip, rotations=local)
+
+
+def _leading_children(skeleton: Skeleton) -> dict[int, int]:
+    """Joint -> its first child that is some way off."""
+    leads: dict[int, int] = {}
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0 and float(np.linalg.norm(skeleton.offsets[joint])) > _EPS:
+            leads.setdefault(parent, joint)
+    return leads
+
+
+def _shortest(begin: Array, end: Array) -> Array:
+    """[T, 4] the shortest rotations of directions [T, 3] onto others; the identity where they are opposite or none."""
+    lengths = np.linalg.norm(begin, axis=-1) * np.linalg.norm(end, axis=-1)
+    real = lengths + np.sum(begin * end, axis=-1)
+    turn = np.concatenate([real[:, None], np.cross(begin, end)], axis=-1)
+    return rotation.normalise(np.where(real[:, None] > _EPS ** 2, turn, np.array([1.0, 0.0, 0.0, 0.0])))
+
+
+def _groups(clips: Clips, groups: Sequence[str] | None) -> NDArray[np.str_]:
+    """A name for each clip; each its own group when not told."""
+    if groups is None:
+        return np.array([str(k) for k in range(len(clips))], dtype=np.str_)
+    if len(groups) != len(clips):
+        raise ValueError(f"{len(clips)} clips have {len(groups)} groups")
+    return np.array(groups, dtype=np.str_)

@@ -1,0 +1,119 @@
+"""The actor-critic variant of RACER's ablation (RACER 5.5, Table 2), by the recipe of Bailando's actor-critic.
+
+The actor is a Q-network whose values are read as logits; its last layers are the actor's own. The critic is as many
+layers more on the same trunk, and says what a state is worth under the actor. They learn in turns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from data_module.layers import freeze, masked_mean
+from interpreters.base import BlockFeatures, Scores
+from interpreters.cql import QNetwork, QState, backed_up, cross_entropy, next_known
+from interpreters.transformer import Head, Layer, begin_small, sliding
+
+
+@dataclass(frozen=True)
+class ActorCriticConfig:
+    """How the two halves share and take turns."""
+
+    branch: int = 3
+    """The actor's own layers (the last of the Q-network), and the critic's."""
+    actor_steps: int = 5
+    critic_steps: int = 5
+    gamma: float = 0.99
+    """The recipe that this follows has 1; 0.99 makes it comparable with the other variants."""
+    freeze_trunk: bool = True
+    """The layers that both share, and the tokens, stay as supervised learning left them."""
+
+
+class ActorCritic(nn.Module):
+    """pi(a | s) and V(s) on a shared trunk. Dropout is off throughout."""
+
+    def __init__(self, actor: QNetwork, config: ActorCriticConfig | None = None) -> None:
+        """actor: the network that becomes the policy. ValueError when it has fewer layers than are split off."""
+        super().__init__()
+        self.config, self.actor = config or ActorCriticConfig(), actor
+        self.shared = actor.config.layers - self.config.branch
+        if self.shared < 0 or self.config.branch < 1:
+            raise ValueError(f"{self.config.branch} layers cannot be split off {actor.config.layers}")
+        sizes = actor.config
+        self.critic = nn.ModuleList(Layer(sizes.width, sizes.heads, sizes.dropout) for _ in range(self.config.branch))
+        self.value = Head(sizes.width, 1)
+        self.critic.apply(begin_small)
+        self.value.apply(begin_small)
+        self.turn = "actor"
+        if self.config.freeze_trunk:
+            freeze(actor)
+            for part in (actor.layers[self.shared:], actor.head):
+                part.requires_grad_(True)
+        self.train()
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return {"actor": 1.0, "critic": 1.0}
+
+    def train(self, mode: bool = True) -> ActorCritic:
+        """Training mode by name only: dropout stays frozen."""
+        super().train(False)
+        self.training = mode
+        return self
+
+    def begin_as(self, supervised: QNetwork) -> None:
+        """Take over the trunk and the actor of a network of the same sizes, trained with cross-entropy alone; the
+        critic's layers begin as the actor's."""
+        self.actor.load_state_dict(supervised.state_dict())
+        for own, other in zip(self.critic, self.actor.layers[self.shared:], strict=True):
+            own.load_state_dict(other.state_dict())
+
+    def before_step(self, step: int) -> None:
+        """Whose turn it is: `actor_steps` for the actor, then `critic_steps` for the critic, and again."""
+        at = step % (self.config.actor_steps + self.config.critic_steps)
+        self.turn = "actor" if at < self.config.actor_steps else "critic"
+
+    def _read(self, tokens: Tensor) -> Tensor:
+        """Logits and the state's value [B, T', S + 1] of one window of tokens [B, 2, T', C]."""
+        trunk, _ = self.actor.through(self.actor.placed(tokens), self.actor.layers[:self.shared])
+        own, _ = self.actor.through(trunk, self.actor.layers[self.shared:])
+        judged, _ = self.actor.through(trunk, self.critic)
+        return torch.cat([self.actor.head(own[:, 1]), self.value(judged[:, 1])], dim=-1)
+
+    def logits_and_value(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor
+                         ) -> tuple[Tensor, Tensor]:
+        """Logits [B, M, S] of the actor and V(s) [B, M] of the critic; the arguments are those of `QNetwork.values`."""
+        tokens = self.actor.tokens(previous, audio, speaker, silent)
+        both = sliding(tokens, self.actor.config.decisions, self._read)
+        return both[..., :-1], both[..., -1]
+
+    def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
+        """log pi(. | s) [B, M, S]; the arguments are those of `QNetwork.values`."""
+        return torch.log_softmax(self.actor.values(previous, audio, speaker, silent), dim=-1)
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """Cross-entropy x TD error for the actor, half the squared TD error for the critic (batch: as for CQL).
+
+        delta = r + gamma V(s') - V(s). Only the term of the one whose turn it is carries a gradient, and neither
+        carries one through the next state's value. The actor's policy is over the allowed lexemes alone.
+        """
+        logits, value = self.logits_and_value(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
+        action, reward, terminal, valid = (batch[key][:, :-1] for key in ("action", "reward", "terminal", "valid"))
+        error = backed_up(reward, terminal, value[:, 1:].detach(), self.config.gamma) - value[:, :-1]
+        surprise = cross_entropy(logits[:, :-1], action, self.actor.allowed(batch["silent"][:, :-1]))
+        counted = valid * next_known(batch)
+        terms = {"actor": masked_mean(surprise * error.detach(), counted),
+                 "critic": masked_mean(0.5 * error.square(), counted)}
+        return {key: term if key == self.turn else term.detach() for key, term in terms.items()}
+
+    def start(self, speaker: int, first_lexeme: int) -> QState:
+        """The state before the first block."""
+        return self.actor.start(speaker, first_lexeme)
+
+    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
+        """Log-probabilities [S] of this block's lexeme, and the state after it."""
+        values, after = self.actor.step(state, features, previous_lexeme)
+        return torch.log_softmax(torch.from_numpy(values), dim=-1).numpy(), after

@@ -1,0 +1,299 @@
+"""The Q-network and conservative Q-learning: lexemes chosen for what they will be worth (RACER 4.3, Eq. 9 to 12).
+
+A decision is a block. Its state is all that was heard and done so far, s_i = (a_0..a_{i-1}, u_1..u_i); its action is a
+lexeme; its reward says how well gesture and speech go together. The network is trained on recorded decisions only, and
+the conservative term keeps it from dreaming up values for lexemes that nobody chose.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from data_module.layers import BlockLinear, freeze, masked_mean
+from interpreters.base import BlockFeatures, Scores
+from interpreters.transformer import INITIAL, Head, KeyValue, Layer, begin_small, sliding, two_stream_mask
+
+
+@dataclass(frozen=True)
+class QConfig:
+    """Sizes of the Q-network and how it learns. The paper: width 768, heads 12, dropout 0.1, decisions 15."""
+
+    width: int = 128
+    """C."""
+    heads: int = 4
+    layers: int = 4
+    """Not told in the paper; more than 3, since its actor-critic variant splits off the last 3."""
+    dropout: float = 0.1
+    decisions: int = 15
+    """T, the pairs of audio and action that a decision sees: a_0 and 15 decisions are 16 lexemes."""
+    audio_features: int = 64
+    """Width of the FC on three blocks of audio, for each of the K frames."""
+    audio_bottleneck: int = 48
+    """Width that each row of audio is brought to before that FC; 0 for none."""
+    audio_blocks: int = 3
+    """Blocks of audio that a decision hears: 3, the one before and the one after too (RG Eq. 17), or 1 (the paper)."""
+    use_speaker: bool = True
+    """Hear the one-hot of the speaker with every block."""
+    conservative: float = 0.1
+    """alpha of RACER Eq. 11. A large one makes the data's lexemes look ever better, and the target with them."""
+    temporal: float = 1.0
+    """Weight of the temporal difference. 0 leaves a cross-entropy: the paper's "Supervised Learning"."""
+    gamma: float = 0.99
+    """What a reward one block later is worth now."""
+    copy_every: int = 500
+    """Steps between two copies of the network to its target."""
+    double: bool = True
+    """The online network picks the next action and the target values it (Double DQN); else the target does both."""
+    huber: float = 0.0
+    """Where the squared error turns linear; 0 for never (the paper)."""
+    freeze_dropout: bool = False
+    """No dropout while training."""
+
+
+@dataclass(frozen=True)
+class QState:
+    """The pairs that the next decision will see, and the speaker. Never changed in place.
+
+    tokens: [1, 2, n, C] audio and action tokens of the last n <= T decisions, without positions. past: keys and values
+    of these tokens, layer by layer; None once the window slides, or when nothing is cached.
+    """
+
+    speaker: Tensor
+    tokens: Tensor
+    past: tuple[KeyValue, ...] | None
+
+
+class QNetwork(nn.Module):
+    """Q(s_i, .) over the lexicon for each decision i: a transformer over audio and actions (RACER Fig. 1, Eq. 12)."""
+
+    when_silent: Tensor
+
+    def __init__(self, config: QConfig, frames: int, audio_width: int, lexemes: int, speakers: int,
+                 silent: Sequence[int] = ()) -> None:
+        """frames: K; audio_width: d; lexemes: S; speakers: P, how many performers the one-hot tells apart; silent: the
+        lexemes to choose among in a silent block (none: all). ValueError for sizes that do not go together."""
+        super().__init__()
+        if any(not 0 <= index < lexemes for index in silent):
+            raise ValueError(f"silent lexemes {list(silent)} lie outside a lexicon of {lexemes}")
+        self.config, self.frames, self.lexemes, self.speakers = config, frames, lexemes, speakers
+        self.cached = True
+        """Remember keys and values while the window fills (the same scores, sooner)."""
+        self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, config.audio_blocks,
+                                        config.audio_bottleneck)
+        heard = frames * config.audio_features + (speakers if config.use_speaker else 0) + 1
+        self.audio_token = nn.Linear(heard, config.width)
+        self.action_token = nn.Embedding(lexemes, config.width)
+        self.positions = nn.Parameter(torch.randn(2, config.decisions, config.width) * INITIAL)
+        self.dropout = nn.Dropout(config.dropout)
+        self.layers = nn.ModuleList(Layer(config.width, config.heads, config.dropout) for _ in range(config.layers))
+        self.head = Head(config.width, lexemes)
+        self.apply(begin_small)
+        kept = [index in set(silent) or not len(silent) for index in range(lexemes)]
+        self.register_buffer("when_silent", torch.tensor(kept), persistent=False)
+
+    def allowed(self, silent: Tensor) -> Tensor:
+        """A(s): which lexemes may be chosen, bool [..., S], for blocks that are silent or not [...].
+
+        Only silent lexemes in silence, all of them elsewhere; all everywhere when the lexicon has none, so that a set
+        is never empty. Choice, the logsumexp of the loss and the target's maximum all ask here.
+        """
+        return ~silent.bool().unsqueeze(-1) | self.when_silent
+
+    def tokens(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
+        """The two streams [U; A], [B, 2, M, C], without positions.
+
+        previous: [B, M] the lexeme before each decision; audio: [B, M, 3K, d] the window of the block that is decided
+        on; speaker: one-hot [B, P]; silent: [B, M] whether that block is a silence.
+        """
+        parts = [self.encode_audio(audio).flatten(-2), silent.to(audio).unsqueeze(-1)]
+        if self.config.use_speaker:
+            parts.append(speaker.to(audio)[:, None].expand(-1, audio.shape[1], -1))
+        return torch.stack([self.audio_token(torch.cat(parts, dim=-1)), self.action_token(previous)], dim=1)
+
+    def through(self, tokens: Tensor, layers: Iterable[nn.Module], past: tuple[KeyValue, ...] | None = None
+                ) -> tuple[Tensor, tuple[KeyValue, ...]]:
+        """Tokens that have their positions, [B, 2, T', C], through some layers, and the keys and values of each.
+
+        With a past, the tokens are the next pair (T' = 1): it sees itself and all before it, so nothing is masked.
+        """
+        steps = tokens.shape[2]
+        mask = two_stream_mask(steps, tokens.device) if past is None else None
+        x, present = tokens.flatten(1, 2), list[KeyValue]()
+        for index, layer in enumerate(layers):
+            x, pair = layer(x, mask, None if past is None else past[index])
+            present.append(pair)
+        return x.unflatten(1, (2, steps)), tuple(present)
+
+    def placed(self, tokens: Tensor, first: int = 0) -> Tensor:
+        """Tokens [B, 2, T', C] with the learned embedding of their stream and position added (RACER: 2 x T' x C)."""
+        return self.dropout(tokens + self.positions[:, first:first + tokens.shape[2]])
+
+    def read(self, tokens: Tensor) -> Tensor:
+        """Q values [B, T', S] of one window of tokens [B, 2, T', C], T' <= T, taken from the action half."""
+        return self.head(self.through(self.placed(tokens), self.layers)[0][:, 1])
+
+    def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
+        """Q(s_i, .) [B, M, S] for each of M decisions; the arguments are those of `tokens`.
+
+        Decisions past the first T are made in a window that slides, exactly as `step` makes them.
+        """
+        return sliding(self.tokens(previous, audio, speaker, silent), self.config.decisions, self.read)
+
+    def choose(self, values: Tensor, silent: Tensor) -> Tensor:
+        """The best allowed lexeme [...] by values [..., S] for blocks that are silent or not [...]."""
+        return values.masked_fill(~self.allowed(silent), -torch.inf).argmax(-1)
+
+    def start(self, speaker: int, first_lexeme: int) -> QState:
+        """The state before the first block (the first lexeme, a_0, comes back in `step` as the previous one)."""
+        one_hot = functional.one_hot(torch.tensor([speaker]), self.speakers).float().to(self.positions.device)
+        return QState(one_hot, self.positions.new_zeros(1, 2, 0, self.config.width), None)
+
+    @torch.inference_mode()
+    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
+        """Q values [S] of this block's lexeme, and the state after it. The silent mask is the chooser's to apply."""
+        device = self.positions.device
+        pair = self.tokens(torch.tensor([[previous_lexeme]], device=device), features.high[None, None].to(device),
+                           state.speaker, torch.tensor([[features.silent]], device=device))
+        before, window = state.tokens.shape[2], self.config.decisions
+        tokens = torch.cat([state.tokens, pair], dim=2)[:, :, -window:]
+        resumes = state.past is not None and before < window
+        new, first = (pair, before) if resumes else (tokens, 0)
+        out, present = self.through(self.placed(new, first), self.layers, state.past if resumes else None)
+        keep = self.cached and tokens.shape[2] < window
+        scores = self.head(out[0, 1, -1]).double().cpu().numpy()
+        return scores, QState(state.speaker, tokens, present if keep else None)
+
+
+def cross_entropy(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
+    """log sum_a exp Q(s, a) - Q(s, a_data), [...], the first bracket of RACER Eq. 11.
+
+    values, allowed: [..., S]; action: [...]. It is the cross-entropy of softmax(Q) over the allowed actions. 0 where
+    the data's action is not allowed: raising a value that the sum leaves out would have no end.
+    """
+    taken = action.unsqueeze(-1)
+    everything = values.masked_fill(~allowed, -torch.inf).logsumexp(-1)
+    known = allowed.gather(-1, taken).squeeze(-1)
+    return (everything - values.gather(-1, taken).squeeze(-1)) * known
+
+
+def backed_up(reward: Tensor, terminal: Tensor, next_value: Tensor, gamma: float) -> Tensor:
+    """y = r + gamma V(s'), and r alone at the end of a take, [...] (RACER Eq. 10, or Eq. 2 where V is a maximum)."""
+    return reward + gamma * next_value.masked_fill(terminal.bool(), 0.0)
+
+
+def conservative_q_loss(values: Tensor, next_value: Tensor, action: Tensor, reward: Tensor, terminal: Tensor,
+                        allowed: Tensor, *, gamma: float, valid: Tensor, known: Tensor, cloned: Tensor,
+                        huber: float = 0.0) -> tuple[Tensor, Tensor]:
+    """The terms of RACER Eq. 11, unweighted: E[log sum_a exp Q(s, a) - Q(s, a_data)] and E[(Q(s, a_data) - y)^2] / 2.
+
+    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'; action, reward, terminal: [B, T];
+    allowed: bool [B, T, S]. valid: [B, T] steps that exist (both means are over these); known: [B, T] steps whose next
+    value is known; cloned: [B, T] how much the first term counts, less where the behaviour is not a person's.
+    """
+    conservative = cross_entropy(values, action, allowed)
+    chosen = values.gather(-1, action.unsqueeze(-1)).squeeze(-1)
+    target = backed_up(reward, terminal, next_value, gamma).detach()
+    error = functional.huber_loss(chosen, target, reduction="none", delta=huber) if huber else (
+        0.5 * (chosen - target).square())
+    return masked_mean(cloned * conservative, valid), masked_mean(error, valid * known)
+
+
+@contextmanager
+def without_dropout(module: nn.Module) -> Iterator[None]:
+    """Evaluation mode for a while."""
+    was = module.training
+    module.eval()
+    try:
+        yield
+    finally:
+        module.train(was)
+
+
+def next_known(batch: dict[str, Tensor]) -> Tensor:
+    """[B, T] 1 for steps whose next value is known: nothing follows (terminal), or the next block is there.
+
+    A step that a cut made the last one is no end of a take; without a next block it cannot be bootstrapped.
+    """
+    return (batch["terminal"][:, :-1].bool() | batch["valid"][:, 1:].bool()).float()
+
+
+DECISIONS = ("previous", "audio", "silent", "action", "reward", "terminal", "valid", "cloned")
+"""What a batch holds of each decision, [B, T + 1, ...]."""
+
+
+class ConservativeQ(nn.Module):
+    """Conservative Q-learning of a Q-network: the network itself and a target that lags behind it (RACER Eq. 11).
+
+    With `temporal` 0 it is supervised learning, with `conservative` 0 it is DQN; offline or online is for the batches
+    to say.
+    """
+
+    def __init__(self, online: QNetwork) -> None:
+        super().__init__()
+        self.config, self.online = online.config, online
+        self.target = copy.deepcopy(online)
+        freeze(self.target)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`: alpha and the weight of the temporal difference."""
+        if not self.config.temporal:
+            return {"conservative": self.config.conservative}
+        return {"conservative": self.config.conservative, "temporal_difference": self.config.temporal}
+
+    def train(self, mode: bool = True) -> ConservativeQ:
+        """The target never trains; the network has dropout only where it is not frozen."""
+        super().train(mode)
+        self.online.train(mode and not self.config.freeze_dropout)
+        self.target.eval()
+        return self
+
+    def copy_target(self) -> None:
+        """The target becomes the network as it is now."""
+        self.target.load_state_dict(self.online.state_dict())
+
+    def before_step(self, step: int) -> None:
+        """Copy the network to its target every `copy_every` steps."""
+        if step % self.config.copy_every == 0:
+            self.copy_target()
+
+    @torch.no_grad()
+    def next_values(self, batch: dict[str, Tensor]) -> Tensor:
+        """max_a' Q(s', a') [B, T] by the target, over the actions that s' allows.
+
+        The last state is seen through the window one step later, as a stream sees it: its own position is one that is
+        trained. With `double`, the online network says which action is best.
+        """
+        heard = batch["previous"], batch["audio"], batch["speaker"], batch["silent"]
+        values = self.target.values(*heard)[:, 1:]
+        judge = values
+        if self.config.double:
+            with without_dropout(self.online):
+                judge = self.online.values(*heard)[:, 1:]
+        best = self.online.choose(judge, batch["silent"][:, 1:])
+        return values.gather(-1, best.unsqueeze(-1)).squeeze(-1)
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """The conservative term and the temporal difference (left out where it weighs nothing), unweighted.
+
+        batch: previous, action, reward, terminal, valid, silent, cloned [B, T + 1], audio [B, T + 1, 3K, d], speaker
+        one-hot [B, P]. The last decision is there to bootstrap from only: a window that was cut from a longer take is
+        no end of it.
+        """
+        now = {key: batch[key][:, :-1] for key in DECISIONS}
+        values = self.online.values(now["previous"], now["audio"], batch["speaker"], now["silent"])
+        learns = bool(self.config.temporal)
+        conservative, difference = conservative_q_loss(
+            values, self.next_values(batch) if learns else torch.zeros_like(now["reward"]),
+            now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),
+            gamma=self.config.gamma, valid=now["valid"], known=next_known(batch), cloned=now["cloned"],
+            huber=self.config.huber)
+        terms = {"conservative": conservative}
+        return {**terms, "temporal_difference": difference} if learns else terms

@@ -1,0 +1,441 @@
+"""Recordings as trajectories: the offline data set that the Q-network learns from (RACER 4.3).
+
+An episode is a recording seen as decisions: on each block some behaviour policy pi_beta took an action (a lexeme),
+which earned a reward. The paper's data set D = {s, a, r, s'} holds what people did; by default a share of it is done by
+others, so that there is something to tell the better from the worse. A state is (a_0 .. a_{i-1}, u_1 .. u_i): it is
+not stored, a reader puts it together from the lexemes before and the speech of the block numbers.
+
+The first block of a recording holds the given a_0; decisions begin with the second.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+from torch import Tensor
+
+from data_module.errors import InputError
+from data_module.files import write_bytes
+from interpreters.base import BlockFeatures, LexemeInterpreter, Scores, select
+
+Integers = NDArray[np.int64]
+Reward = Callable[[Tensor, Tensor], Tensor]
+"""Lexemes [M] and block numbers [M] of a stretch of recording to what each step earns [M]; it sees no further back than
+what it is handed. `RewardTable.sequence` and `looked_up` are such."""
+
+BEHAVIOURS = ("truth", "sampled", "statistical", "perturbed")
+"""Who chose a lexeme: the person, the trained interpreter, the frequencies, or the person with errors put in."""
+
+REWARDS = ("contrastive", "distance")
+SCHEMES = ("window", "prefix", "terminal", "difference")
+
+_AT_RANDOM = 0.5
+"""The share of the perturbed lexemes that may become any other; the rest become one of the nearest."""
+
+
+@dataclass(frozen=True)
+class EpisodeConfig:
+    """Who acts in the data set, and what is rewarded. The paper's own is `truth=1` and 0 for the other shares."""
+
+    truth: float = 0.65
+    """Share of what was really done: every recording, once. The other shares are in proportion to it, in decisions."""
+    sampled: float = 0.15
+    """Share of roll-outs of the supervised interpreter."""
+    statistical: float = 0.10
+    """Share of roll-outs of the statistical interpreter."""
+    perturbed: float = 0.10
+    """Share of the truth with some lexemes replaced."""
+    replace: float = 0.2
+    """Probability that a lexeme of the truth is replaced in the perturbed share."""
+    nearest: int = 3
+    """Half of the replacements are among this many nearest lexemes, the other half are any."""
+    temperature: float = 1.0
+    """Of the roll-outs: lexemes are drawn from softmax(scores / temperature); 0 takes the best."""
+    prefix: int = 8
+    """True lexemes before another behaviour takes over."""
+    reward: str = "contrastive"
+    """"contrastive" (RACER Eq. 8), or "distance" to the recorded motion (the paper's ablation)."""
+    scheme: str = "window"
+    """What a step earns: "window" the reward of the blocks that trail it; "prefix" that of all since the stretch began;
+    "terminal" that of the whole stretch, at its end; "difference" what the step added to the prefix."""
+    stretch: int = 15
+    """Decisions in a stretch, for every scheme but "window". Windows are then cut at stretches, and as long."""
+    cloned: float = 0.0
+    """Weight of CQL's data term on what was not the person's choice; it is 1 on the truth."""
+
+    def __post_init__(self) -> None:
+        if min(self.shares.values()) < 0 or abs(sum(self.shares.values()) - 1) > 1e-6:
+            raise InputError("episodes", f"has shares {self.shares}", "give four that are not negative and sum to 1")
+        for name in ("nearest", "prefix", "stretch"):
+            if getattr(self, name) < 1:
+                raise InputError(f"episodes.{name}", f"is {getattr(self, name)}", "give 1 or more")
+        for name in ("replace", "cloned"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"episodes.{name}", f"is {getattr(self, name)}", "give 0 to 1")
+        if not 0 <= self.temperature < np.inf:
+            raise InputError("episodes.temperature", f"is {self.temperature}", "give 0 or more")
+        for name, known in (("reward", REWARDS), ("scheme", SCHEMES)):
+            if getattr(self, name) not in known:
+                raise InputError(f"episodes.{name}", f"is {getattr(self, name)!r}", f"choose from {', '.join(known)}")
+        if self.reward == "distance" and self.scheme != "window":
+            raise InputError("episodes.scheme", f"is {self.scheme!r}", "a distance is of one block: choose 'window'")
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """The mixture, keyed by behaviour."""
+        return {name: float(getattr(self, name)) for name in BEHAVIOURS}
+
+
+@dataclass(frozen=True)
+class Take:
+    """What was really done in a recording of M blocks.
+
+    recording, speaker: their numbers; blocks: [M] block numbers in the corpus, in order; lexemes: [M]; silent: [M].
+    """
+
+    recording: int
+    speaker: int
+    blocks: Integers
+    lexemes: Integers
+    silent: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        if not len(self.blocks) == len(self.lexemes) == len(self.silent) > 0:
+            raise ValueError(f"{len(self.blocks)} blocks, {len(self.lexemes)} lexemes and {len(self.silent)} silences")
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A recording, or the beginning of one, as it was acted out once.
+
+    actions: [M] lexemes, the first of them given. behaviour: [M] who chose it, an index in BEHAVIOURS. log_behaviour:
+    [M] ln pi_beta(a | s), 0 where it is recorded and not drawn. reward: [M]. terminal: [M], on nothing but the last
+    block of the whole recording: where an episode ends earlier it is merely cut off.
+    """
+
+    recording: int
+    speaker: int
+    blocks: Integers
+    actions: Integers
+    behaviour: NDArray[np.int8]
+    log_behaviour: NDArray[np.float32]
+    reward: NDArray[np.float32]
+    silent: NDArray[np.bool_]
+    terminal: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        lengths = {name: getattr(self, name).shape for name in _COLUMNS}
+        if len(set(lengths.values())) != 1 or len(self.blocks) == 0:
+            raise ValueError(f"the arrays of an episode differ in length or are empty: {lengths}")
+        if self.terminal[:-1].any():
+            raise ValueError("an episode goes on after its terminal step")
+
+
+_COLUMNS = {"blocks": np.int64, "actions": np.int64, "behaviour": np.int8, "log_behaviour": np.float32,
+            "reward": np.float32, "silent": np.bool_, "terminal": np.bool_}
+
+
+class Episodes:
+    """A data set of episodes, from which windows of decisions are drawn."""
+
+    def __init__(self, episodes: Sequence[Episode], *, cloned: float = 0.0, stretch: int = 0) -> None:
+        """cloned: weight of the data term on what is not the truth. stretch: windows begin at multiples of this many
+        decisions and are as long; 0 lets them begin anywhere. InputError when there is no decision at all."""
+        self.episodes, self.cloned, self.stretch = tuple(episodes), cloned, stretch
+        self.lengths = np.array([len(episode.blocks) for episode in self.episodes], dtype=np.int64)
+        if len(self.lengths) == 0 or self.lengths.max() < 2:
+            raise InputError("episodes", "hold no decision", "give recordings of two blocks at least")
+        self._offsets = np.cumsum(self.lengths) - self.lengths
+        self._columns: dict[str, NDArray[Any]] = {
+            name: np.concatenate([getattr(episode, name) for episode in self.episodes]).astype(kind)
+            for name, kind in _COLUMNS.items()}
+        self._speakers = np.array([episode.speaker for episode in self.episodes], dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    def windows(self, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
+        """A batch of `count` windows of T decisions, and one position more to bootstrap from.
+
+        block, previous, action, behaviour: [B, T + 1] int64; reward, valid, cloned: [B, T + 1] float32; terminal,
+        silent: [B, T + 1] bool; speaker: [B] int64. previous[:, i] is the lexeme before block[:, i]; previous[:, 0] is
+        the given a_0. A window that is cut from a longer take ends with a truncation: position T is there to look ahead
+        to. After the end of an episode the last block is repeated, with valid 0 and nothing earned.
+        """
+        if self.stretch not in (0, decisions):
+            raise ValueError(f"these rewards are of stretches of {self.stretch} decisions, not of {decisions}")
+        return self.cut(*draw_starts(rng, self.lengths, count, decisions, self.stretch), decisions)
+
+    def cut(self, episode: Integers, start: Integers, decisions: int) -> dict[str, Tensor]:
+        """The windows [B, T + 1] of episodes [B] whose a_0 is the lexeme at `start` [B]."""
+        last = self.lengths[episode, None] - 1
+        index = start[:, None] + 1 + np.arange(decisions + 1)
+        valid = index <= last
+        at = self._offsets[episode, None] + np.minimum(index, last)
+        before = self._offsets[episode, None] + np.minimum(index - 1, last)
+        own = {name: column[at] for name, column in self._columns.items()}
+        weights = np.where(own["behaviour"] == 0, 1.0, self.cloned)
+        batch = {
+            "block": own["blocks"], "previous": self._columns["actions"][before], "action": own["actions"],
+            "reward": own["reward"] * valid, "terminal": own["terminal"] & valid, "valid": valid.astype(np.float32),
+            "silent": own["silent"], "speaker": self._speakers[episode],
+            "behaviour": own["behaviour"].astype(np.int64), "cloned": (weights * valid).astype(np.float32),
+        }
+        return {key: torch.as_tensor(value) for key, value in batch.items()}
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that is in the data set."""
+        return _digest(self._arrays())
+
+    def save(self, path: str | Path) -> None:
+        """One npz, whole or not at all, with the hash of its contents; the same episodes give the same bytes."""
+        arrays, stream = self._arrays(), io.BytesIO()
+        np.savez(stream, allow_pickle=False, **arrays, sha256=np.array(_digest(arrays)))
+        write_bytes(path, stream.getvalue())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Episodes:
+        """The inverse of `save`; InputError for a file that is no such data set or was changed."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            told = str(arrays.pop("sha256"))
+            if told != _digest(arrays):
+                raise InputError(path, "was changed since it was written", "make the episodes again")
+            return cls(list(_unpacked(arrays)), cloned=float(arrays["cloned"]), stretch=int(arrays["stretch"]))
+        except (KeyError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+            raise InputError(path, f"holds no episodes ({error})", "make the episodes again") from None
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        recordings = np.array([episode.recording for episode in self.episodes], dtype=np.int64)
+        return {"lengths": self.lengths, "recordings": recordings, "speakers": self._speakers, **self._columns,
+                "cloned": np.array(self.cloned, np.float64), "stretch": np.array(self.stretch, np.int64)}
+
+
+def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisions: int, stretch: int = 0
+                ) -> tuple[Integers, Integers]:
+    """Where windows of T decisions begin: sequence numbers [count] and the position of a_0 in each [count].
+
+    Every start is as likely as another, of whichever of the sequences of `lengths` [E]. A start leaves T decisions
+    after it where the sequence has as many; with `stretch`, starts are its multiples.
+    """
+    if stretch:
+        choices = -(-(lengths - 1) // stretch)
+    else:
+        choices = np.where(lengths > 1, np.maximum(lengths - decisions, 1), 0)
+    until = np.cumsum(choices)
+    drawn = rng.integers(until[-1], size=count)
+    which = np.searchsorted(until, drawn, side="right")
+    return which, (drawn - until[which] + choices[which]) * max(stretch, 1)
+
+
+def _unpacked(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Episode]:
+    ends = np.cumsum(arrays["lengths"])
+    for end, length, recording, speaker in zip(ends, arrays["lengths"], arrays["recordings"], arrays["speakers"],
+                                               strict=True):
+        yield Episode(int(recording), int(speaker), **{name: arrays[name][end - length:end] for name in _COLUMNS})
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(json.dumps([name, array.dtype.str, arrays[name].shape]).encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class SilentLexemes:
+    """What may be shown in silence: indices [n], and for every lexeme [S] the nearest of them (RG 6.4.1).
+
+    Without any, nothing is asked of silent blocks.
+    """
+
+    indices: Integers
+    nearest: Integers
+
+    def allowed(self, silent: bool) -> Integers | None:
+        """The lexemes that a block may take; None for all."""
+        return self.indices if silent and len(self.indices) else None
+
+    def relabel(self, take: Take) -> Integers:
+        """[M] lexemes of a take, silent ones in its silences."""
+        if len(self.indices) == 0:
+            return take.lexemes.astype(np.int64)
+        return np.where(take.silent, self.nearest[take.lexemes], take.lexemes).astype(np.int64)
+
+
+def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silent: SilentLexemes,
+          vectors: NDArray[np.floating[Any]], interpreters: Mapping[str, LexemeInterpreter] | None = None,
+          features: Callable[[int], BlockFeatures] | None = None, seed: int = 0) -> Episodes:
+    """The data set: every take as it was, and its share of what others would have done.
+
+    reward: what a step earns, of a kind with `config.reward`; with another scheme than "window" it must look back over
+    a whole stretch. vectors: [S, D] the codebook. interpreters: those of "sampled" and "statistical" that have a share,
+    and features(block number): what they hear. The same seed gives the same data set, bit by bit, and each behaviour
+    draws on its own, so a share that changes leaves the others as they were.
+    """
+    order = _by_distance(np.asarray(vectors, dtype=np.float64))
+    takes = [Take(take.recording, take.speaker, take.blocks, silent.relabel(take), take.silent) for take in takes]
+    base = sum(len(take.blocks) - 1 for take in takes)
+    total = base / config.truth if config.truth > 0 else base
+    episodes = [_episode(take, take.lexemes, np.zeros(len(take.blocks)), 0, config, reward)
+                for take in takes] if config.truth > 0 else []
+    for number, name in enumerate(BEHAVIOURS[1:], start=1):
+        rng = np.random.default_rng([seed, number])
+        for take, length in _budgeted(takes, round(config.shares[name] * total), config.prefix, rng):
+            if name == "perturbed":
+                acted = perturb(take, length, config, order, silent, rng)
+            elif interpreters is None or name not in interpreters or features is None:
+                raise ValueError(f"the share of {name!r} needs its interpreter and what it hears")
+            else:
+                acted = roll(interpreters[name], take, length, config, features, silent, rng)
+            episodes.append(_episode(take, *acted, number, config, reward))
+    return Episodes(episodes, cloned=config.cloned, stretch=0 if config.scheme == "window" else config.stretch)
+
+
+def _budgeted(takes: Sequence[Take], budget: int, prefix: int, rng: np.random.Generator
+              ) -> Iterator[tuple[Take, int]]:
+    """Takes in random order, each with how much of it to act, until all but the prefixes come to `budget` decisions."""
+    usable = [take for take in takes if len(take.blocks) > prefix]
+    if budget > 0 and not usable:
+        raise InputError("episodes.prefix", f"of {prefix} leaves nothing of any recording", "give a smaller one")
+    while budget > 0:
+        for index in rng.permutation(len(usable)):
+            length = min(len(usable[index].blocks), prefix + budget)
+            budget -= length - prefix
+            yield usable[index], length
+            if budget == 0:
+                return
+
+
+@torch.inference_mode()
+def roll(interpreter: LexemeInterpreter, take: Take, length: int, config: EpisodeConfig,
+         features: Callable[[int], BlockFeatures], silent: SilentLexemes, rng: np.random.Generator
+         ) -> tuple[Integers, NDArray[np.float64]]:
+    """Actions [length] of an interpreter that hears a take and takes over after its prefix, and ln pi_beta [length].
+
+    The prefix is heard as well: whoever has a memory comes to it with the person's past.
+    """
+    actions, logs = take.lexemes[:length].copy(), np.zeros(length)
+    state = interpreter.start(take.speaker, int(actions[0]))
+    for i in range(1, length):
+        scores, state = interpreter.step(state, features(int(take.blocks[i])), int(actions[i - 1]))
+        if i >= config.prefix:
+            allowed = silent.allowed(bool(take.silent[i]))
+            actions[i] = select(scores, allowed=allowed, temperature=config.temperature, rng=rng)
+            logs[i] = log_probability(scores, int(actions[i]), allowed, config.temperature)
+    return actions, logs
+
+
+def log_probability(scores: Scores, action: int, allowed: Integers | None, temperature: float) -> float:
+    """ln of the probability with which `select` takes an action: softmax(scores [S] / temperature) among `allowed`."""
+    if temperature == 0:
+        return 0.0
+    among = scores if allowed is None else scores[allowed]
+    return float(scores[action] / temperature - logsumexp(np.asarray(among) / temperature))
+
+
+def perturb(take: Take, length: int, config: EpisodeConfig, order: Integers, silent: SilentLexemes,
+            rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
+    """Actions [length]: the take's lexemes, some replaced after the prefix, and ln pi_beta [length]. order: [S, S]."""
+    actions, logs = take.lexemes[:length].copy(), np.zeros(length)
+    for i in range(config.prefix, length):
+        chances = perturbed_chances(int(take.lexemes[i]), order, silent.allowed(bool(take.silent[i])), config)
+        actions[i] = rng.choice(len(chances), p=chances)
+        logs[i] = np.log(chances[actions[i]])
+    return actions, logs
+
+
+def perturbed_chances(truth: int, order: Integers, allowed: Integers | None, config: EpisodeConfig
+                      ) -> NDArray[np.float64]:
+    """[S] probability of each lexeme where the true one may be replaced: by one of the nearest, or by any other.
+
+    order: [S, S] for each lexeme all of them, the nearest first. Where nothing else is allowed the truth is kept.
+    """
+    others = order[truth][order[truth] != truth]
+    if allowed is not None:
+        others = others[np.isin(others, allowed)]
+    chances = np.zeros(len(order))
+    if len(others) == 0:
+        chances[truth] = 1.0
+        return chances
+    near = others[:config.nearest]
+    chances[truth] = 1 - config.replace
+    chances[others] += config.replace * _AT_RANDOM / len(others)
+    chances[near] += config.replace * (1 - _AT_RANDOM) / len(near)
+    return chances
+
+
+def _by_distance(vectors: NDArray[np.float64]) -> Integers:
+    """[S, S] for each lexeme all of them, the nearest in the codebook first."""
+    distances = ((vectors[:, None] - vectors[None]) ** 2).sum(axis=-1)
+    return np.argsort(distances, axis=1, kind="stable")
+
+
+def _episode(take: Take, actions: Integers, logs: NDArray[np.float64], behaviour: int, config: EpisodeConfig,
+             reward: Reward) -> Episode:
+    """The episode of actions [m] on the first m blocks of a take; what lies within the prefix is the truth."""
+    length = len(actions)
+    terminal = np.zeros(length, dtype=np.bool_)
+    terminal[-1] = length == len(take.blocks)
+    blocks = take.blocks[:length].astype(np.int64)
+    who = np.where(np.arange(length) < config.prefix, 0, behaviour).astype(np.int8)
+    return Episode(take.recording, take.speaker, blocks, actions, who, logs.astype(np.float32),
+                   step_rewards(config.scheme, reward, actions, blocks, config.stretch),
+                   take.silent[:length].astype(np.bool_), terminal)
+
+
+def step_rewards(scheme: str, reward: Reward, lexemes: Integers, blocks: Integers, stretch: int
+                 ) -> NDArray[np.float32]:
+    """[M] what each step of a recording earns, for lexemes [M] on blocks [M].
+
+    RACER 4.3 rewards a sequence and leaves open what a step of it earns. With R_i the reward of the steps of a stretch
+    up to the i-th, "prefix" earns R_i, "difference" R_i - R_{i-1} (which sums to the reward of the stretch), and
+    "terminal" that reward at the end and 0 before. "window" asks for the reward of the trailing window of the
+    recording: stationary, and the default. In the other schemes the given first lexeme earns nothing.
+    """
+    def ask(part: slice) -> NDArray[np.float32]:
+        return np.asarray(reward(torch.as_tensor(lexemes[part]), torch.as_tensor(blocks[part])), dtype=np.float32)
+
+    if scheme == "window":
+        return ask(slice(None))
+    out = np.zeros(len(lexemes), dtype=np.float32)
+    for begin in range(1, len(lexemes), stretch):
+        part = slice(begin, min(begin + stretch, len(lexemes)))
+        prefix = ask(part)
+        if scheme == "prefix":
+            out[part] = prefix
+        elif scheme == "terminal":
+            out[part.stop - 1] = prefix[-1]
+        else:
+            out[part] = np.diff(prefix, prepend=np.float32(0))
+    return out
+
+
+def distance_rewards(decoded: Tensor, true: Tensor) -> Tensor:
+    """[M, S] the "distance reward" of the paper's ablation: minus the mean absolute difference of features.
+
+    decoded: [S, K, D_m] the motion of each lexeme; true: [M, K, D_m] the recorded motion of each block; both
+    normalised. The table holds every lexeme on every block: on what was really done alone the distance is the lexicon's
+    own error, next to a constant, and would teach nothing.
+    """
+    return -torch.cdist(true.flatten(1).float(), decoded.flatten(1).float(), p=1.0) / true[0].numel()
+
+
+def looked_up(table: Tensor) -> Reward:
+    """A reward that is written down for every lexeme on every block of the corpus: table [N, S]."""
+    return lambda lexemes, blocks: table[blocks, lexemes]

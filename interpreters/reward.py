@@ -1,0 +1,398 @@
+"""The contrastive reward: how well a sequence of gestures suits the speech under it (RACER 4.2, Eq. 6 to 8).
+
+Two encoders bring a window of motion and a window of audio to one vector each; they are trained so that the two
+vectors of a real pair agree and those of pairs put together from different moments do not. The cosine of the two is the
+reward of reinforcement learning. A window is a row of blocks in normalised time, so a token is one block.
+
+The paper gives 1-D temporal convolutions and no more. Here they are causal: a token never hears a later one. Windows
+that share their past then share all work but that of their last token, which is what makes it cheap to ask for the
+reward of every lexeme (`RewardTable.every`).
+
+Whoever optimises a reward finds its errors too. Figures must come from a second model, trained with another seed on
+other recordings than the one that taught the policy.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from data_module.layers import freeze
+
+Decode = Callable[[Tensor], Tensor]
+"""Lexemes [B, W] to motion [B, W, K, D_m], each block decoded with the window around it."""
+
+LEAST_TEMPERATURE = 0.01
+_AT_ONCE = 25_000
+"""Candidate windows that are scored in one go: bounds the memory of `RewardTable.sequence_every`."""
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Sizes of the reward model, and how the windows it is trained on are drawn."""
+
+    width: int = 96
+    """C, the width of a block's token and of every layer."""
+    projection: int = 64
+    """P, the width of the space that motion and audio share."""
+    kernel: int = 3
+    """Taps of a convolution, in blocks."""
+    dilations: tuple[int, ...] = (1, 2, 4)
+    """One residual layer each; together with the kernel they reach 15 blocks, more than `longest`."""
+    dropout: float = 0.1
+    temperature: float = 0.07
+    """tau of RACER Eq. 7 at the start; it is learned and never falls below 0.01."""
+    window: int = 8
+    """W, the blocks that a reward looks back on, this one included."""
+    shortest: int = 2
+    """Blocks of the shortest training window: the first blocks of a recording have little to look back on."""
+    longest: int = 12
+    """Blocks of the longest training window."""
+    tempo: bool = False
+    """Tell the motion side how long each block lasts. The audio side knows, so this gives the pair away: durations
+    alone, without any motion, then find 9 pairs in 10, and a policy cannot change them."""
+    rivals: int = 2
+    """H, further negatives of each window that is shown decoded: itself with some of its last lexemes replaced. Without
+    them a single lexeme hardly moves the reward, and not towards the right one."""
+    decoded: float = 0.5
+    """Share of the motion blocks that are decoded from the lexicon in training, the others being captured. The policy's
+    motion is always decoded; without any in training the reward would tell how decoded a motion looks."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.shortest <= self.window <= self.longest:
+            raise ValueError("windows need 1 <= shortest <= window <= longest")
+        if self.temperature < LEAST_TEMPERATURE or not 0 <= self.decoded <= 1 or self.kernel < 1:
+            raise ValueError(f"temperature must be {LEAST_TEMPERATURE} at least, decoded a share, kernel positive")
+
+
+def contrast(motion: Tensor, audio: Tensor, temperature: Tensor | float, group: Tensor,
+             rivals: Tensor | None = None) -> Tensor:
+    """InfoNCE in both directions, in nats (RACER Eq. 6 and 7), the mean over the batch.
+
+    L = mean_i 1/2 [-log softmax_k(m_i . u_k / tau)_i - log softmax_k(u_i . m_k / tau)_i]
+
+    rivals: [B, H] products u_i . m_ij / tau of the audio with motion made wrong, more negatives in the second softmax
+    (-inf for none).
+
+    motion, audio: [B, P] of unit length; row i of both belongs together. group: [B] rows of one group are never each
+    other's negatives (see `similarities`). The paper adds the two directions up; their mean has the same minimum and
+    makes chance log B.
+    """
+    # Scaled before it is masked: a temperature that divided -inf would get NaN for a gradient.
+    logits = similarities(motion / temperature, audio, group)
+    pairs = torch.arange(len(logits), device=logits.device)
+    heard = logits.T if rivals is None else torch.cat([logits.T, rivals], dim=1)
+    return 0.5 * (functional.cross_entropy(logits, pairs) + functional.cross_entropy(heard, pairs))
+
+
+def similarities(motion: Tensor, audio: Tensor, group: Tensor) -> Tensor:
+    """Products m_i . u_k [B, B] of vectors [B, P] (cosines of unit vectors), -inf for two different rows of one group.
+
+    Windows that overlap in time, or hold silence only, suit each other's audio: to push them apart would be wrong, so
+    they leave the sum under the softmax of RACER Eq. 7.
+    """
+    same = group[:, None] == group[None, :]
+    same.fill_diagonal_(False)
+    return (motion @ audio.T).masked_fill(same, -math.inf)
+
+
+class CausalLayer(nn.Module):
+    """x + mix(gelu(convolution(norm(x)))), a dilated convolution over tokens that hears this one and earlier ones."""
+
+    def __init__(self, width: int, kernel: int, dilation: int, dropout: float) -> None:
+        super().__init__()
+        self.kernel, self.dilation = kernel, dilation
+        self.norm = nn.LayerNorm(width)
+        self.convolve = nn.Conv1d(width, width, kernel, dilation=dilation)
+        self.dropout = nn.Dropout(dropout)
+        self.mix = nn.Linear(width, width)
+
+    def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
+        """[B, W, C] to [B, W, C]; valid: [B, W, 1]. A token that is padding is silent, as if the window began later."""
+        heard = (self.norm(tokens) * valid).transpose(1, 2)
+        rows = self.convolve(functional.pad(heard, ((self.kernel - 1) * self.dilation, 0))).transpose(1, 2)
+        return tokens + self._respond(rows)
+
+    def last(self, history: Tensor, valid: Tensor, candidates: Tensor) -> Tensor:
+        """What `forward` gives at the last position for each candidate that may stand there, [B, S, C].
+
+        history: [B, W - 1, C] the tokens before; valid: [B, W - 1, 1]; candidates: [B, S, C]. What the taps on the
+        history hear is the same for all candidates.
+        """
+        taps = self.convolve.weight.unbind(-1)
+        assert self.convolve.bias is not None
+        past: Tensor = self.convolve.bias
+        for back, tap in enumerate(reversed(taps[:-1]), start=1):
+            at = history.shape[1] - back * self.dilation
+            if at >= 0:
+                past = past + functional.linear(self.norm(history[:, at]) * valid[:, at], tap)[:, None]
+        return candidates + self._respond(functional.linear(self.norm(candidates), taps[-1]) + past)
+
+    def _respond(self, rows: Tensor) -> Tensor:
+        mixed: Tensor = self.mix(self.dropout(functional.gelu(rows)))
+        return mixed
+
+
+class WindowEncoder(nn.Module):
+    """E_m or E_u of RACER Eq. 8: the tokens of a window of any length to one unit vector.
+
+    Causal residual layers, the mean over the tokens that are no padding, a linear projection and the L2 norm, which
+    makes the paper's inner product the cosine that its text speaks of.
+    """
+
+    def __init__(self, config: RewardConfig) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(
+            CausalLayer(config.width, config.kernel, dilation, config.dropout) for dilation in config.dilations)
+        self.project = nn.Linear(config.width, config.projection)
+
+    def features(self, tokens: Tensor, valid: Tensor) -> Tensor:
+        """[B, W, C] to [B, W, C], each token with its past; what stands at padding means nothing. valid: [B, W]."""
+        mask = valid.to(tokens.dtype)[..., None]
+        for layer in self.layers:
+            tokens = layer(tokens, mask)
+        return tokens
+
+    def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
+        """[B, W, C] to unit vectors [B, P]; valid: [B, W], 0 at padding, which stands on the left."""
+        mask = valid.to(tokens.dtype)[..., None]
+        total = (self.features(tokens, valid) * mask).sum(1)
+        return self._finish(total, mask.sum(1))
+
+    def every_last(self, history: Tensor, valid: Tensor, candidates: Tensor) -> Tensor:
+        """Unit vectors [B, S, P] of the windows that end in each of the candidates.
+
+        history: [B, W - 1, C]; valid: [B, W]; candidates: [B, S, C]. Equal to `forward` on the B * S whole windows.
+        """
+        mask = valid.to(history.dtype)[..., None]
+        before = mask[:, :-1]
+        for layer in self.layers:
+            assert isinstance(layer, CausalLayer)
+            candidates = layer.last(history, before, candidates)
+            if history.shape[1]:
+                history = layer(history, before)
+        total = candidates * mask[:, -1:] + (history * before).sum(1, keepdim=True)
+        return self._finish(total, mask.sum(1, keepdim=True))
+
+    def _finish(self, total: Tensor, count: Tensor) -> Tensor:
+        return functional.normalize(self.project(total / count.clamp_min(1.0)), dim=-1)
+
+
+class RewardModel(nn.Module):
+    """Motion encoder, audio encoder and a temperature, trained on pairs of windows (RACER Fig. 3).
+
+    A token is one block: all K frames of it through one layer, which is a convolution over frames of kernel and stride
+    K. Normalised time hides the tempo of a block; the audio side has its log duration among the features, and the
+    motion side hears of it only where the settings say so.
+    """
+
+    def __init__(self, config: RewardConfig, frames: int, motion_width: int, audio_width: int) -> None:
+        """frames: K; motion_width: D_m; audio_width: d, the log duration included."""
+        super().__init__()
+        self.config, self.frames = config, frames
+        self.read_motion = nn.Linear(frames * motion_width, config.width)
+        self.read_tempo = nn.Linear(1, config.width, bias=False) if config.tempo else None
+        self.read_audio = nn.Linear(frames * audio_width, config.width)
+        self.encode_motion, self.encode_audio = WindowEncoder(config), WindowEncoder(config)
+        self.log_temperature = nn.Parameter(torch.tensor(math.log(config.temperature)))
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return {"contrast": 1.0}
+
+    @property
+    def temperature(self) -> float:
+        """tau of RACER Eq. 7."""
+        return max(float(self.log_temperature.detach().exp()), LEAST_TEMPERATURE)
+
+    def block_motion(self, motion: Tensor, log_duration: Tensor) -> Tensor:
+        """Tokens [..., C] of motion blocks [..., K, D_m] that last exp(log_duration [...]) seconds."""
+        tokens: Tensor = self.read_motion(motion.flatten(-2))
+        return tokens + self.tempo(log_duration)
+
+    def tempo(self, log_duration: Tensor) -> Tensor:
+        """What the log duration [...] of a block adds to its motion token, [..., C]: nothing unless `tempo` is on, nor
+        for a block of 1 s."""
+        if self.read_tempo is None:
+            return log_duration.new_zeros(*log_duration.shape, self.config.width)
+        added: Tensor = self.read_tempo(log_duration[..., None])
+        return added
+
+    def block_audio(self, audio: Tensor) -> Tensor:
+        """Tokens [..., C] of audio blocks [..., K, d]."""
+        tokens: Tensor = self.read_audio(audio.flatten(-2))
+        return tokens
+
+    def embed_motion(self, tokens: Tensor, valid: Tensor) -> Tensor:
+        """E_m: unit vectors [B, P] of windows [B, W, C]; valid: [B, W], 0 at padding, which stands on the left."""
+        vectors: Tensor = self.encode_motion(tokens, valid)
+        return vectors
+
+    def embed_audio(self, tokens: Tensor, valid: Tensor) -> Tensor:
+        """E_u: unit vectors [B, P] of windows [B, W, C]; valid: [B, W], 0 at padding, which stands on the left."""
+        vectors: Tensor = self.encode_audio(tokens, valid)
+        return vectors
+
+    def embed(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Unit vectors m and u, [B, P] each, of a batch as `losses` takes it."""
+        motion = self.block_motion(batch["motion"], batch["log_duration"])
+        return (self.embed_motion(motion, batch["valid"]),
+                self.embed_audio(self.block_audio(batch["audio"]), batch["valid"]))
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """The contrastive loss (RACER Eq. 6 and 7, see `contrast`).
+
+        batch: motion [B, W, K, D_m], audio [B, W, K, d], log_duration [B, W], valid [B, W] with padding on the left,
+        group [B] int64, alike for windows that are not to be told apart: overlapping ones, and silent ones. Where
+        there are rivals, also rival [B, H, W, K, D_m], the same window made wrong, and rivalled [B], 1 for rows that
+        have them.
+        """
+        with torch.no_grad():  # the parameter itself is held: a clamp in the loss would leave it without a gradient
+            self.log_temperature.clamp_(min=math.log(LEAST_TEMPERATURE))
+        motion, audio = self.embed(batch)
+        temperature = self.log_temperature.exp()
+        rivals = None
+        if "rival" in batch:
+            against = self.against_rivals(batch, audio) / temperature
+            rivals = against.masked_fill(~batch["rivalled"].bool()[:, None], -math.inf)
+        return {"contrast": contrast(motion, audio, temperature, batch["group"], rivals)}
+
+    def against_rivals(self, batch: dict[str, Tensor], audio: Tensor) -> Tensor:
+        """Cosines [B, H] of audio vectors [B, P] with each window's rivals."""
+        count = batch["rival"].shape[1]
+        times, valid = (batch[key].repeat_interleave(count, 0) for key in ("log_duration", "valid"))
+        tokens = self.block_motion(batch["rival"].flatten(0, 1), times)
+        return torch.einsum("bhp,bp->bh", self.embed_motion(tokens, valid).unflatten(0, (-1, count)), audio)
+
+    @torch.no_grad()
+    def right_one(self, batch: dict[str, Tensor]) -> float:
+        """How often a window's motion suits its audio better than all its rivals do; chance is 1 / (H + 1)."""
+        motion, audio = self.embed(batch)
+        best = self.against_rivals(batch, audio).amax(1)
+        kept = batch["rivalled"].bool()
+        return float(((motion * audio).sum(-1) > best)[kept].double().mean())
+
+    @torch.no_grad()
+    def retrieval(self, batch: dict[str, Tensor]) -> dict[str, float]:
+        """How often a window's counterpart is the first, or among the first five, of the batch (as `losses` takes it).
+
+        Gives motion_r1 and motion_r5 (audio sought for a motion), audio_r1 and audio_r5 (motion sought for an audio),
+        chance_r1 and chance_r5, what blind guessing would give. Rows of one group do not compete. A tie counts as lost,
+        so an encoder that maps everything to one point scores nothing. Call it in evaluation mode.
+        """
+        cosines = similarities(*self.embed(batch), batch["group"])
+        rivals = (~torch.isneginf(cosines)).sum(1).double()
+        figures = {}
+        for name, table in (("motion", cosines), ("audio", cosines.T)):
+            place = len(table) - (table < table.diagonal()[:, None]).sum(1)  # 1 is the first; not a number is last
+            for first in (1, 5):
+                figures[f"{name}_r{first}"] = float((place <= first).double().mean())
+                figures[f"chance_r{first}"] = float((first / rivals).clamp_max(1.0).mean())
+        return figures
+
+
+class RewardTable:
+    """A trained reward model over a lexicon and a corpus: lexemes and block numbers in, rewards out (RACER Eq. 8).
+
+    Windows are right-aligned: the decision at hand is their last block, and padding (valid 0) stands on the left. All
+    tensors live on the device of the model, which is copied: what happens to it later changes no reward.
+    """
+
+    def __init__(self, model: RewardModel, audio: Tensor, log_duration: Tensor, decoded: Tensor | None = None, *,
+                 decode: Decode | None = None, size: int | None = None) -> None:
+        """audio: [N, K, d] and log_duration: [N] of the corpus' blocks. The lexicon is one of
+        decoded: [S, K, D_m], every lexeme decoded by itself (the cheap way); or
+        decode: windows of lexemes [B, n] to motion [B, n, K, D_m], and size: S. It is given no padding.
+        """
+        if (decoded is None) == (decode is None) or (decode is not None and size is None):
+            raise ValueError("give either the decoded lexemes, or a way to decode them and their number")
+        self.model = copy.deepcopy(model)
+        freeze(self.model)
+        self.window, self._decode = model.config.window, decode
+        with torch.no_grad():
+            self._log_duration, self._audio = log_duration, self.model.block_audio(audio)
+            self._tempo = self.model.tempo(log_duration)
+            self._lexemes: Tensor | None = None
+            if decoded is not None:
+                size = len(decoded)
+                self._lexemes = self.model.block_motion(decoded, log_duration.new_zeros(size))
+        self.size = int(size or 0)
+        """S, how many lexemes there are."""
+
+    @torch.no_grad()
+    def rewards(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """Cosines [B] in [-1, 1] of lexemes [B, W] on the corpus' blocks [B, W]; valid: [B, W]."""
+        motion = self.model.embed_motion(self._motion_tokens(lexemes, blocks, valid), valid)
+        return _cosine(motion, self._embed_audio(blocks, valid))
+
+    @torch.no_grad()
+    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """The reward of each lexeme as the last of the window, [B, S].
+
+        history: [B, W - 1] the lexemes before; blocks, valid: [B, W]. With lexemes decoded by themselves only the last
+        token differs between candidates; with `decode` every candidate may change the whole window.
+        """
+        if self._lexemes is None:
+            motion = self._every_whole(history, blocks, valid)
+        else:
+            before = self._motion_tokens(history, blocks[:, :-1], valid[:, :-1])
+            candidates = self._lexemes + self._tempo[blocks[:, -1:]]
+            motion = self.model.encode_motion.every_last(before, valid, candidates)
+        return _cosine(motion, self._embed_audio(blocks, valid)[:, None])
+
+    def sequence(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
+        """Rewards [M] of the trailing windows along one recording, lexemes [M] on blocks [M].
+
+        The reward of block i looks back on `window` blocks, on i + 1 of them where there are no more.
+        """
+        at, valid = self._trailing(len(blocks), blocks.device)
+        return self.rewards(lexemes[at], blocks[at], valid)
+
+    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
+        """Rewards [M, S] of each lexeme at each block of one recording, after the lexemes [M] before that block."""
+        at, valid = self._trailing(len(blocks), blocks.device)
+        rows = max(1, _AT_ONCE // self.size)
+        return torch.cat([self.every(lexemes[part[:, :-1]], blocks[part], kept)
+                          for part, kept in zip(at.split(rows), valid.split(rows), strict=True)])
+
+    def _trailing(self, count: int, device: torch.device) -> tuple[Tensor, Tensor]:
+        """Positions [M, W] of the trailing windows and whether they lie in the recording, [M, W]."""
+        at = torch.arange(count, device=device)[:, None] + torch.arange(1 - self.window, 1, device=device)
+        return at.clamp_min(0), at >= 0
+
+    def _embed_audio(self, blocks: Tensor, valid: Tensor) -> Tensor:
+        return self.model.embed_audio(self._audio[blocks], valid)
+
+    def _motion_tokens(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """Tokens [B, W, C] of lexemes [B, W] on blocks [B, W]; at padding they mean nothing."""
+        if self._lexemes is not None:
+            return self._lexemes[lexemes] + self._tempo[blocks]
+        assert self._decode is not None
+        tokens = self._tempo[blocks]
+        lengths = valid.to(torch.int64).sum(1)
+        for length in lengths.unique().tolist():  # windows of one length together: a decoder must not hear padding
+            rows, kept = lengths == length, slice(lexemes.shape[1] - length, None)
+            if length:
+                motion = self._decode(lexemes[rows, kept])
+                tokens[rows, kept] = self.model.block_motion(motion, self._log_duration[blocks[rows, kept]])
+        return tokens
+
+    def _every_whole(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """`every` the long way, all B * S windows: vectors [B, S, P]."""
+        last = torch.arange(self.size, device=history.device).repeat(len(history))[:, None]
+        lexemes = torch.cat([history.repeat_interleave(self.size, 0), last], 1)
+        valid = valid.repeat_interleave(self.size, 0)
+        tokens = self._motion_tokens(lexemes, blocks.repeat_interleave(self.size, 0), valid)
+        return self.model.embed_motion(tokens, valid).unflatten(0, (-1, self.size))
+
+
+def _cosine(motion: Tensor, audio: Tensor) -> Tensor:
+    """The inner product of unit vectors [..., P] (RACER Eq. 8); rounding must not take it past 1."""
+    return (motion * audio).sum(-1).clamp(-1.0, 1.0)

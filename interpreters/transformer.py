@@ -1,0 +1,100 @@
+"""The trunk of the Q-network: a transformer over two streams, what is heard and what was done (RACER 4.3, Eq. 12).
+
+The streams stand one after the other in time, [U; A]: token j of the first is the audio u_{j+1} that the next decision
+hears, token j of the second is the action a_j before it. Pre-norm layers, GELU, four times the width inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+KeyValue = tuple[Tensor, Tensor]
+"""Keys and values [B, heads, tokens, C / heads] that a layer has computed already."""
+
+INITIAL = 0.02
+"""Standard deviation of every weight at the start."""
+
+
+def two_stream_mask(steps: int, device: torch.device | None = None) -> Tensor:
+    """The mask M of RACER Eq. 12, additive: [2 T', 2 T'], 0 where a token sees another and -inf where it does not.
+
+    A lower triangular block of size T' = `steps` repeated 2 x 2: token j of either stream sees tokens 0..j of both, so
+    the action half at j knows a_0..a_j and u_1..u_{j+1}, which is exactly the state s_{j+1}.
+    """
+    block = torch.full((steps, steps), -torch.inf, device=device).triu(1)
+    return block.repeat(2, 2)
+
+
+def sliding(tokens: Tensor, window: int, read: Callable[[Tensor], Tensor]) -> Tensor:
+    """What `read` says of each step when it sees the step and at most `window - 1` before it, [B, M, X].
+
+    tokens: [B, 2, M, C] pairs without positions; read: [B', 2, T', C] to [B', T', X], causal, T' <= window. Steps past
+    the first window are read as the last of their own trailing window, as a stream reads them: dropping the oldest
+    pair from what is remembered would not give the same, since younger tokens have already seen it. Memory grows with
+    M x window.
+    """
+    batch, steps = tokens.shape[0], tokens.shape[2]
+    if steps <= window:
+        return read(tokens)
+    every = tokens.unfold(2, window, 1).permute(0, 2, 1, 4, 3)  # [B, M - window + 1, 2, window, C]
+    out = read(every.flatten(0, 1)).unflatten(0, (batch, -1))
+    return torch.cat([out[:, 0], out[:, 1:, -1]], dim=1)
+
+
+class Attention(nn.Module):
+    """softmax(Q K^T / sqrt(C / heads) + M) V, heads side by side (RACER Eq. 12)."""
+
+    def __init__(self, width: int, heads: int, dropout: float) -> None:
+        super().__init__()
+        if width % heads:
+            raise ValueError(f"a width of {width} cannot be shared by {heads} heads")
+        self.heads, self.dropout = heads, dropout
+        self.project = nn.Linear(width, 3 * width)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, x: Tensor, mask: Tensor | None, past: KeyValue | None = None) -> tuple[Tensor, KeyValue]:
+        """[B, tokens, C] to the same, and the keys and values of these tokens after those of the `past`."""
+        query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+                             for part in self.project(x).chunk(3, dim=-1))
+        if past is not None:
+            key, value = torch.cat([past[0], key], dim=2), torch.cat([past[1], value], dim=2)
+        seen = functional.scaled_dot_product_attention(query, key, value, mask,
+                                                       dropout_p=self.dropout if self.training else 0.0)
+        return self.out(seen.transpose(1, 2).flatten(-2)), (key, value)
+
+
+class Layer(nn.Module):
+    """x + attention(norm(x)), then x + feed-forward(norm(x))."""
+
+    def __init__(self, width: int, heads: int, dropout: float) -> None:
+        super().__init__()
+        self.before_attention, self.before_feed = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.attention = Attention(width, heads, dropout)
+        self.feed = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, x: Tensor, mask: Tensor | None, past: KeyValue | None = None) -> tuple[Tensor, KeyValue]:
+        """[B, tokens, C] to the same, and what a later token needs of these."""
+        attended, present = self.attention(self.before_attention(x), mask, past)
+        x = x + self.dropout(attended)
+        return x + self.dropout(self.feed(self.before_feed(x))), present
+
+
+class Head(nn.Sequential):
+    """The final norm and a linear layer, [..., C] to [..., size]."""
+
+    def __init__(self, width: int, size: int) -> None:
+        super().__init__(nn.LayerNorm(width), nn.Linear(width, size))
+
+
+@torch.no_grad()
+def begin_small(module: nn.Module) -> None:
+    """Weights of linear layers and embeddings from N(0, 0.02), biases at zero; for `nn.Module.apply`."""
+    if isinstance(module, nn.Linear | nn.Embedding):
+        module.weight.normal_(0.0, INITIAL)
+    if isinstance(module, nn.Linear):
+        module.bias.zero_()

@@ -1,0 +1,179 @@
+"""RACER's own codec: a convolutional VQ-VAE that turns motion into one code per 8 frames (RACER 4.1, Eq. 3 to 5).
+
+Layers are written (channels in, channels out, kernel, stride, padding, dilation), C is the width:
+
+    RB(d)     x + [ReLU, Conv(C, C, 3, 1, d, d), ReLU, Conv(C, C, 1, 1, 0, 1)]
+    encoder   3 times { Conv(D_m or C, C, 4, 2, 1, 1), RB(1), RB(3), RB(9) }, then Conv(C, C, 3, 1, 1, 1)
+    decoder   Conv(C, C, 3, 1, 1, 1), then 3 times { RB(9), RB(3), RB(1), TransConv(C, C or D_m, 4, 2, 1, 1) }
+
+That is the table RACER's authors published (the paper itself has none), at C = 512. Where the table leaves a choice:
+
+- It calls the decoder's stride-2 layers "Conv", although its legend explains "TransConv", which occurs nowhere else.
+  A convolution of stride 2 would shorten the sequence once more, so they are transposed here.
+- Its input has J x 3 channels where the paper's motion is [T, J]: J joints of three numbers there, D_m numbers here.
+- No activation stands between a stride-2 layer and the block after it, before the codebook or at the end, and there is
+  no normalisation at all. Nothing was added. The decoder ends in its last TransConv.
+- How the codebook learns is not said beyond Eq. 4, whose second term is `codebook="gradient"`. The default is the
+  moving average of the latents, with revival of dead codes.
+
+A code sees much more than its own 8 frames: code i depends on frames 8i - 197 to 8i + 204, and code i has a say in as
+many decoded ones. Recordings should therefore be coded whole, and a code decoded alone is only a hint of its motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from sklearn.cluster import KMeans
+from torch import Tensor, nn
+
+from data_module.layers import masked_mean
+from lexicon.quantizer import Quantizer
+
+STAGES = 3
+"""Times that the encoder halves the rate."""
+FRAMES = 2**STAGES
+"""Frames per code."""
+
+
+@dataclass(frozen=True)
+class RacerConfig:
+    """Sizes and weights of the codec; the defaults are the paper's where it gives them (RACER 5.2)."""
+
+    width: int = 512
+    """C, channels of every layer and width of a code."""
+    size: int = 512
+    """N, codes in the codebook."""
+    dilations: tuple[int, ...] = (1, 3, 9)
+    """Of the residual blocks of a stage, in the encoder's order; the decoder reverses them."""
+    velocity: float = 1.0
+    """alpha_1 of Eq. 5."""
+    acceleration: float = 1.0
+    """alpha_2 of Eq. 5."""
+    commitment: float = 0.1
+    """beta of Eq. 4."""
+    codebook: str = "ema"
+    """"ema", or "gradient" for the literal second term of Eq. 4."""
+    decay: float = 0.99
+    revive_below: float = 1.0
+    """A code used less often than this per batch (64 x 15 codes in the paper), on average, is revived."""
+
+
+class ResidualBlock(nn.Module):
+    """RB(d) over [B, C, T]: x + [ReLU, Conv(C, C, 3, 1, d, d), ReLU, Conv(C, C, 1, 1, 0, 1)]."""
+
+    def __init__(self, width: int, dilation: int) -> None:
+        super().__init__()
+        self.change = nn.Sequential(nn.ReLU(), nn.Conv1d(width, width, 3, padding=dilation, dilation=dilation),
+                                    nn.ReLU(), nn.Conv1d(width, width, 1))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[B, C, T] to [B, C, T]."""
+        return x + self.change(x)
+
+
+def encoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) -> nn.Sequential:
+    """The encoder's column of the table: [B, D_m, T] to [B, C, T / 8]."""
+    layers: list[nn.Module] = []
+    for stage in range(STAGES):
+        layers.append(nn.Conv1d(width if stage else motion_width, width, 4, stride=2, padding=1))
+        layers += [ResidualBlock(width, dilation) for dilation in dilations]
+    return nn.Sequential(*layers, nn.Conv1d(width, width, 3, padding=1))
+
+
+def decoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) -> nn.Sequential:
+    """The decoder's column of the table: [B, C, T / 8] to [B, D_m, T]."""
+    layers: list[nn.Module] = [nn.Conv1d(width, width, 3, padding=1)]
+    for stage in range(STAGES):
+        layers += [ResidualBlock(width, dilation) for dilation in reversed(dilations)]
+        out = motion_width if stage == STAGES - 1 else width
+        layers.append(nn.ConvTranspose1d(width, out, 4, stride=2, padding=1))
+    return nn.Sequential(*layers)
+
+
+class RacerCodec(nn.Module):
+    """Encoder, codebook Z and decoder over motion [B, T, D_m]; T is any multiple of 8 frames."""
+
+    present: Tensor
+
+    def __init__(self, config: RacerConfig, motion_width: int, present: Tensor | None = None) -> None:
+        """present: [D_m] 1 where the data have the dimension; elsewhere no loss would hold the decoder, so it is 0."""
+        super().__init__()
+        self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
+        self.config, self.frames, self.motion_width = config, FRAMES, motion_width
+        self.encoder = encoder_layers(motion_width, config.width, config.dilations)
+        self.quantizer = Quantizer(config.size, config.width, config.codebook, config.decay,
+                                   revive_below=config.revive_below)
+        self.decoder = decoder_layers(motion_width, config.width, config.dilations)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights of RACER Eq. 4 and 5, keyed like `losses`."""
+        c = self.config
+        return {"reconstruction": 1.0, "velocity": c.velocity, "acceleration": c.acceleration,
+                "commitment": c.commitment, "codebook": 1.0}
+
+    @property
+    def vectors(self) -> Tensor:
+        """Z, the codes [N, C]."""
+        return self.quantizer.vectors
+
+    def encode(self, motion: Tensor) -> Tensor:
+        """Motion [B, T, D_m] to latents e [B, T / 8, C], before quantisation. ValueError unless 8 divides T."""
+        if motion.shape[1] == 0 or motion.shape[1] % FRAMES:
+            raise ValueError(f"{motion.shape[1]} frames cannot be coded: {FRAMES} must divide their number")
+        return self.encoder(motion.transpose(1, 2)).transpose(1, 2)
+
+    def decode(self, codes: Tensor) -> Tensor:
+        """Codes or latents [B, T', C] to motion [B, 8 T', D_m]."""
+        return self.decoder(codes.transpose(1, 2)).transpose(1, 2) * self.present
+
+    @torch.no_grad()
+    def label(self, motion: Tensor, batch: int = 64) -> Tensor:
+        """Codes of motion [B, T, D_m] by number, [B, T / 8]: arg min of the Euclidean distance (RACER Eq. 3).
+
+        batch: how many of the B are encoded at a time; it bounds the memory and changes nothing else.
+        """
+        parts = [self.encode(part) for part in motion.split(batch)]
+        return torch.cat([self.quantizer.labels(part.flatten(0, 1)).unflatten(0, part.shape[:2]) for part in parts])
+
+    def tokens(self, motion: Tensor) -> Tensor:
+        """`label` by the name that RACER gives to what the Q-network chooses: action tokens [B, T / 8]."""
+        return self.label(motion)
+
+    @torch.no_grad()
+    def decode_tokens(self, tokens: Tensor) -> Tensor:
+        """Tokens [B, T'] to motion [B, T', 8, D_m], 8 frames per token, decoded together."""
+        return self.decode(self.vectors[tokens]).unflatten(1, (-1, FRAMES))
+
+    @torch.no_grad()
+    def start_codebook(self, motion: Tensor, seed: int, batch: int = 64) -> None:
+        """Place the codes by k-means on up to 10,000 latents of motion [B, T, D_m]."""
+        latents = torch.cat([self.encode(part).flatten(0, 1) for part in motion.split(batch)])
+        generator = torch.Generator().manual_seed(seed)
+        chosen = torch.randperm(len(latents), generator=generator)[:10_000].to(latents.device)
+        points = latents[chosen].cpu().double().numpy()
+        means = KMeans(min(self.quantizer.size, len(points)), n_init=1, random_state=seed % 2**31).fit(points)
+        vectors = self.quantizer.vectors.clone()
+        vectors[:len(means.cluster_centers_)] = torch.as_tensor(means.cluster_centers_).to(vectors)
+        self.quantizer.set_vectors(vectors)
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """RACER Eq. 4 and 5, all terms as means over elements; each crop is T = 120 frames in the paper.
+
+        batch: motion [B, T, D_m], mask [B, D_m] of present joints. Eq. 5 prints the L1 norm of a pair; the norm of its
+        difference is meant. Velocity and acceleration are differences of neighbouring frames. `progress` is not used.
+        """
+        motion, mask = batch["motion"], batch["mask"][:, None]
+        latents = self.encode(motion)
+        quantised = self.quantizer(latents.flatten(0, 1))
+        error = self.decode(quantised.codes.unflatten(0, latents.shape[:2])) - motion
+        velocity = torch.diff(error, dim=1)
+        return {
+            "reconstruction": masked_mean(error.abs(), mask),
+            "velocity": masked_mean(velocity.abs(), mask),
+            "acceleration": masked_mean(torch.diff(velocity, dim=1).abs(), mask),
+            "commitment": quantised.commitment,
+            "codebook": quantised.codebook,
+        }

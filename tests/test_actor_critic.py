@@ -1,0 +1,194 @@
+"""The actor-critic variant: whose turn it is, who learns in it, and that it begins as what was supervised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from interpreters.actor_critic import ActorCritic, ActorCriticConfig
+from interpreters.base import BlockFeatures, LexemeInterpreter
+from interpreters.cql import QConfig, QNetwork
+
+FRAMES, AUDIO, SIZE, SPEAKERS, WINDOW = 3, 2, 4, 2, 5
+SMALL = QConfig(width=16, heads=2, layers=4, dropout=0.3, decisions=WINDOW, audio_features=4, audio_bottleneck=0)
+SILENT = (2,)
+
+
+def network(seed: int = 0, **changes: object) -> QNetwork:
+    torch.manual_seed(seed)
+    net = QNetwork(replace(SMALL, **changes), FRAMES, AUDIO, SIZE, SPEAKERS, SILENT)  # type: ignore[arg-type]
+    for parameter in net.parameters():
+        parameter.data.mul_(8.0 if parameter.dim() > 1 else 1.0)
+    return net.eval()
+
+
+def windows(count: int = 3, seed: int = 0, steps: int = WINDOW) -> dict[str, Tensor]:
+    draw = torch.Generator().manual_seed(seed)
+    shape = (count, steps + 1)
+    silent = torch.rand(shape, generator=draw) < 0.2
+    action = torch.randint(SIZE, shape, generator=draw)
+    return {"previous": torch.randint(SIZE, shape, generator=draw), "silent": silent,
+            "audio": torch.randn(*shape, 3 * FRAMES, AUDIO, generator=draw),
+            "speaker": functional.one_hot(torch.arange(count) % SPEAKERS, SPEAKERS).float(),
+            "action": torch.where(silent, torch.full_like(action, SILENT[0]), action),
+            "reward": torch.rand(shape, generator=draw), "terminal": torch.zeros(shape, dtype=torch.bool),
+            "valid": torch.ones(shape), "cloned": torch.ones(shape)}
+
+
+def heard(batch: dict[str, Tensor]) -> list[Tensor]:
+    return [batch[key] for key in ("previous", "audio", "speaker", "silent")]
+
+
+def judges_always(model: ActorCritic, worth: float) -> None:
+    """Give every state the same value."""
+    with torch.no_grad():
+        model.value[1].weight.zero_()
+        model.value[1].bias.fill_(worth)
+
+
+def learns(module: nn.Module) -> bool:
+    """Whether any of its weights got a gradient that is not zero."""
+    return any(p.grad is not None and bool(p.grad.any()) for p in module.parameters())
+
+
+def test_turns_alternate_and_depend_on_the_step_alone() -> None:
+    model = ActorCritic(network())
+    turns = []
+    for step in range(20):
+        model.before_step(step)
+        turns.append(model.turn)
+    assert turns == (["actor"] * 5 + ["critic"] * 5) * 2
+    model.before_step(3)
+    assert model.turn == "actor"
+
+
+@pytest.mark.parametrize("frozen", [True, False])
+@pytest.mark.parametrize("turn", ["actor", "critic"])
+def test_only_the_one_whose_turn_it_is_learns(turn: str, frozen: bool) -> None:
+    model = ActorCritic(network(), ActorCriticConfig(freeze_trunk=frozen))
+    model.before_step(0 if turn == "actor" else 5)
+    terms = model.losses(windows())
+    assert set(terms) == set(model.weights)
+    sum((model.weights[key] * term for key, term in terms.items()), start=torch.zeros(())).backward()
+    for part in (*model.actor.layers[1:], model.actor.head):
+        assert learns(part) == (turn == "actor")
+    for part in (*model.critic, model.value):
+        assert learns(part) == (turn == "critic")
+    for part in (model.actor.layers[0], model.actor.audio_token, model.actor.action_token):
+        assert learns(part) != frozen
+        assert all(p.requires_grad != frozen for p in part.parameters())
+
+
+def test_it_begins_as_the_supervised_network() -> None:
+    supervised, model = network(seed=3), ActorCritic(network())
+    before = model.values(*heard(windows()))
+    model.begin_as(supervised)
+    batch = windows(steps=12)
+    values, after = supervised.values(*heard(batch)), model.values(*heard(batch))
+    assert torch.equal(after.argmax(-1), values.argmax(-1))
+    torch.testing.assert_close(after, torch.log_softmax(values, -1))
+    assert not torch.allclose(before, model.values(*heard(windows())))
+    logits, worth = model.logits_and_value(*heard(batch))
+    torch.testing.assert_close(logits, values)
+    assert worth.shape == logits.shape[:2]
+    for own, other in zip(model.critic, supervised.layers[1:], strict=True):
+        for a, b in zip(own.parameters(), other.parameters(), strict=True):
+            assert torch.equal(a, b) and a is not b
+    with torch.no_grad():
+        model.critic[0].feed[0].weight.add_(1.0)
+        supervised.head[1].bias.add_(torch.arange(SIZE))
+    torch.testing.assert_close(model.values(*heard(batch)), after)  # neither the critic nor the giver is the actor
+
+
+def test_errors_by_hand() -> None:
+    model = ActorCritic(network(), ActorCriticConfig(gamma=0.5))
+    judges_always(model, 4.0)
+    batch = windows(count=1)
+    batch["reward"] = torch.ones_like(batch["reward"])
+    model.before_step(5)
+    # delta = 1 + 0.5 x 4 - 4 = -1 everywhere; at the end of a take it is 1 - 4 = -3.
+    assert float(model.losses(batch)["critic"].detach()) == pytest.approx(0.5)
+    surprise = -float(model.losses(batch)["actor"].detach())
+    logits = model.actor.values(*heard(batch)).masked_fill(~model.actor.allowed(batch["silent"]), -torch.inf)
+    expected = functional.cross_entropy(logits[0, :WINDOW], batch["action"][0, :WINDOW])
+    assert surprise == pytest.approx(float(expected.detach()), rel=1e-5)
+    batch["terminal"][0, WINDOW - 1] = True
+    assert float(model.losses(batch)["critic"].detach()) == pytest.approx(0.5 * (WINDOW - 1 + 9) / WINDOW)
+    batch["valid"][0, 2:] = 0  # step 1 is cut off with nothing known after it, so only step 0 counts
+    assert float(model.losses(batch)["critic"].detach()) == pytest.approx(0.5)
+
+
+def test_no_gradient_runs_through_the_value_of_the_next_state() -> None:
+    model = ActorCritic(network(), ActorCriticConfig(gamma=0.5))
+    judges_always(model, 4.0)
+    batch = windows(count=1)
+    batch["reward"] = torch.ones_like(batch["reward"])
+    model.before_step(5)
+    model.losses(batch)["critic"].backward()
+    # delta = -1 and only V(s) = bias moves: d/dV of half its square is 1 (it would be 0.5 with V(s') moving along).
+    assert float(model.value[1].bias.grad) == pytest.approx(1.0)
+
+
+def test_a_better_outcome_than_expected_makes_an_action_likelier() -> None:
+    batch = windows(count=2)
+    batch["silent"] = torch.zeros_like(batch["silent"])
+    for reward, likelier in ((1.0, True), (-1.0, False)):
+        model = ActorCritic(network())
+        judges_always(model, 0.0)
+        batch["reward"] = torch.full_like(batch["reward"], reward)
+        optimiser = torch.optim.SGD([p for p in model.parameters() if p.requires_grad], 1e-3)
+        taken = batch["action"][:, :WINDOW, None]
+
+        def likelihood(model: ActorCritic = model, taken: Tensor = taken) -> float:
+            return float(model.values(*heard(batch))[:, :WINDOW].gather(-1, taken).mean().detach())
+
+        before = likelihood()
+        model.before_step(0)
+        sum(model.losses(batch).values(), start=torch.zeros(())).backward()
+        optimiser.step()
+        assert (likelihood() > before) == likelier
+
+
+def test_the_critic_learns_what_a_state_is_worth() -> None:
+    model = ActorCritic(network(), ActorCriticConfig(gamma=0.5))
+    batch = windows(count=2)
+    batch["reward"] = torch.ones_like(batch["reward"])
+    model.before_step(5)
+    optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], 1e-2)
+    for _ in range(150):
+        optimiser.zero_grad()
+        model.losses(batch)["critic"].backward()
+        optimiser.step()
+    worth = model.logits_and_value(*heard(batch))[1][:, :WINDOW]
+    assert (worth - 2.0).abs().max() < 0.2, "1 + 1/2 + 1/4 + ..."
+
+
+def test_dropout_is_off_even_while_training() -> None:
+    model = ActorCritic(network()).train()
+    assert model.training and not any(module.training for module in model.modules() if module is not model)
+    batch = windows()
+    assert torch.equal(model.losses(batch)["critic"], model.losses(batch)["critic"])
+
+
+def test_it_streams_as_it_reads_a_whole_take() -> None:
+    model = ActorCritic(network())
+    assert isinstance(model, LexemeInterpreter)
+    batch = windows(count=1, steps=19)
+    whole = model.values(*heard(batch))[0].detach().numpy()
+    state = model.start(0, int(batch["previous"][0, 0]))
+    for i in range(20):
+        features = BlockFeatures(batch["audio"][0, i], batch["audio"][0, i], bool(batch["silent"][0, i]))
+        scores, state = model.step(state, features, int(batch["previous"][0, i]))
+        assert np.exp(scores).sum() == pytest.approx(1.0)
+        np.testing.assert_allclose(scores, whole[i], atol=1e-5)
+
+
+def test_more_layers_cannot_be_split_off_than_there_are() -> None:
+    with pytest.raises(ValueError, match="split off"):
+        ActorCritic(network(layers=2))
+    ActorCritic(network(layers=3)).losses(windows())

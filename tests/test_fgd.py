@@ -1,0 +1,393 @@
+"""The Frechet gesture distance: scipy's root, Gaussians with a known distance, the papers' own network and our own."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import sqrtm
+
+from data_module import rotation
+from data_module.errors import InputError
+from data_module.kinematics import positions_of
+from data_module.representation import TED_JOINTS, bone_directions, ted_positions
+from data_module.skeletons import CHARACTER, facing
+from data_module.store import Store
+from data_module.types import Array, Motion
+from eval import controls, fgd
+from eval import gesture_features as networks
+from eval.fgd import Gaussian, distance, frechet_distance, gaussian
+from eval.gesture_features import AutoencoderConfig, RawFeatures
+from gesticulator.fit import FitSettings
+
+QUICK = FitSettings(steps=25, batch=16, rate=2e-3, betas=(0.5, 0.999))
+
+
+def some_features(seed: int, count: int = 80, width: int = 5) -> Array:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(count, width)) @ rng.normal(size=(width, width)) + rng.normal(size=width)
+
+
+def gesturing(seconds: float, seed: int, fps: float = 20.0) -> Motion:
+    """The character with smooth random swings of every joint."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * fps)) / fps
+    size = (len(CHARACTER), 3)
+    angles = 0.4 * rng.uniform(size=size) * np.sin(2 * np.pi * (rng.uniform(0.2, 1.2, size) * time[:, None, None]
+                                                                + rng.uniform(size=size)))
+    return Motion(CHARACTER, rotation.from_exponential_map(angles), np.zeros((len(time), 3)), fps)
+
+
+# --- the distance
+
+@given(first=st.integers(0, 40), second=st.integers(41, 80))
+def test_the_distance_is_scipys_matrix_root_of_the_product(first: int, second: int) -> None:
+    a, b = some_features(first), some_features(second)
+    ca, cb = np.cov(a, rowvar=False), np.cov(b, rowvar=False)
+    root = np.real(sqrtm(ca @ cb))
+    wanted = ((a.mean(0) - b.mean(0)) ** 2).sum() + np.trace(ca + cb - 2 * root)
+    assert distance(a, b) == pytest.approx(float(wanted), rel=1e-7)
+    assert distance(a, b) == pytest.approx(distance(b, a), rel=1e-10)
+
+
+def test_identical_sets_are_at_zero() -> None:
+    for count in (4, 80):  # of few the covariance is singular
+        a = some_features(0, count, 12)
+        assert distance(a, a) == pytest.approx(0.0, abs=1e-10 * float(np.trace(np.cov(a, rowvar=False))))
+        assert distance(a, a) >= 0.0
+
+
+def test_gaussians_of_known_distance() -> None:
+    one = Gaussian(np.zeros(3), np.diag([1.0, 4.0, 9.0]), 100)
+    # diagonal: the sum of squared differences of deviations
+    other = Gaussian(np.array([3.0, 0.0, 4.0]), np.diag([4.0, 4.0, 25.0]), 100)
+    assert frechet_distance(one, other) == pytest.approx(25 + (1 + 0 + 4))
+    # one dimension: (m1 - m2)^2 + (s1 - s2)^2
+    assert frechet_distance(Gaussian(np.array([1.0]), np.array([[9.0]]), 9),
+                            Gaussian(np.array([-1.0]), np.array([[1.0]]), 9)) == pytest.approx(4 + 4)
+    # turned by a right angle: variances 1 and 9 change places
+    assert frechet_distance(Gaussian(np.zeros(2), np.diag([1.0, 9.0]), 9),
+                            Gaussian(np.zeros(2), np.diag([9.0, 1.0]), 9)) == pytest.approx(10 + 10 - 2 * (3 + 3))
+
+
+def test_singular_covariances_give_a_finite_distance() -> None:
+    point, line = np.zeros((2, 2)), np.diag([4.0, 0.0])
+    assert frechet_distance(Gaussian(np.zeros(2), point, 9), Gaussian(np.ones(2), point, 9)) == pytest.approx(2.0)
+    assert frechet_distance(Gaussian(np.zeros(2), point, 9), Gaussian(np.zeros(2), line, 9)) == pytest.approx(4.0)
+    across = np.diag([0.0, 1.0])
+    assert frechet_distance(Gaussian(np.zeros(2), line, 9), Gaussian(np.zeros(2), across, 9)) == pytest.approx(5.0)
+    few = distance(some_features(1, 6, 20), some_features(2, 6, 20))
+    assert math.isfinite(few) and few > 0
+    still = np.ones((10, 4))
+    assert distance(still, still) == 0.0
+
+
+def test_turning_or_moving_both_sets_changes_nothing() -> None:
+    a, b = some_features(3), some_features(4)
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
+    assert distance(a @ turn + 7, b @ turn + 7) == pytest.approx(distance(a, b), rel=1e-8)
+    assert distance(3 * a, 3 * b) == pytest.approx(9 * distance(a, b), rel=1e-8)
+
+
+def test_the_bias_of_the_sample_is_what_sampling_gives() -> None:
+    of = Gaussian(np.zeros(6), np.diag([0.1, 0.5, 1.0, 2.0, 4.0, 8.0]), 0)
+    rng = np.random.default_rng(0)
+
+    def drawn(count: int) -> Array:
+        return rng.normal(size=(count, 6)) * np.sqrt(np.diag(of.covariance))
+
+    seen = np.mean([distance(drawn(150), drawn(100)) for _ in range(400)])
+    assert fgd.sampling_bias(of, 150, 100) == pytest.approx(float(seen), rel=0.05)
+    # the figure in the chapter's head
+    assert fgd.sampling_bias(Gaussian(np.zeros(32), np.eye(32), 0), 100, 100) == pytest.approx(5.92)
+    assert fgd.sampling_bias(Gaussian(np.zeros(2), np.zeros((2, 2)), 0), 5, 5) == 0.0
+
+
+def test_invalid_input_is_refused() -> None:
+    for features in (np.zeros((1, 4)), np.zeros(4), np.full((5, 4), np.nan), np.zeros((5, 0))):
+        with pytest.raises(ValueError):
+            gaussian(features)
+    with pytest.raises(ValueError):
+        distance(some_features(0), some_features(0, width=4))
+    with pytest.raises(ValueError):
+        fgd.samples_needed(0)
+    with pytest.raises(ValueError):
+        fgd.sampling_bias(gaussian(some_features(0)), 0, 4)
+
+
+# --- figures with their intervals
+
+RAW = RawFeatures(30)
+
+
+def clips_of(rng: np.random.Generator, count: int, middle: float = 0.0) -> list[Array]:
+    """Features of clips that are each a little apart from the others."""
+    return [middle + rng.normal(size=3) + rng.normal(size=(20, 3)) for _ in range(count)]
+
+
+def test_a_figure_tells_all_that_it_depends_on() -> None:
+    rng = np.random.default_rng(0)
+    real, far = clips_of(rng, 12), clips_of(rng, 12, 5.0)
+    got = fgd.measure(far, real, RAW)
+    assert got.distance == pytest.approx(distance(np.concatenate(far), np.concatenate(real)))
+    assert got.interval.low < got.distance < got.interval.high and got.interval.clips == 12
+    assert got.windows == (240, 240) and got.needed == 15 and got.enough and got.reason == ""
+    assert (got.frames, got.fps, got.sha256) == (30, 15.0, "none")
+    assert got.bias == pytest.approx(fgd.sampling_bias(gaussian(np.concatenate(real)), 240, 240))
+    assert fgd.measure(far, real, RAW) == got
+    json.dumps(got.to_dict())
+
+
+def test_the_interval_holds_the_true_distance_about_as_often_as_it_says() -> None:
+    # Clips' middles have variance 1, windows about them another 1: sets of variance 2, at 3 * 1.5^2 from each other.
+    rng = np.random.default_rng(1)
+    held = 0
+    for trial in range(60):
+        got = fgd.measure(clips_of(rng, 40, 1.5), clips_of(rng, 40), RAW, seed=trial, draws=100)
+        held += got.interval.low <= 3 * 1.5 ** 2 <= got.interval.high
+    assert held >= 50
+
+
+def test_pairs_are_drawn_together() -> None:
+    rng = np.random.default_rng(2)
+    real = clips_of(rng, 15)
+    near = [clip + 0.5 for clip in real]
+    together, apart = fgd.measure(near, real, RAW, paired=True), fgd.measure(near, real, RAW)
+    assert together.distance == pytest.approx(3 * 0.25)
+    assert together.interval.high - together.interval.low == pytest.approx(0.0, abs=1e-6)
+    assert apart.interval.high - apart.interval.low > 0.5
+    with pytest.raises(ValueError):
+        fgd.measure(near[1:], real, RAW, paired=True)
+
+
+def test_too_few_windows_are_told_and_two_are_needed() -> None:
+    rng = np.random.default_rng(3)
+    few = fgd.measure([rng.normal(size=(4, 9))], [rng.normal(size=(50, 9))], RAW)
+    assert math.isfinite(few.distance) and not few.enough and "45 are needed" in few.reason
+    assert math.isnan(few.interval.low)  # one clip says nothing of other clips
+    none = fgd.measure([np.zeros((0, 9))], [rng.normal(size=(50, 9))], RAW)
+    assert math.isnan(none.distance) and math.isnan(none.bias) and "needs two" in none.reason
+    assert not none.enough and none.needed == 45
+    # clips too short for a window are left out, and are no error
+    mixed = fgd.measure([np.zeros((0, 9)), rng.normal(size=(60, 9))], [rng.normal(size=(50, 9))] * 2, RAW)
+    assert mixed.windows == (60, 100) and math.isfinite(mixed.distance)
+
+
+# --- windows
+
+def test_windows_are_unit_directions_at_the_rate_asked_for() -> None:
+    motion = gesturing(4.0, 0, fps=30.0)
+    own = networks.directions(motion, 15.0)
+    assert own.shape == (60, 27)
+    np.testing.assert_allclose(np.linalg.norm(own.reshape(-1, 9, 3), axis=-1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(own, bone_directions(ted_positions(motion)).reshape(-1, 27)[::2], atol=1e-9)
+    cut = networks.windows(motion, 20, 15.0)
+    assert cut.shape == (5, 20, 27)
+    np.testing.assert_array_equal(cut[3], own[30:50])
+    assert networks.windows(motion, 20, 15.0, stride=1).shape == (41, 20, 27)
+    assert networks.windows(motion, 61, 15.0).shape == (0, 61, 27)
+    with pytest.raises(ValueError):
+        networks.windows(motion, 20, 15.0, stride=0)
+
+
+def test_the_table_of_joints_is_that_of_the_positions() -> None:
+    motion = gesturing(1.0, 1)
+    points, places = ted_positions(motion), positions_of(facing(motion))
+    assert len(networks.PUBLISHED_JOINTS) == len(TED_JOINTS)
+    for index, (theirs, ours) in enumerate(networks.PUBLISHED_JOINTS):
+        off = points[:, index] - (places[:, CHARACTER.index(ours)] - places[:, CHARACTER.index("Spine2")])
+        if theirs in ("nose", "head"):  # points fixed on the head
+            np.testing.assert_allclose(np.linalg.norm(off, axis=-1), np.linalg.norm(off[0]), atol=1e-9)
+        else:
+            np.testing.assert_allclose(off, 0.0, atol=1e-9)
+
+
+def test_raw_features_are_the_directions_themselves() -> None:
+    own = networks.windows(gesturing(8.0, 2), 30)
+    got = RawFeatures(30, count=3).features(own)
+    assert got.shape == (len(own), 81) and RawFeatures(30).features(own[:0]).shape == (0, 54)
+    np.testing.assert_array_equal(got[:, 54:], own[:, 29])
+    with pytest.raises(ValueError):
+        RawFeatures(29).features(own)
+    with pytest.raises(ValueError):
+        RawFeatures(30).features(np.full_like(own, np.nan))
+
+
+# --- the network of the papers
+
+def test_the_published_network_gives_the_reference_features_and_distance(outside_data: Path) -> None:
+    network = networks.published(outside_data / "fgd")
+    with np.load(outside_data / "fgd" / "h36m_reference.npz", allow_pickle=False) as stored:
+        wanted = {key: stored[key] for key in stored.files}
+    first, second = networks.reference_windows(outside_data / "fgd" / "h36m_reference.npz")
+    a, b = network.features(first), network.features(second)
+    np.testing.assert_allclose(a, wanted["features_a"], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(b, wanted["features_b"], rtol=1e-4, atol=1e-5)
+    assert distance(a, b) == pytest.approx(float(wanted["fgd"]), rel=1e-5)
+    assert (network.frames, network.fps, a.shape) == (34, 15.0, (64, 32))
+    # the windows' own order is no matter, and neither is how many are asked for at a time
+    np.testing.assert_allclose(network.features(first[::-1])[::-1], a, atol=1e-5)
+    np.testing.assert_allclose(network.features(first[:1])[0], a[0], atol=1e-5)
+    assert network.features(first[:0]).size == 0
+
+
+def test_our_character_lies_in_the_published_network_as_its_own_people_did(outside_data: Path) -> None:
+    """Every bone within 40 degrees of its mean in the network's training data, left on the left and up where up was."""
+    told = json.loads((outside_data / "fgd" / "h36m_gesture_encoder.json").read_text())
+    mean = np.array(told["mean_dir_vec"]).reshape(9, 3)
+    arms_down = np.zeros((1, len(CHARACTER), 3))
+    for side, sign in (("Left", -1.0), ("Right", 1.0)):  # from the T-pose: arms lowered, forearms forward
+        arms_down[0, CHARACTER.index(side + "Arm"), 2] = sign * 1.1
+        arms_down[0, CHARACTER.index(side + "ForeArm"), 1] = sign * 1.2
+    pose = Motion(CHARACTER, rotation.from_exponential_map(arms_down), np.zeros((1, 3)), 15.0)
+    ours = networks.directions(pose, 15.0).reshape(9, 3) * networks.PUBLISHED_AXES
+    cosines = (ours * mean).sum(1) / np.linalg.norm(mean, axis=1)
+    assert (cosines > math.cos(math.radians(40))).all()
+
+
+@pytest.mark.parametrize("kind", ["nothing", "no listing", "wrong width", "other weights", "not weights"])
+def test_what_is_not_the_published_network_is_refused(kind: str, outside_data: Path, tmp_path: Path) -> None:
+    source = outside_data / "fgd"
+    listing = (source / "h36m_gesture_encoder.json").read_text()
+    weights = (source / "h36m_gesture_encoder.safetensors").read_bytes()
+    if kind != "nothing":
+        (tmp_path / "h36m_gesture_encoder.safetensors").write_bytes(b"no" if kind == "not weights" else weights)
+    if kind != "no listing":
+        (tmp_path / "h36m_gesture_encoder.json").write_text(
+            listing.replace('"dim": 27', '"dim": 30') if kind == "wrong width" else listing)
+    if kind == "other weights":
+        with np.load(source / "h36m_reference.npz", allow_pickle=False) as stored:
+            arrays = {key: stored[key] for key in stored.files}
+        np.savez(tmp_path / "h36m_reference.npz", **{**arrays, "features_a": arrays["features_a"] + 1.0})
+    with pytest.raises(InputError):
+        networks.published(tmp_path)
+
+
+def test_the_published_network_is_read_from_npz_as_well(outside_data: Path, tmp_path: Path) -> None:
+    from safetensors.numpy import load_file
+
+    source = outside_data / "fgd"
+    np.savez(tmp_path / "h36m_gesture_encoder.npz", **load_file(source / "h36m_gesture_encoder.safetensors"))
+    (tmp_path / "h36m_gesture_encoder.json").write_bytes((source / "h36m_gesture_encoder.json").read_bytes())
+    network = networks.published(tmp_path)
+    assert networks.reference_error(network, source / "h36m_reference.npz") < 1e-3
+
+
+# --- our own network
+
+@dataclass
+class _Info:
+    name: str
+
+
+@dataclass
+class _Take:
+    motion: Motion
+
+
+class FakeStore:
+    """As much of a store as training asks for."""
+
+    path, corpus, fingerprint, licence = Path("a store"), "made up", "f" * 64, "none"
+
+    def of_split(self, split: str) -> list[_Info]:
+        return [_Info(f"{split} {k}") for k in range({"train": 4, "val": 1, "test": 2}[split])]
+
+    def load(self, name: str) -> _Take:
+        return _Take(gesturing(8.0, sum(name.encode())))
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> networks.Autoencoder:
+    return networks.train(FakeStore(), tmp_path_factory.mktemp("run"),  # type: ignore[arg-type]
+                          AutoencoderConfig(frames=20), QUICK, seed=3, progress=False)
+
+
+def test_training_lowers_the_loss_and_keeps_its_figures(own: networks.Autoencoder, tmp_path: Path) -> None:
+    started = networks.train(FakeStore(), tmp_path, AutoencoderConfig(frames=20),  # type: ignore[arg-type]
+                             replace(QUICK, steps=1), seed=3, progress=False)
+    assert own.origin["validation"]["reconstruction"] < started.origin["validation"]["reconstruction"]
+    assert set(own.weights) == set(own.losses({"windows": torch.zeros(3, 20, 27)}))
+    assert own.origin["fingerprint"] == "f" * 64 and not own.training
+
+
+def test_training_is_a_matter_of_the_seed(own: networks.Autoencoder, tmp_path: Path) -> None:
+    again, other = (networks.train(FakeStore(), tmp_path / str(seed), AutoencoderConfig(frames=20),  # type: ignore
+                                   QUICK, seed=seed, progress=False) for seed in (3, 4))
+    assert networks.as_features(again).sha256 == networks.as_features(own).sha256
+    assert networks.as_features(other).sha256 != networks.as_features(own).sha256
+
+
+def test_saved_and_loaded_it_is_the_same_and_pinned(own: networks.Autoencoder, tmp_path: Path) -> None:
+    sha = networks.save(own, tmp_path)
+    loaded = networks.load(tmp_path)
+    seen = networks.as_features(loaded)
+    assert seen.sha256 == sha == networks.as_features(own).sha256
+    assert loaded.origin == own.origin and loaded.config == own.config
+    data = networks.windows(gesturing(6.0, 9), 20)
+    np.testing.assert_array_equal(seen.features(data), networks.as_features(own).features(data))
+    assert seen.features(data).shape == (len(data), 32)
+
+
+@pytest.mark.parametrize("kind", ["missing", "changed", "format", "not json"])
+def test_a_changed_network_is_refused(own: networks.Autoencoder, tmp_path: Path, kind: str) -> None:
+    networks.save(own, tmp_path)
+    weights, listing = (tmp_path / f"gesture_features.{ending}" for ending in ("safetensors", "json"))
+    if kind == "missing":
+        weights.unlink()
+    elif kind == "changed":
+        weights.write_bytes(weights.read_bytes()[:-4] + b"\0\0\0\1")
+    else:
+        listing.write_text(listing.read_text().replace('"format": 1', '"format": 9') if kind == "format" else "{")
+    with pytest.raises(InputError):
+        networks.load(tmp_path)
+
+
+def test_windows_too_short_for_the_network_or_the_store_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError):
+        networks.Encoder(11)
+    assert networks.Encoder(12).eval()(torch.zeros(2, 12, 27)).shape == (2, 32)
+    with pytest.raises(InputError):
+        networks.train(FakeStore(), tmp_path, AutoencoderConfig(frames=400),  # type: ignore[arg-type]
+                       QUICK, progress=False)
+
+
+def test_on_a_real_store(tiny_store: Path, tmp_path: Path) -> None:
+    store = Store.open(tiny_store)
+    network = networks.train(store, tmp_path, AutoencoderConfig(frames=30), replace(QUICK, steps=5), progress=False)
+    assert network.origin["fingerprint"] == store.fingerprint and network.origin["windows"] > 20
+    motions = [store.load(info.name).motion for info in store.of_split("test")]
+    got = fgd.fgd(motions, motions, networks.as_features(network), paired=True)
+    assert got.distance == pytest.approx(0.0, abs=1e-6) and got.frames == 30
+
+
+# --- the report
+
+def test_a_report_needs_two_window_lengths(own: networks.Autoencoder) -> None:
+    real = [gesturing(8.0, k) for k in range(6)]
+    still = [replace(clip, rotations=np.repeat(clip.rotations[:1], len(clip), axis=0)) for clip in real]
+    both: Sequence[networks.Features] = [networks.as_features(own), RawFeatures(30)]
+    rows = fgd.report(still, real, both, paired=True)
+    assert [row.frames for row in rows] == [20, 30] and all(row.distance > 0 for row in rows)
+    table = fgd.markdown({"still": rows})
+    assert networks.as_features(own).sha256[:12] in table and "30 at 15 fps" in table
+    for too_few in ([both[0]], [both[0], both[0]], []):
+        with pytest.raises(ValueError):
+            fgd.report(still, real, too_few)
+
+
+def test_what_the_chapter_says_it_does_not_see() -> None:
+    real = [gesturing(8.0, k) for k in range(8)]
+    by = RawFeatures(20, count=2)
+    far = fgd.fgd([replace(c, rotations=np.repeat(c.rotations[:1], len(c), axis=0)) for c in real], real, by)
+    wrong_speech = fgd.fgd(controls.shuffled(real, 0), real, by)
+    assert wrong_speech.distance == pytest.approx(0.0, abs=1e-9)
+    assert fgd.fgd(controls.reversed_in_time(real), real, by).distance < 0.1 * far.distance

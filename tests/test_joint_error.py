@@ -1,0 +1,161 @@
+"""MAJE and MAD against arrays worked out by hand, and what the chapter says fools them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data_module import rotation
+from data_module.kinematics import positions_of
+from data_module.skeletons import CHARACTER, facing
+from data_module.types import Array, Motion
+from eval.controls import jittered
+from eval.joint_error import joint_error, mean_pose_error, motion_error
+
+
+def waving(frames: int, phase: float = 0.0, fps: float = 20.0, joint: str = "LeftArm", size: float = 0.6) -> Motion:
+    """The character with one joint that swings about the forward axis once a second."""
+    angles = np.zeros((frames, len(CHARACTER), 3))
+    angles[:, CHARACTER.index(joint), 2] = size * np.sin(2 * np.pi * (np.arange(frames) / fps + phase))
+    return Motion(CHARACTER, rotation.from_exponential_map(angles), np.zeros((frames, 3)), fps)
+
+
+def test_maje_by_hand() -> None:
+    truth = np.zeros((2, 2, 3))
+    generated = truth.copy()
+    generated[0, 0] = [0.003, 0.0, -0.004]  # 5 mm long, coordinates 3 + 0 + 4
+    generated[1, 1] = [0.001, 0.002, 0.002]  # 3 mm long, coordinates 1 + 2 + 2
+    got = joint_error(generated, truth, 15)
+    assert got.maje == pytest.approx((7 + 5) / 12)
+    assert got.maje_length == pytest.approx((5 + 3) / 4)
+    assert got.poses == 4
+
+
+def test_mad_by_hand_in_both_units() -> None:
+    # One joint along x: 0, 1, 4, 9 mm has second differences 2, 2; the truth keeps still.
+    generated = np.zeros((4, 1, 3))
+    generated[:, 0, 0] = np.array([0, 1, 4, 9]) / 1000
+    got = joint_error(generated, np.zeros((4, 1, 3)), 10)
+    assert got.mad_per_frame == pytest.approx(2.0)
+    assert got.mad == pytest.approx(2.0 * 100)  # dt = 0.1 s
+    assert got.mad_coordinate == pytest.approx(200 / 3)
+    assert got.mad_coordinate_per_frame == pytest.approx(2 / 3)
+    assert got.accelerations == 2
+    # A diagonal error of second difference (3, 0, 4): length 5, coordinates 7 / 3.
+    generated = np.zeros((3, 1, 3))
+    generated[2, 0] = [0.003, 0, 0.004]
+    got = joint_error(generated, np.zeros((3, 1, 3)), 1)
+    assert (got.mad, got.mad_coordinate) == (pytest.approx(5), pytest.approx(7 / 3))
+
+
+def test_the_unit_is_honest_at_every_frame_rate() -> None:
+    """A parabola of 2 m/s^2 against a standing joint: 2000 mm/s^2, however often it is looked at."""
+    for fps in (15.0, 20.0, 60.0):
+        time = np.arange(round(fps)) / fps
+        generated = np.zeros((len(time), 1, 3))
+        generated[:, 0, 1] = time ** 2
+        got = joint_error(generated, np.zeros_like(generated), fps)
+        assert got.mad == pytest.approx(2000, rel=1e-6)
+        assert got.mad_per_frame == pytest.approx(2000 / fps ** 2, rel=1e-6)
+
+
+def test_equal_motion_has_no_error_and_a_constant_offset_no_acceleration() -> None:
+    truth = np.random.default_rng(0).normal(size=(9, 4, 3))
+    same = joint_error(truth, truth, 30)
+    assert (same.maje, same.maje_length, same.mad, same.mad_coordinate) == (0, 0, 0, 0)
+    moved = joint_error(truth + 0.01, truth, 30)
+    assert moved.maje == pytest.approx(10) and moved.maje_length == pytest.approx(10 * math.sqrt(3))
+    assert moved.mad == pytest.approx(0, abs=1e-6)
+
+
+def test_length_and_coordinate_differ_by_root_three_to_three() -> None:
+    rng = np.random.default_rng(1)
+    got = joint_error(rng.normal(size=(50, 6, 3)), rng.normal(size=(50, 6, 3)), 20)
+    assert math.sqrt(3) <= got.maje_length / got.maje <= 3
+    assert math.sqrt(3) <= got.mad / got.mad_coordinate <= 3
+
+
+def test_a_mask_by_joint_and_by_frame() -> None:
+    truth, generated = np.zeros((5, 2, 3)), np.zeros((5, 2, 3))
+    generated[:, 0] = 0.001
+    generated[:, 1] = np.nan
+    got = joint_error(generated, truth, 20, np.array([True, False]))
+    assert got.maje == pytest.approx(1.0) and got.poses == 5 and got.accelerations == 3
+    # Joint 0 lost in frame 1: accelerations about frames 1 and 2 (and 0, which has none) go with it.
+    kept = np.array([[True, False]] * 5)
+    kept[1, 0] = False
+    generated[1, 0] = np.inf
+    got = joint_error(generated, truth, 20, kept)
+    assert got.maje == pytest.approx(1.0) and got.poses == 4 and got.accelerations == 1
+    assert got.mad == pytest.approx(0.0)
+
+
+def test_nothing_to_compare_is_nan_with_a_reason_never_zero() -> None:
+    one = np.zeros((5, 2, 3))
+    nothing = joint_error(one, one, 20, np.array([False, False]))
+    assert all(math.isnan(value) for value in (nothing.maje, nothing.maje_length, nothing.mad, nothing.mad_coordinate))
+    assert "any frame" in nothing.reason
+    brief = joint_error(one[:2], one[:2], 20)
+    assert brief.maje == 0 and math.isnan(brief.mad) and "three frames" in brief.reason
+    assert math.isnan(joint_error(one[:0], one[:0], 20).maje)
+    assert joint_error(one, one, 20).reason == ""
+    assert joint_error(one, one, 20).to_dict()["poses"] == 10
+
+
+@pytest.mark.parametrize(("generated", "truth", "fps", "mask"), [
+    (np.zeros((3, 2, 3)), np.zeros((4, 2, 3)), 20.0, None),
+    (np.zeros((3, 6)), np.zeros((3, 6)), 20.0, None),
+    (np.zeros((3, 2, 3)), np.zeros((3, 2, 3)), 0.0, None),
+    (np.zeros((3, 2, 3)), np.zeros((3, 2, 3)), float("nan"), None),
+    (np.full((3, 2, 3), np.nan), np.zeros((3, 2, 3)), 20.0, None),
+    (np.zeros((3, 2, 3)), np.zeros((3, 2, 3)), 20.0, np.ones(3, dtype=bool)),
+    (np.zeros((3, 2, 3)), np.zeros((3, 2, 3)), 20.0, np.ones((3, 2))),
+])
+def test_what_cannot_be_compared_is_refused(generated: Array, truth: Array, fps: float, mask: Array | None) -> None:
+    with pytest.raises(ValueError):
+        joint_error(generated, truth, fps, mask)  # type: ignore[arg-type]
+
+
+def test_motions_are_compared_in_their_facing_frames_without_the_root() -> None:
+    truth = waving(40)
+    turn = rotation.from_exponential_map(np.array([0.0, 1.1, 0.0]))
+    elsewhere = replace(truth, root_positions=truth.root_positions + 3.0, rotations=truth.rotations.copy())
+    elsewhere.rotations[:, 0] = rotation.multiply(turn, truth.rotations[:, 0])
+    assert motion_error(elsewhere, truth).maje == pytest.approx(0, abs=1e-6)
+    got = motion_error(waving(40, phase=0.5), truth)
+    assert got.poses == 40 * 15  # 16 joints less the root
+    # By hand: only the left forearm and hand move.
+    places = [positions_of(facing(m)) for m in (waving(40, phase=0.5), truth)]
+    assert got.maje_length == pytest.approx(1000 * np.linalg.norm(places[0] - places[1], axis=-1).sum() / (40 * 15))
+
+
+def test_seed_frames_and_absent_joints_do_not_count() -> None:
+    truth, other = waving(40), waving(40, phase=0.25)
+    assert motion_error(other, truth, seed_frames=10).poses == 30 * 15
+    lacking = replace(truth, absent=("LeftForeArm", "LeftHand"))
+    # With what moves masked, nothing is wrong; with the whole body masked, nothing is known.
+    assert motion_error(other, lacking).maje == pytest.approx(0, abs=1e-9)
+    assert math.isnan(motion_error(other, replace(truth, absent=CHARACTER.names)).maje)
+
+
+def test_motions_that_do_not_fit_are_refused() -> None:
+    truth = waving(40)
+    longer_arms = replace(CHARACTER, offsets=CHARACTER.offsets * 1.1)
+    for other in (waving(39), waving(40, fps=30.0), replace(truth, skeleton=longer_arms)):
+        with pytest.raises(ValueError):
+            motion_error(other, truth)
+    with pytest.raises(ValueError):
+        motion_error(truth, truth, seed_frames=40)
+
+
+def test_what_the_chapter_says_fools_them_does() -> None:
+    truth, lively = waving(200), waving(200, phase=0.5)
+    held = mean_pose_error(truth)
+    assert held.maje < motion_error(lively, truth).maje
+    assert held.mad < motion_error(lively, truth).mad
+    # Jitter of 2 cm overwhelms the acceleration of a gesture, and is slight beside its places.
+    noisy = motion_error(jittered([truth], 0)[0], truth)
+    assert noisy.mad > 5 * held.mad

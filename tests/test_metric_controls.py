@@ -1,0 +1,139 @@
+"""The controls are what they say: real clips put to the wrong use, each in one known way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module import rotation
+from data_module.kinematics import positions_of
+from data_module.skeletons import CHARACTER, facing
+from data_module.types import Motion
+from eval import controls
+from eval.controls import CONTROLS, donors, jittered, reversed_in_time, shuffled, split_halves, to_common_length
+
+
+def clip(frames: int, seed: int, fps: float = 20.0) -> Motion:
+    rng = np.random.default_rng(seed)
+    walk = np.cumsum(0.02 * rng.normal(size=(frames, len(CHARACTER), 3)), axis=0) + 0.2 * rng.normal(
+        size=(len(CHARACTER), 3))
+    return Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(walk)), rng.normal(size=(frames, 3)),
+                  fps)
+
+
+CLIPS = [clip(frames, seed) for seed, frames in enumerate((30, 50, 41, 36, 60, 25))]
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLS))
+def test_the_seed_decides_and_the_clips_stay_as_they_were(name: str) -> None:
+    before = [own.rotations.copy() for own in CLIPS]
+    first, second = CONTROLS[name](CLIPS, 4), CONTROLS[name](CLIPS, 4)
+    assert len(first) == len(CLIPS)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.rotations, b.rotations)
+        np.testing.assert_array_equal(a.root_positions, b.root_positions)
+        assert a.fps == 20.0 and a.skeleton is CHARACTER
+    for own, kept in zip(CLIPS, before, strict=True):
+        np.testing.assert_array_equal(own.rotations, kept)
+
+
+def test_halves_are_all_clips_once_and_about_as_long() -> None:
+    first, second = split_halves(CLIPS, 0)
+    assert sorted(len(own) for own in first + second) == sorted(len(own) for own in CLIPS)
+    assert {id(own) for own in first} & {id(own) for own in second} == set()
+    seconds = [sum(own.duration for own in half) for half in (first, second)]
+    assert abs(seconds[0] - seconds[1]) <= max(own.duration for own in CLIPS)
+    assert any([id(a) for a in split_halves(CLIPS, seed)[0]] != [id(a) for a in first] for seed in range(1, 6))
+
+
+def test_a_group_is_never_split() -> None:
+    groups = ["a", "a", "b", "c", "b", "c"]
+    name = {id(own): group for own, group in zip(CLIPS, groups, strict=True)}
+    for seed in range(10):
+        first, second = split_halves(CLIPS, seed, groups)
+        assert first and second
+        assert {name[id(own)] for own in first} & {name[id(own)] for own in second} == set()
+    with pytest.raises(ValueError):
+        split_halves(CLIPS, 0, ["a"] * 6)
+    with pytest.raises(ValueError):
+        split_halves(CLIPS, 0, ["a"] * 5)
+    with pytest.raises(ValueError):
+        split_halves(CLIPS[:1], 0)
+
+
+@given(sizes=st.lists(st.integers(1, 4), min_size=2, max_size=6), seed=st.integers(0, 99))
+def test_every_speech_gets_the_motion_of_another_group_and_every_motion_is_given_once(sizes: list[int], seed: int
+                                                                                      ) -> None:
+    groups = [str(k) for k, size in enumerate(sizes) for _ in range(size)]
+    clips = [CLIPS[0]] * len(groups)
+    if 2 * max(sizes) > len(groups):
+        with pytest.raises(ValueError):
+            donors(clips, seed, groups)
+        return
+    giver = donors(clips, seed, groups)
+    assert sorted(giver) == list(range(len(groups)))
+    assert all(groups[k] != groups[giver[k]] for k in range(len(groups)))
+
+
+def test_shuffled_clips_are_cut_to_the_speech() -> None:
+    giver = donors(CLIPS, 0)
+    for k, own in enumerate(shuffled(CLIPS, 0)):
+        assert giver[k] != k and len(own) == min(len(CLIPS[k]), len(CLIPS[giver[k]]))
+        np.testing.assert_array_equal(own.rotations, CLIPS[giver[k]].rotations[:len(own)])
+    first, second = to_common_length(shuffled(CLIPS, 0), CLIPS)
+    assert [len(a) for a in first] == [len(b) for b in second]
+    with pytest.raises(ValueError):
+        shuffled([clip(20, 0), clip(20, 1, fps=30.0)], 0)
+    with pytest.raises(ValueError):
+        shuffled(CLIPS[:1], 0)
+    with pytest.raises(ValueError):
+        shuffled([], 0)
+
+
+def test_reversed_twice_is_the_clip() -> None:
+    once = reversed_in_time(CLIPS)
+    np.testing.assert_array_equal(once[1].rotations[0], CLIPS[1].rotations[-1])
+    np.testing.assert_array_equal(once[1].root_positions[-1], CLIPS[1].root_positions[0])
+    for own, twice in zip(CLIPS, reversed_in_time(once), strict=True):
+        np.testing.assert_array_equal(own.rotations, twice.rotations)
+
+
+def test_jitter_is_two_centimetres_at_every_joint_and_does_not_add_up() -> None:
+    long = clip(600, 3)
+    off = positions_of(jittered([long], 0)[0]) - positions_of(long)
+    deviation = off.reshape(-1, len(CHARACTER), 3).std(axis=(0, 2))
+    assert (deviation[:2] < 1e-12).all()  # the root, and the joint that hangs on it
+    assert (deviation[2:] > 0.8 * controls.JITTER).all() and (deviation[2:] < 1.2 * controls.JITTER).all()
+    # nor does it grow where metrics look from the facing hips
+    faced = positions_of(facing(jittered([long], 0)[0])) - positions_of(facing(long))
+    np.testing.assert_allclose(faced.reshape(-1, len(CHARACTER), 3).std(axis=(0, 2)), deviation, rtol=0.1, atol=1e-9)
+    # white: what it is in one frame says nothing of the next
+    hands = off[:, CHARACTER.index("LeftHand"), 0]
+    assert abs(np.corrcoef(hands[1:], hands[:-1])[0, 1]) < 0.15
+
+
+def test_jitter_keeps_the_bones_and_what_is_absent() -> None:
+    lacking = replace(CLIPS[1], rotations=CLIPS[1].rotations.copy(), absent=("Spine3",))
+    lacking.rotations[:, CHARACTER.index("Spine3")] = (1.0, 0.0, 0.0, 0.0)
+    got = jittered([lacking], 1)[0]
+    np.testing.assert_array_equal(got.rotations[:, CHARACTER.index("Spine3")], lacking.rotations[:, 4])
+    assert got.absent == ("Spine3",)
+    places = positions_of(got)
+    off = (places - positions_of(lacking))[:, [CHARACTER.index(name) for name in ("LeftHand", "RightHand", "Head")]]
+    assert 0.8 * controls.JITTER < off.std() < 1.4 * controls.JITTER
+    for joint, parent in enumerate(CHARACTER.parents):
+        if parent >= 0:
+            np.testing.assert_allclose(np.linalg.norm(places[:, joint] - places[:, parent], axis=-1),
+                                       np.linalg.norm(CHARACTER.offsets[joint]), atol=1e-9)
+
+
+def test_no_jitter_changes_nothing() -> None:
+    for own, same in zip(CLIPS, jittered(CLIPS, 0, 0.0), strict=True):
+        np.testing.assert_allclose(positions_of(same), positions_of(own), atol=1e-9)
+        assert (np.sum(same.rotations * own.rotations, axis=-1) ** 2 > 1 - 1e-9).all()
+    with pytest.raises(ValueError):
+        jittered(CLIPS, 0, -0.01)

@@ -1,0 +1,265 @@
+"""RACER's codec: the published layer table, the equations by hand, and the invariants of any codebook."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor, nn
+
+from data_module.layers import parameter_count
+from lexicon.racer import FRAMES, RacerCodec, RacerConfig
+
+WIDTH_M = 6
+
+
+def small(seed: int = 0, present: Tensor | None = None, **changes: object) -> RacerCodec:
+    torch.manual_seed(seed)
+    return RacerCodec(RacerConfig(**{"width": 16, "size": 12, **changes}), WIDTH_M, present)  # type: ignore[arg-type]
+
+
+def moving(count: int, frames: int = 120, seed: int = 1) -> Tensor:
+    """Swings of several speeds, [count, frames, 6]."""
+    rng = torch.Generator().manual_seed(seed)
+    rate, phase = 0.2 + torch.rand(2, count, 1, WIDTH_M, generator=rng)
+    return torch.sin(rate * torch.arange(frames)[:, None] + 6 * phase)
+
+
+def described(layers: nn.Module) -> list[tuple[object, ...]]:
+    """Every convolution, in order, as the published table writes it."""
+    return [(type(layer).__name__, layer.in_channels, layer.out_channels, layer.kernel_size[0], layer.stride[0],
+             layer.padding[0], layer.dilation[0])
+            for layer in layers.modules() if isinstance(layer, (nn.Conv1d, nn.ConvTranspose1d))]
+
+
+def test_the_layers_are_those_of_the_published_table() -> None:
+    with torch.device("meta"):
+        codec = RacerCodec(RacerConfig(), motion_width=48)
+    point = ("Conv1d", 512, 512, 1, 1, 0, 1)
+    one, three, nine = ([("Conv1d", 512, 512, 3, 1, d, d), point] for d in (1, 3, 9))
+    first, down = ("Conv1d", 48, 512, 4, 2, 1, 1), ("Conv1d", 512, 512, 4, 2, 1, 1)
+    up, last = ("ConvTranspose1d", 512, 512, 4, 2, 1, 1), ("ConvTranspose1d", 512, 48, 4, 2, 1, 1)
+    same = ("Conv1d", 512, 512, 3, 1, 1, 1)
+    forth, back = [*one, *three, *nine], [*nine, *three, *one]
+    assert described(codec.encoder) == [first, *forth, down, *forth, down, *forth, same]
+    assert described(codec.decoder) == [same, *back, up, *back, up, *back, last]
+
+
+def test_the_published_size_has_the_parameters_of_the_table_counted_by_hand() -> None:
+    with torch.device("meta"):
+        codec = RacerCodec(RacerConfig(), motion_width=48)
+    # A convolution has in x out x kernel + out. Conv(512, 512, 3) 786,944 and (512, 512, 1) 262,656: an RB 1,049,600.
+    # Nine of them 9,446,400. Conv(512, 512, 4) 1,049,088, twice; Conv(48, 512, 4) 98,816; TransConv(512, 48, 4) 98,352.
+    encoder = 98_816 + 2 * 1_049_088 + 9_446_400 + 786_944
+    decoder = 786_944 + 9_446_400 + 2 * 1_049_088 + 98_352
+    assert parameter_count(codec.encoder) == encoder == 12_430_336
+    assert parameter_count(codec.decoder) == decoder == 12_429_872
+    assert parameter_count(codec) == 24_860_208, "a codebook that follows its latents is no parameter"
+    assert codec.vectors.shape == (512, 512)
+    motion = torch.empty(2, 120, 48, device="meta")
+    assert codec.encode(motion).shape == (2, 15, 512)
+    assert codec.decode(codec.encode(motion)).shape == (2, 120, 48)
+
+
+@pytest.mark.parametrize("frames", [8, 120, 248])
+def test_any_multiple_of_eight_frames_gives_a_code_for_each_eight(frames: int) -> None:
+    codec = small()
+    motion = moving(3, frames)
+    labels = codec.label(motion)
+    assert labels.shape == (3, frames // FRAMES) and labels.dtype == torch.int64
+    assert torch.equal(codec.tokens(motion), labels)
+    decoded = codec.decode_tokens(labels)
+    assert decoded.shape == (3, frames // FRAMES, FRAMES, WIDTH_M)
+    assert torch.equal(decoded.flatten(1, 2), codec.decode(codec.vectors[labels]))
+
+
+@pytest.mark.parametrize("frames", [0, 7, 121])
+def test_other_lengths_are_refused(frames: int) -> None:
+    with pytest.raises(ValueError, match="8"):
+        small().encode(torch.zeros(1, frames, WIDTH_M))
+
+
+def wide_open() -> RacerCodec:
+    """A codec whose weights are all positive: no ReLU closes, so whatever can be reached is reached."""
+    codec = small(width=2).double()
+    with torch.no_grad():
+        for parameter in codec.parameters():
+            parameter.fill_(0.1)
+    return codec
+
+
+def test_a_code_sees_as_far_as_the_table_lets_it_and_no_farther() -> None:
+    codec, token = wide_open(), 60
+    motion = torch.ones(1, 1000, WIDTH_M, dtype=torch.float64, requires_grad=True)
+    codec.encode(motion)[0, token].sum().backward()
+    assert motion.grad is not None
+    reached = motion.grad[0].abs().sum(1).nonzero().flatten()
+    # Outwards from the code: +-1 of the last layer, then three times +-13 of the blocks and 2n - 1 to 2n + 2.
+    assert (int(reached[0]), int(reached[-1])) == (8 * token - 197, 8 * token + 204)
+    assert len(reached) == 402
+
+
+def test_a_code_has_a_say_in_as_many_decoded_frames() -> None:
+    codec, token = wide_open(), 60
+    codes = torch.ones(1, 125, 2, dtype=torch.float64)
+    other = codes.clone()
+    other[0, token] += 1.0
+    changed = (codec.decode(codes) - codec.decode(other))[0].abs().sum(1).nonzero().flatten()
+    assert (int(changed[0]), int(changed[-1])) == (8 * token - 197, 8 * token + 204)
+
+
+def test_motion_eight_frames_later_gives_the_same_codes_one_later() -> None:
+    codec, motion = small().double(), moving(1, 808).double()
+    early, late = codec.encode(motion[:, :-8]), codec.encode(motion[:, 8:])
+    inside = slice(30, 65)  # a code away from the edges sees no padding
+    torch.testing.assert_close(late[:, inside], early[:, inside.start + 1:inside.stop + 1])
+
+
+def test_losses_are_the_equations_by_hand() -> None:
+    codec = small().eval()
+    motion, mask = moving(4, 24), torch.ones(4, WIDTH_M)
+    mask[:, 4:] = 0
+    loss = codec.losses({"motion": motion, "mask": mask})
+    latents = codec.encode(motion)
+    chosen = codec.vectors[torch.cdist(latents, codec.vectors).argmin(-1)]
+    made, true = codec.decode(chosen)[..., :4], motion[..., :4]
+
+    def speed(x: Tensor) -> Tensor:
+        return x[:, 1:] - x[:, :-1]
+
+    assert torch.isclose(loss["reconstruction"], (made - true).abs().mean(), rtol=1e-5)
+    assert torch.isclose(loss["velocity"], (speed(made) - speed(true)).abs().mean(), rtol=1e-5)
+    assert torch.isclose(loss["acceleration"], (speed(speed(made)) - speed(speed(true))).abs().mean(), rtol=1e-5)
+    assert torch.isclose(loss["commitment"], (latents - chosen).pow(2).mean(), rtol=1e-5)
+    assert loss["codebook"] == 0
+    assert codec.weights == {"reconstruction": 1, "velocity": 1, "acceleration": 1, "commitment": 0.1, "codebook": 1}
+    assert codec.weights.keys() == loss.keys()
+
+
+def test_a_constant_error_is_an_error_of_the_pose_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    codec, tokens = small().eval(), torch.tensor([[3, 0, 5], [1, 1, 2]])
+    decoded = codec.decode_tokens(tokens).flatten(1, 2)
+    monkeypatch.setattr(codec, "encode", lambda motion: codec.vectors[tokens])  # exactly on the codes
+    loss = codec.losses({"motion": decoded - 0.25, "mask": torch.ones(2, WIDTH_M)})
+    torch.testing.assert_close(loss["reconstruction"], torch.tensor(0.25))
+    assert all(loss[key] < 1e-6 for key in ("velocity", "acceleration", "commitment", "codebook"))
+
+
+def test_straight_through_hands_the_decoders_gradient_to_the_encoder_unaltered() -> None:
+    codec, motion = small().eval(), moving(3, 40)
+    latents = codec.encode(motion).detach().requires_grad_()
+    codes = codec.quantizer(latents.flatten(0, 1)).codes.unflatten(0, latents.shape[:2])
+    (codec.decode(codes) - motion).abs().mean().backward()
+    direct = codec.vectors[codec.quantizer.labels(latents.detach().flatten(0, 1))].unflatten(0, latents.shape[:2])
+    direct = direct.detach().requires_grad_()
+    (codec.decode(direct) - motion).abs().mean().backward()
+    assert direct.grad is not None and direct.grad.abs().sum() > 0
+    torch.testing.assert_close(latents.grad, direct.grad)
+
+
+def test_gradient_of_the_reconstruction_reaches_the_encoder_and_not_the_codebook() -> None:
+    codec = small(codebook="gradient")
+    loss = codec.losses({"motion": moving(3, 40), "mask": torch.ones(3, WIDTH_M)})
+    loss["reconstruction"].backward(retain_graph=True)
+    assert all(weight.grad is not None and weight.grad.abs().sum() > 0 for weight in codec.encoder.parameters())
+    assert codec.vectors.grad is None
+    assert torch.autograd.grad(loss["codebook"], codec.vectors)[0].abs().sum() > 0
+
+
+@pytest.mark.parametrize("codebook", ["ema", "gradient"])
+def test_one_batch_is_learned_by_heart(codebook: str) -> None:
+    motion = moving(4, 48)
+    codec = small(width=32, size=32, codebook=codebook, revive_below=0.2)
+    codec.start_codebook(motion, seed=0)
+    batch = {"motion": motion, "mask": torch.ones(4, WIDTH_M)}
+    optimiser = torch.optim.Adam(codec.parameters(), 3e-3)
+    for _ in range(150):
+        terms = codec.losses(batch)
+        optimiser.zero_grad()
+        sum(codec.weights[key] * term for key, term in terms.items()).backward()  # type: ignore[union-attr]
+        optimiser.step()
+    error = (codec.decode_tokens(codec.label(motion)).flatten(1, 2) - motion).abs().mean()
+    assert error < 0.15 * motion.abs().mean(), f"{error:.3f} of {motion.abs().mean():.3f}"
+
+
+def test_codes_that_nothing_uses_come_back_to_life() -> None:
+    codec, motion = small(size=6, decay=0.5), moving(16, 64)
+    with torch.no_grad():
+        codec.quantizer.set_vectors(100.0 + torch.arange(6.0)[:, None].expand(6, 16))
+    assert len(codec.label(motion).unique()) == 1
+    for _ in range(20):
+        codec.losses({"motion": motion, "mask": torch.ones(16, WIDTH_M)})
+    assert len(codec.label(motion).unique()) == 6
+
+
+def test_the_codebook_is_placed_on_the_latents() -> None:
+    codec, motion = small(), moving(10)
+    before = codec.losses({"motion": motion, "mask": torch.ones(10, WIDTH_M)})["commitment"]
+    codec = small()
+    codec.start_codebook(motion, seed=3)
+    assert len(codec.label(motion).unique()) == 12
+    assert codec.losses({"motion": motion, "mask": torch.ones(10, WIDTH_M)})["commitment"] < before / 4
+
+
+@settings(max_examples=10)
+@given(st.permutations(range(9)))
+def test_labels_follow_the_recordings_through_any_shuffle(order: list[int]) -> None:
+    codec, motion = small(), moving(9, 48)
+    codec.start_codebook(motion, seed=0)
+    assert torch.equal(codec.label(motion)[list(order)], codec.label(motion[list(order)]))
+
+
+def test_labels_do_not_depend_on_the_batch_size_or_the_mode() -> None:
+    codec, motion = small(), moving(13)
+    codec.start_codebook(motion, seed=0)
+    whole = codec.train().label(motion)
+    before = copy.deepcopy(codec.state_dict())
+    for batch in (1, 4, 13):
+        assert torch.equal(codec.eval().label(motion, batch=batch), whole)
+    assert torch.equal(torch.cat([codec.label(one[None]) for one in motion]), whole)
+    assert all(torch.equal(value, before[key]) for key, value in codec.state_dict().items()), "asking moves nothing"
+
+
+def test_dimensions_that_no_source_has_are_decoded_to_zero_and_nothing_else_changes() -> None:
+    present = torch.tensor([1.0, 1, 0, 1, 0, 1])
+    whole, masked = small(), small(present=present)
+    motion = moving(3, 40)
+    tokens = whole.label(motion)
+    assert torch.equal(masked.label(motion), tokens)
+    assert torch.equal(masked.decode_tokens(tokens), whole.decode_tokens(tokens) * present)
+    assert (whole.decode_tokens(tokens)[..., present == 0] != 0).any()
+    assert "present" not in masked.state_dict()
+
+
+def test_masked_joints_do_not_matter() -> None:
+    """Their target does not, that is: what the encoder reads there is the caller's affair (zeros, in a store)."""
+    codec, motion = small().eval(), moving(4, 40)
+    mask = torch.tensor([[1.0, 1, 1, 0, 0, 0]]).expand(4, -1)
+    with torch.no_grad():
+        first = codec.encoder[0]
+        assert isinstance(first, nn.Conv1d)
+        first.weight[:, 3:] = 0
+    other = motion.clone()
+    other[..., 3:] = 7.0
+    a, b = (codec.losses({"motion": m, "mask": mask}) for m in (motion, other))
+    assert all(torch.equal(a[key], b[key]) for key in a)
+
+
+def test_the_same_seed_trains_the_same_codec() -> None:
+    def trained() -> RacerCodec:
+        codec, motion = small(seed=7), moving(8, 64)
+        codec.start_codebook(motion, seed=5)
+        optimiser = torch.optim.Adam(codec.parameters(), 1e-3)
+        for step in range(5):
+            torch.manual_seed(step)  # the revival of dead codes draws from it
+            terms = codec.losses({"motion": motion, "mask": torch.ones(8, WIDTH_M)})
+            optimiser.zero_grad()
+            sum(codec.weights[key] * term for key, term in terms.items()).backward()  # type: ignore[union-attr]
+            optimiser.step()
+        return codec
+
+    one, two = trained().state_dict(), trained().state_dict()
+    assert all(torch.equal(one[key], two[key]) for key in one)

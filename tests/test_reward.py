@@ -1,0 +1,470 @@
+"""The contrastive reward: its loss, its windows, the rewards of every lexeme, and that it learns what goes together."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.nn import functional
+
+from interpreters.reward import LEAST_TEMPERATURE, RewardConfig, RewardModel, RewardTable, contrast, similarities
+
+FRAMES, MOTION, AUDIO, LEXEMES, BLOCKS = 4, 5, 3, 7, 40
+
+
+def model(seed: int = 0, **changes: object) -> RewardModel:
+    torch.manual_seed(seed)
+    config = RewardConfig(**{"width": 16, "projection": 8, **changes})  # type: ignore[arg-type]
+    return RewardModel(config, FRAMES, MOTION, AUDIO).eval()
+
+
+def drawn(*shape: int, seed: int = 0) -> Tensor:
+    return torch.as_tensor(np.random.default_rng(seed).standard_normal(shape), dtype=torch.float32)
+
+
+def batch(count: int, width: int, seed: int = 0) -> dict[str, Tensor]:
+    """Windows that have nothing to do with each other, of random lengths, each its own group."""
+    lengths = torch.as_tensor(np.random.default_rng(seed).integers(1, width + 1, count))
+    return {"motion": drawn(count, width, FRAMES, MOTION, seed=seed),
+            "audio": drawn(count, width, FRAMES, AUDIO, seed=seed + 1),
+            "log_duration": drawn(count, width, seed=seed + 2), "group": torch.arange(count),
+            "valid": (torch.arange(width) >= width - lengths[:, None]).float()}
+
+
+def alone(lexemes: Tensor) -> Tensor:
+    """Each lexeme decoded by itself: [B, W] to [B, W, K, D_m]."""
+    return drawn(LEXEMES, FRAMES, MOTION, seed=9)[lexemes]
+
+
+def together(lexemes: Tensor) -> Tensor:
+    """Each lexeme decoded with both its neighbours and its distance from the start."""
+    each = alone(lexemes)
+    out = each + 0.1 * torch.arange(lexemes.shape[1])[:, None, None]
+    out[:, 1:] += 0.5 * each[:, :-1]
+    out[:, :-1] += 0.3 * each[:, 1:]
+    return out
+
+
+def table(way: str = "decoded", seed: int = 0, window: int = 6, **changes: object) -> RewardTable:
+    net = model(seed, window=window, **changes)
+    audio, log_duration = drawn(BLOCKS, FRAMES, AUDIO, seed=3), 0.3 * drawn(BLOCKS, seed=4)
+    if way == "decoded":
+        return RewardTable(net, audio, log_duration, alone(torch.arange(LEXEMES)))
+    return RewardTable(net, audio, log_duration, decode=alone if way == "alone" else together, size=LEXEMES)
+
+
+def windows(count: int, width: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """Lexemes, blocks and valid, [B, W] each, with every length from 1 to W."""
+    rng = np.random.default_rng(seed)
+    lengths = torch.as_tensor(1 + np.arange(count) % width)
+    return (torch.as_tensor(rng.integers(LEXEMES, size=(count, width))),
+            torch.as_tensor(rng.integers(BLOCKS, size=(count, width))),
+            torch.arange(width) >= width - lengths[:, None])
+
+
+# The loss
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 64])
+def test_equal_embeddings_cost_log_n(count: int) -> None:
+    same = functional.normalize(torch.ones(count, 8), dim=-1)
+    assert float(contrast(same, same, 0.07, torch.arange(count))) == pytest.approx(math.log(count), abs=1e-5)
+
+
+def test_orthogonal_pairs_cost_what_the_formula_says() -> None:
+    unit = torch.eye(3)
+    value = contrast(unit, unit, 0.5, torch.arange(3))
+    assert float(value) == pytest.approx(math.log(1 + 2 * math.exp(-1 / 0.5)), abs=1e-6)
+
+
+def test_both_directions_count() -> None:
+    """m_0 = u_0 = u_1 = e_0, m_1 = e_1: from motion log 2 and log 2, from audio log(1 + 1/e) and log(1 + e)."""
+    unit = torch.eye(2)
+    value = contrast(unit, unit[[0, 0]], 1.0, torch.arange(2))
+    from_motion, from_audio = math.log(2), (math.log(1 + math.exp(-1)) + math.log(1 + math.e)) / 2
+    assert float(value) == pytest.approx((from_motion + from_audio) / 2, abs=1e-6)
+
+
+def test_an_untrained_model_is_near_chance() -> None:
+    value = model(temperature=10.0).losses(batch(32, 6))["contrast"].detach()
+    assert float(value) == pytest.approx(math.log(32), abs=0.05)
+
+
+def test_rows_of_a_group_are_not_negatives() -> None:
+    unit = torch.eye(3)
+    value = contrast(unit, unit, 1.0, torch.tensor([4, 4, 1]))
+    expected = (2 * math.log(1 + math.exp(-1)) + math.log(1 + 2 * math.exp(-1))) / 3
+    assert float(value) == pytest.approx(expected, abs=1e-6)
+    cosines = similarities(unit, unit, torch.tensor([4, 4, 1]))
+    assert torch.isneginf(cosines).nonzero().tolist() == [[0, 1], [1, 0]]
+
+
+def test_a_group_of_its_own_has_no_gradient() -> None:
+    motion, audio = (drawn(4, 6, seed=seed).requires_grad_() for seed in (0, 1))
+    value = contrast(functional.normalize(motion, dim=-1), functional.normalize(audio, dim=-1), 0.1,
+                     torch.zeros(4, dtype=torch.int64))
+    value.backward()
+    assert float(value.detach()) == 0
+    assert motion.grad is not None and torch.count_nonzero(motion.grad) == 0
+
+
+def test_what_a_group_hides_does_not_matter() -> None:
+    """Row 0 is compared with row 2 alone, whatever audio row 1 of its group has: its motion's gradient is the same."""
+    group, grads = torch.tensor([0, 0, 1]), []
+    for seed in (5, 6):
+        motion = functional.normalize(drawn(3, 6), dim=-1).requires_grad_()
+        audio = functional.normalize(drawn(3, 6, seed=1), dim=-1)
+        audio[1] = functional.normalize(drawn(6, seed=seed), dim=-1)
+        contrast(motion, audio, 0.1, group).backward()
+        assert motion.grad is not None
+        grads.append(motion.grad)
+    assert torch.equal(grads[0][0], grads[1][0])
+    assert not torch.allclose(grads[0][1], grads[1][1])
+
+
+def test_losses_and_weights_are_keyed_alike() -> None:
+    net = model()
+    assert net.losses(batch(3, 4)).keys() == net.weights.keys()
+
+
+# The temperature
+
+
+def test_the_temperature_begins_where_it_is_set_and_stays_above_its_floor() -> None:
+    net = model()
+    assert net.temperature == pytest.approx(0.07)
+    with torch.no_grad():
+        net.log_temperature.fill_(-20.0)
+    assert net.temperature == LEAST_TEMPERATURE
+    value = net.losses(batch(6, 4))["contrast"].detach()
+    motion, audio = (vectors.detach() for vectors in net.embed(batch(6, 4)))
+    assert float(value) == pytest.approx(float(contrast(motion, audio, LEAST_TEMPERATURE, torch.arange(6))), rel=1e-4)
+
+
+def test_a_temperature_at_its_floor_can_rise_again() -> None:
+    net = model()
+    with torch.no_grad():
+        net.log_temperature.fill_(-20.0)
+    optimiser = torch.optim.Adam(net.parameters(), lr=0.02)
+    for step in range(5):  # nothing to be learned from noise: a cold softmax is punished
+        optimiser.zero_grad()
+        net.losses(batch(16, 4, seed=10 * step))["contrast"].backward()
+        optimiser.step()
+    assert net.temperature > LEAST_TEMPERATURE * 1.02
+
+
+# The encoders
+
+
+def test_the_first_layer_is_a_convolution_over_frames() -> None:
+    net, motion = model(), drawn(2, 6, FRAMES, MOTION)
+    kernel = net.read_motion.weight.unflatten(1, (FRAMES, MOTION)).transpose(1, 2)
+    expected = functional.conv1d(motion.flatten(1, 2).transpose(1, 2), kernel, net.read_motion.bias, stride=FRAMES)
+    assert torch.allclose(net.block_motion(motion, torch.zeros(2, 6)), expected.transpose(1, 2), atol=1e-5)
+
+
+def test_embeddings_have_unit_length() -> None:
+    for vectors in model().embed(batch(5, 6)):
+        assert vectors.shape == (5, 8)
+        assert torch.allclose(vectors.norm(dim=-1), torch.ones(5), atol=1e-5)
+
+
+@given(st.integers(1, 9), st.integers(0, 5))
+def test_padding_on_the_left_does_not_matter(length: int, more: int) -> None:
+    net, tokens = model(), drawn(3, length, 16)
+    padded = torch.cat([100 * drawn(3, more, 16, seed=1), tokens], 1)
+    valid = torch.cat([torch.zeros(3, more), torch.ones(3, length)], 1)
+    for embed in (net.embed_motion, net.embed_audio):
+        assert torch.allclose(embed(tokens, torch.ones(3, length)), embed(padded, valid), atol=1e-5)
+
+
+def test_what_is_masked_does_not_matter() -> None:
+    net, given_batch = model(), batch(8, 6)
+    other = {key: value.clone() for key, value in given_batch.items()}
+    hidden = given_batch["valid"] == 0
+    assert hidden.any()
+    for key in ("motion", "audio", "log_duration"):
+        other[key][hidden] = 50.0
+    assert torch.allclose(net.losses(given_batch)["contrast"], net.losses(other)["contrast"], atol=1e-5)
+
+
+@pytest.mark.parametrize("changed", range(8))
+def test_a_token_hears_none_after_it(changed: int) -> None:
+    net, tokens, valid = model(), drawn(2, 8, 16), torch.ones(2, 8)
+    other = tokens.clone()
+    other[:, changed] += drawn(2, 16, seed=1)
+    for encoder in (net.encode_motion, net.encode_audio):
+        moved = (encoder.features(tokens, valid) - encoder.features(other, valid)).abs().amax((0, 2))
+        assert (moved[:changed] == 0).all()
+        assert (moved[changed:] > 1e-6).all()  # three layers reach 15 blocks back
+
+
+@pytest.mark.parametrize("tempo", [True, False])
+def test_the_motion_side_hears_the_tempo_only_when_it_is_told(tempo: bool) -> None:
+    net, given_batch = model(tempo=tempo), batch(4, 6)
+    slower = {**given_batch, "log_duration": given_batch["log_duration"] + 0.5}
+    with torch.no_grad():
+        (motion, audio), (other, same) = net.embed(given_batch), net.embed(slower)
+    assert torch.equal(audio, same)
+    assert (float((motion - other).abs().amax(1).min()) > 1e-4) == tempo and torch.equal(motion, other) != tempo
+
+
+def test_rivals_are_more_negatives_of_the_audio_and_of_nothing_else() -> None:
+    alike = functional.normalize(torch.ones(5, 4), dim=1)
+    apart = torch.arange(5)
+    rivals = torch.full((5, 3), float(alike[0] @ alike[0]) / 0.5)
+    # Nothing can be told apart: 5 audios for a motion, 5 motions and 3 rivals for an audio.
+    assert float(contrast(alike, alike, 0.5, apart, rivals)) == pytest.approx(0.5 * (math.log(5) + math.log(8)))
+    none = torch.full((5, 3), -math.inf)
+    assert float(contrast(alike, alike, 0.5, apart, none)) == pytest.approx(math.log(5))
+    net, given_batch = model(), batch(4, 6)
+    rival = torch.randn(4, 2, *given_batch["motion"].shape[1:])
+    unmarked = {**given_batch, "rival": rival, "rivalled": torch.zeros(4)}
+    assert float(net.losses(unmarked)["contrast"]) == pytest.approx(float(net.losses(given_batch)["contrast"]))
+    marked = {**unmarked, "rivalled": torch.tensor([1.0, 0, 0, 0])}
+    assert float(net.losses(marked)["contrast"]) > float(net.losses(unmarked)["contrast"])
+    # By hand: the cosine of the audio with each rival, as if it were the window itself.
+    _, audio = net.embed(given_batch)
+    second, _ = net.embed({**given_batch, "motion": rival[:, 1]})
+    torch.testing.assert_close(net.against_rivals(marked, audio)[:, 1], (second * audio).sum(1))
+    everywhere = {**unmarked, "rivalled": torch.ones(4), "rival": given_batch["motion"][:, None].expand_as(rival)}
+    assert net.right_one(everywhere) == 0.0, "a tie is no win"
+
+
+def test_the_same_seed_gives_the_same_model() -> None:
+    def trained() -> tuple[list[float], Tensor]:
+        net = model(3).train()
+        optimiser = torch.optim.Adam(net.parameters(), lr=1e-3)
+        values = []
+        for step in range(3):
+            torch.manual_seed(step)
+            optimiser.zero_grad()
+            value = net.losses(batch(8, 5, seed=step))["contrast"]
+            value.backward()
+            optimiser.step()
+            values.append(float(value.detach()))
+        return values, torch.cat([p.detach().flatten() for p in net.parameters()])
+
+    (values, weights), (again, same) = trained(), trained()
+    assert values == again and torch.equal(weights, same)
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    for changes in ({"shortest": 9}, {"longest": 7}, {"shortest": 0}, {"temperature": 0.001}, {"decoded": 1.5}):
+        with pytest.raises(ValueError):
+            RewardConfig(**changes)
+
+
+# Retrieval
+
+
+@pytest.mark.parametrize("filling", [0.0, math.nan])
+def test_an_encoder_that_maps_all_to_one_point_finds_nothing(filling: float) -> None:
+    net = model()
+    with torch.no_grad():
+        for encoder in (net.encode_motion, net.encode_audio):
+            encoder.project.weight.fill_(filling)
+    figures = net.retrieval(batch(10, 4))
+    assert figures["motion_r1"] == figures["audio_r5"] == 0
+    assert figures["chance_r1"] == pytest.approx(0.1) and figures["chance_r5"] == pytest.approx(0.5)
+
+
+def test_retrieval_counts_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Audio i is motion i - 1 (and the first has a place of its own): sought from motion, its own is never first."""
+    net, unit = model(), torch.eye(6)
+    monkeypatch.setattr(net, "embed", lambda _: (unit, functional.normalize(unit + 2 * unit.roll(1, 0), dim=-1)))
+    apart = net.retrieval({"group": torch.arange(6)})
+    assert apart["motion_r1"] == apart["audio_r1"] == 0
+    assert apart["motion_r5"] == apart["audio_r5"] == 1
+    one_group = net.retrieval({"group": torch.zeros(6, dtype=torch.int64)})
+    assert one_group["motion_r1"] == one_group["chance_r1"] == 1
+
+
+# The table
+
+
+@pytest.mark.parametrize("way", ["decoded", "alone", "together"])
+def test_rewards_are_the_models_cosines(way: str) -> None:
+    asked, (lexemes, blocks, valid) = table(way), windows(12, 6)
+    net, audio, log_duration = model(window=6), drawn(BLOCKS, FRAMES, AUDIO, seed=3), 0.3 * drawn(BLOCKS, seed=4)
+    got = asked.rewards(lexemes, blocks, valid)
+    for row in range(12):
+        kept = slice(6 - int(valid[row].sum()), None)
+        at, width = blocks[row:row + 1, kept], int(valid[row].sum())
+        motion = (together if way == "together" else alone)(lexemes[row:row + 1, kept])
+        ones = torch.ones(1, width)
+        m = net.embed_motion(net.block_motion(motion, log_duration[at]), ones)
+        u = net.embed_audio(net.block_audio(audio[at]), ones)
+        assert float(got[row]) == pytest.approx(float((m * u).detach().sum()), abs=1e-5)
+    assert (got.abs() <= 1).all() and not got.requires_grad
+
+
+def test_permuted_pairs_have_permuted_rewards() -> None:
+    asked, (lexemes, blocks, valid) = table(), windows(12, 6)
+    order = torch.as_tensor(np.random.default_rng(1).permutation(12))
+    got = asked.rewards(lexemes, blocks, valid)
+    assert torch.allclose(asked.rewards(lexemes[order], blocks[order], valid[order]), got[order], atol=1e-6)
+    assert got.std() > 1e-3
+    assert not torch.allclose(asked.rewards(lexemes[order], blocks, valid), got, atol=1e-3)
+
+
+@pytest.mark.parametrize("way", ["decoded", "alone", "together"])
+@pytest.mark.parametrize("width", [1, 2, 6, 11])
+def test_every_equals_one_by_one(way: str, width: int) -> None:
+    asked, (lexemes, blocks, valid) = table(way), windows(2 * width, width)
+    got = asked.every(lexemes[:, :-1], blocks, valid)
+    assert got.shape == (2 * width, LEXEMES)
+    for lexeme in range(LEXEMES):
+        whole = torch.cat([lexemes[:, :-1], torch.full((2 * width, 1), lexeme)], 1)
+        assert torch.allclose(got[:, lexeme], asked.rewards(whole, blocks, valid), atol=1e-5)
+    assert got.std(1).min() > 1e-4  # the last lexeme is heard
+
+
+@pytest.mark.parametrize(("kernel", "dilations"), [(1, (1,)), (2, (1, 3)), (4, (2, 1))])
+def test_every_equals_one_by_one_for_other_layers(kernel: int, dilations: tuple[int, ...]) -> None:
+    asked, (lexemes, blocks, valid) = table(kernel=kernel, dilations=dilations), windows(12, 6)
+    got = asked.every(lexemes[:, :-1], blocks, valid)
+    assert torch.allclose(got.gather(1, lexemes[:, -1:])[:, 0], asked.rewards(lexemes, blocks, valid), atol=1e-5)
+
+
+@pytest.mark.parametrize("way", ["decoded", "together"])
+def test_a_sequence_is_scored_window_by_window(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, rng = table(way), np.random.default_rng(2)
+    lexemes, blocks = torch.as_tensor(rng.integers(LEXEMES, size=17)), torch.arange(5, 22)
+    got = asked.sequence(lexemes, blocks)
+    monkeypatch.setattr("interpreters.reward._AT_ONCE", 3 * LEXEMES)  # several parts
+    every = asked.sequence_every(lexemes, blocks)
+    assert got.shape == (17,) and every.shape == (17, LEXEMES)
+    for i in range(17):
+        first = max(0, i - 5)
+        ones = torch.ones(1, i + 1 - first)
+        one = asked.rewards(lexemes[None, first:i + 1], blocks[None, first:i + 1], ones)
+        assert float(got[i]) == pytest.approx(float(one), abs=1e-5)
+        row = asked.every(lexemes[None, first:i], blocks[None, first:i + 1], ones)
+        assert torch.allclose(every[i], row[0], atol=1e-5)
+    assert torch.allclose(every.gather(1, lexemes[:, None])[:, 0], got, atol=1e-5)
+
+
+def test_lexemes_decoded_by_themselves_may_come_either_way() -> None:
+    lexemes, blocks, valid = windows(12, 6)
+    assert torch.allclose(table("decoded").rewards(lexemes, blocks, valid),
+                          table("alone").rewards(lexemes, blocks, valid), atol=1e-5)
+
+
+def test_a_decoder_is_given_no_padding() -> None:
+    seen: list[tuple[int, ...]] = []
+
+    def decode(lexemes: Tensor) -> Tensor:
+        assert lexemes.min() >= 0
+        seen.append(tuple(lexemes.shape))
+        return alone(lexemes)
+
+    asked = RewardTable(model(), drawn(BLOCKS, FRAMES, AUDIO), drawn(BLOCKS), decode=decode, size=LEXEMES)
+    lexemes, blocks, valid = windows(8, 4)
+    lexemes[~valid] = -1
+    asked.rewards(lexemes, blocks, valid)
+    assert sorted(seen) == [(2, 1), (2, 2), (2, 3), (2, 4)]
+
+
+def test_the_table_keeps_its_own_model() -> None:
+    net = model(dropout=0.5).train()
+    asked = RewardTable(net, drawn(BLOCKS, FRAMES, AUDIO), drawn(BLOCKS), alone(torch.arange(LEXEMES)))
+    assert net.training and all(p.requires_grad for p in net.parameters())
+    given_windows = windows(6, 5)
+    before = asked.rewards(*given_windows)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.add_(1.0)
+    assert torch.equal(asked.rewards(*given_windows), before)
+
+
+def test_a_table_needs_one_lexicon() -> None:
+    audio, log_duration, decoded = drawn(BLOCKS, FRAMES, AUDIO), drawn(BLOCKS), alone(torch.arange(LEXEMES))
+    for wrong in ({}, {"decode": alone}, {"decoded": decoded, "decode": alone, "size": LEXEMES}):
+        with pytest.raises(ValueError):
+            RewardTable(model(), audio, log_duration, **wrong)
+
+
+def test_the_rewards_of_every_lexeme_along_a_recording_are_cheap() -> None:
+    """300 blocks, 100 lexemes, default sizes: about 0.3 s on one thread."""
+    net = RewardModel(RewardConfig(), 10, 48, 34).eval()
+    asked = RewardTable(net, drawn(300, 10, 34), drawn(300), drawn(100, 10, 48))
+    lexemes, blocks = torch.as_tensor(np.random.default_rng(0).integers(100, size=300)), torch.arange(300)
+    asked.sequence_every(lexemes[:20], blocks[:20])
+    began = time.process_time()
+    assert asked.sequence_every(lexemes, blocks).shape == (300, 100)
+    assert time.process_time() - began < 1.5
+
+
+# Learning
+
+
+def recording(blocks: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Audio [N, K, d] that drifts from block to block, and motion [N, K, D_m] that is a function of it, and noise."""
+    rng, maps = np.random.default_rng(seed), np.random.default_rng(0)
+    steps = rng.standard_normal((blocks, FRAMES, AUDIO))
+    audio = np.zeros_like(steps)
+    for i in range(1, blocks):
+        audio[i] = 0.5 * audio[i - 1] + steps[i]
+    motion = np.tanh(audio @ maps.standard_normal((AUDIO, MOTION)))
+    motion += 0.3 * rng.standard_normal(motion.shape)
+    return torch.as_tensor(audio, dtype=torch.float32), torch.as_tensor(motion, dtype=torch.float32)
+
+
+def cut(audio: Tensor, motion: Tensor, starts: np.ndarray, width: int) -> dict[str, Tensor]:
+    at = torch.as_tensor(starts)[:, None] + torch.arange(width)
+    return {"motion": motion[at], "audio": audio[at], "log_duration": torch.zeros(at.shape),
+            "valid": torch.ones(at.shape), "group": torch.as_tensor(starts // width)}
+
+
+def test_what_goes_together_is_learned() -> None:
+    audio, motion = recording(2000, seed=1)
+    net = model(width=32, projection=16).train()
+    optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
+    for step in range(150):
+        rng = np.random.default_rng([7, step])
+        torch.manual_seed(step)
+        optimiser.zero_grad()
+        starts = 8 * rng.choice(240, 32, replace=False) + rng.integers(8)
+        net.losses(cut(audio, motion, starts, int(rng.integers(2, 9))), step / 150)["contrast"].backward()
+        optimiser.step()
+    net.eval()
+    audio, motion = recording(600, seed=2)  # never seen
+    figures = net.retrieval(cut(audio, motion, 8 * np.arange(64), 8))
+    assert figures["chance_r1"] == pytest.approx(1 / 64)
+    assert min(figures["motion_r1"], figures["audio_r1"]) > 0.6
+    assert min(figures["motion_r5"], figures["audio_r5"]) > 0.9
+    # As a lexicon of 600 lexemes, each block's motion its own. A window that comes a block late still holds most of
+    # what was said, and the negatives of training were eight blocks away: the reward falls with the shift, not at once.
+    asked = RewardTable(net, audio, torch.zeros(600), motion)
+    blocks = torch.arange(600)
+    matched, late, later, anything = (float(asked.sequence(lexemes, blocks).mean()) for lexemes in (
+        blocks, blocks.roll(1), blocks.roll(4), torch.as_tensor(np.random.default_rng(3).permutation(600))))
+    assert matched > 0.8
+    assert matched > late + 0.02
+    assert late > later + 0.1
+    assert later > anything + 0.1
+    assert abs(anything) < 0.3
+    # Judged window by window, the true one wins nearly always over one from elsewhere.
+    wins = asked.sequence(blocks, blocks) > asked.sequence(blocks.roll(300), blocks)
+    assert float(wins.double().mean()) > 0.95
+    # And of all lexemes the one that was made for the block ranks high (by chance its median place is half the way).
+    every = asked.sequence_every(blocks[:100], blocks[:100])
+    place = (every > every.diagonal()[:, None]).sum(1).double()
+    assert float(place.median()) < 0.2 * 600
+
+
+def test_rows_that_are_no_rivals_leave_every_gradient_a_number() -> None:
+    torch.manual_seed(0)
+    model = RewardModel(RewardConfig(width=8, projection=4, window=2, longest=3), 2, 3, 4)
+    batch = {"motion": torch.randn(4, 3, 2, 3), "audio": torch.randn(4, 3, 2, 4), "log_duration": torch.zeros(4, 3),
+             "valid": torch.ones(4, 3), "group": torch.tensor([1, 1, 2, 3])}
+    model.losses(batch)["contrast"].backward()
+    assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
+    assert float(model.log_temperature.grad.abs()) > 0  # type: ignore[union-attr]

@@ -1,0 +1,304 @@
+"""Does a reward rank: every quantity by hand, rewards whose answer is known, the tables on random models."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from untrained import PLAIN, untrained
+
+from data_module.errors import InputError
+from data_module.layers import freeze
+from data_module.store import Store
+from eval import rewards
+from eval.rewards import Asked
+from gesticulator import bundle as bundles
+from gesticulator.prepare import Corpus, prepare
+from gesticulator.racer import takes_of, token_labels
+from interpreters.episodes import Take
+from interpreters.reward import RewardConfig, RewardModel
+
+# ------------------------------------------------------------------------------------------------------- quantities
+
+
+def test_windows_of_a_recording() -> None:
+    assert rewards.windows(np.arange(10, 15), 3).tolist() == [[10, 11, 12], [11, 12, 13], [12, 13, 14]]
+    assert rewards.windows(np.arange(7), 3, 3).tolist() == [[0, 1, 2], [3, 4, 5]], "one window apart"
+    assert rewards.windows(np.arange(2), 3).shape == (0, 3)
+
+
+def test_places_by_hand() -> None:
+    scores = np.array([[0.9, 0.1, 0.2], [0.8, 0.5, 0.6], [0.3, 0.3, 0.3]])
+    everyone = np.ones((3, 3), dtype=bool)
+    assert rewards.places(scores, everyone).tolist() == [1, 3, 3], "a tie is lost"
+    assert rewards.places(scores, np.eye(3, dtype=bool)).tolist() == [1, 1, 1], "nobody to lose to"
+    not_the_first = everyone.copy()
+    not_the_first[1, 0] = False
+    assert rewards.places(scores, not_the_first)[1] == 2
+
+
+def test_retrieval_both_ways_against_chance() -> None:
+    # Three windows of one recording, one of another, which has no rival of its own recording.
+    owner = np.array([0, 0, 0, 1])
+    scores = np.array([[0.9, 0.1, 0.2, 1.0], [0.8, 0.5, 0.6, 0.0], [0.3, 0.4, 0.7, 0.0], [0.0, 0.0, 0.0, 0.5]])
+    same = owner[:, None] == owner
+    hits = rewards.retrieval(scores, same)
+    np.testing.assert_array_equal(hits["motion_r1"], [100, 0, 100, np.nan])
+    np.testing.assert_array_equal(hits["audio_r1"], [100, 100, 100, np.nan])
+    np.testing.assert_array_equal(hits["motion_r5"], [100, 100, 100, np.nan])
+    np.testing.assert_allclose(hits["chance_r1"], [100 / 3] * 3 + [np.nan])
+    np.testing.assert_array_equal(hits["chance_r5"], [100, 100, 100, np.nan])
+    others = rewards.retrieval(scores, ~same)
+    np.testing.assert_array_equal(others["motion_r1"], [0, 100, 100, 100])
+    np.testing.assert_array_equal(others["audio_r1"], [100, 100, 100, 0])
+    np.testing.assert_allclose(others["chance_r1"], [50, 50, 50, 25])
+    assert not rewards.retrieval(np.ones((4, 4)), np.ones((4, 4), dtype=bool))["motion_r1"].any()
+
+
+def test_a_shift_goes_both_ways() -> None:
+    own = rewards.windows(np.arange(6), 2)  # five windows, named by their first block
+
+    def score(motion: np.ndarray, audio: np.ndarray) -> np.ndarray:
+        assert motion.shape == audio.shape == (len(motion), 2)
+        return 10.0 * motion[:, 0] + audio[:, 0]
+
+    np.testing.assert_array_equal(rewards.shifted(score, own, 0), [0, 11, 22, 33, 44])
+    np.testing.assert_array_equal(rewards.shifted(score, own, 1), [10, 11, 22, 33, 34])
+    np.testing.assert_array_equal(rewards.shifted(score, own, 3), [30, 41, np.nan, 3, 14])
+    assert np.isnan(rewards.shifted(score, own, 5)).all()
+
+
+def test_recordings_are_the_unit() -> None:
+    values, owner = np.array([1.0, 3.0, np.nan, 8.0]), np.array([0, 0, 0, 2])
+    means, weights = rewards.by_recording(values, owner, 3)
+    np.testing.assert_array_equal(means, [2, np.nan, 8])
+    assert weights.tolist() == [2, 0, 1]
+    got = rewards.mean_of(values, owner, 3)
+    assert (got["mean"], got["low"], got["high"], got["clips"]) == (4.0, 2.0, 8.0, 2)
+
+
+def test_rank_and_share_of_the_true_action() -> None:
+    each = np.array([[0.1, 0.4, 0.2, 0.3], [0.5, 0.5, 0.1, 0.9], [0.2, 0.2, 0.2, 0.2]])
+    true = np.array([1, 0, 3])
+    assert rewards.true_rank(each, true).tolist() == [1.0, 2.5, 2.5], "ties share, a constant has chance"
+    share, guessed = rewards.share_of_range(each, true)
+    np.testing.assert_allclose(share, [1.0, 0.5, np.nan])
+    np.testing.assert_allclose(guessed, [0.5, 0.5, np.nan])
+
+
+def test_spread_over_actions_and_over_states() -> None:
+    states, actions = np.array([[0.0], [4.0]]), np.array([[-1.0, 1.0]])
+    assert rewards.spreads(states + actions) == (1.0, 2.0)
+    assert rewards.spreads(states + 0 * actions) == (0.0, 2.0)
+    assert rewards.spreads(0 * states + actions) == (1.0, 0.0)
+
+
+def test_two_models_agree_over_actions_and_not_over_states() -> None:
+    first = np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [5.0, 5.0, 5.0]])
+    second = np.array([[10.0, 20.0, 30.0], [9.0, 8.0, 7.0], [0.0, 1.0, 0.0], [1.0, 2.0, 3.0]])
+    np.testing.assert_allclose(rewards.agreement(first, second), [1.0, -1.0, 0.0, np.nan], atol=1e-12)
+    # What differs between states alone, by as much as one likes, is no agreement.
+    assert abs(rewards.agreement(np.array([[100.0, 101.0, 100.0]]), np.array([[101.0, 100.5, 100.0]]))[0]) < 1e-12
+
+
+def test_the_gap_beside_the_reach() -> None:
+    owner = np.array([0, 0, 1])
+    got = rewards.domain_gap(np.array([0.9, 0.8, 0.7]), np.array([0.8, 0.8, 0.8]), np.array([0.1, 0.2, 0.3]), owner, 2)
+    assert got["gap"]["mean"] == pytest.approx(0.0) and got["reach"]["mean"] == pytest.approx(0.6)
+    assert got["ratio"] == pytest.approx(0.0)
+    flat, one = np.full(3, 0.5), np.array([0, 0, 0])
+    assert rewards.domain_gap(flat - 0.2, flat, flat - 0.4, one, 1)["ratio"] == pytest.approx(0.5), "either way"
+    assert np.isnan(rewards.domain_gap(flat, flat, flat, one, 1)["ratio"])
+
+
+def take(lexemes: list[int], silent: list[int], recording: int = 0) -> Take:
+    count = len(lexemes)
+    return Take(recording, 0, np.arange(count) + 100 * recording, np.array(lexemes), np.isin(np.arange(count), silent))
+
+
+def test_actions_of_spoken_decisions_alone() -> None:
+    takes = [take([0, 1, 2, 0], silent=[2]), take([1, 1], silent=[0], recording=1)]
+    every = [np.array([[0.0, 1.0, 0.5], [9.0, 9.0, 9.0], [0.6, 0.2, 1.0]]), np.array([[0.3, 0.2, 0.1]])]
+    got = rewards.of_actions(every, takes)
+    assert (got["actions"], got["decisions"], got["chance_rank"]) == (3, 3, 2.0)
+    assert got["median_rank"] == 2.0 and got["median_rank_of_recordings"]["mean"] == pytest.approx((2 * 1.5 + 2) / 3)
+    assert got["share_of_range"]["mean"] == pytest.approx((1.0 + 0.5 + 0.5) / 3)
+    assert got["spread_actions"]["clips"] == 1, "one decision has no spread over states"
+    assert got["spread_states"]["mean"] == pytest.approx(0.05)
+    assert rewards.agreed(every, every, takes)["mean"] == pytest.approx(1.0)
+    assert rewards.agreed(every, [-rows for rows in every], takes)["mean"] == pytest.approx(-1.0)
+
+
+def values(*line: float, other: float, random: float) -> dict[str, np.ndarray]:
+    """Two recordings of one window each, with these rewards by shift."""
+    own = {str(shift): np.array([value, value + 0.1]) for shift, value in zip(rewards.SHIFTS, line, strict=True)}
+    return own | {"another recording": np.array([other] * 2), "random": np.array([random] * 2),
+                  "owner": np.array([0, 1])}
+
+
+def test_differences_by_shift_are_paired() -> None:
+    got = rewards.compared(values(0.9, 0.5, 0.4, 0.3, 0.2, 0.1, other=0.05, random=0.0), 2)
+    assert got["mean"]["0"]["mean"] == pytest.approx(0.95)
+    assert got["matched - shifted"]["1"] == pytest.approx({"mean": 0.4, "low": 0.4, "high": 0.4, "clips": 2})
+    assert list(got["matched - shifted"]) == ["1", "2", "4", "8", "16", "another recording", "random"]
+    assert [row["mean"] for row in got["falls"].values()] == pytest.approx([0.4, 0.1, 0.1, 0.1, 0.1])
+    assert got["shifted - random"]["low"] == pytest.approx(0.1)
+
+
+def test_what_is_accepted() -> None:
+    def verdict(*line: float, hit: float = 50.0, gap: float = 0.1, rank: float = 10.0) -> dict[str, bool]:
+        sure = {"mean": hit, "low": hit, "high": hit, "clips": 2}
+        hits = {"motion_r1": sure, "audio_r1": sure, "chance_r1": {"mean": 5.0}}
+        own = rewards.compared(values(*line, other=0.05, random=0.0), 2)
+        return rewards.acceptance({
+            "retrieval": {"rows": {"decoded": {"same recording": hits}}}, "shift": {"captured": own, "decoded": own},
+            "domain_gap": {"ratio": gap},
+            "actions": {"median_rank_of_recordings": {"high": rank}, "chance_rank": 50.5}}, window=8)
+
+    assert all(verdict(0.9, 0.5, 0.4, 0.3, 0.2, 0.1).values())
+    rises = verdict(0.9, 0.5, 0.4, 0.45, 0.2, 0.1)
+    assert not rises["decoded: falls with every shift inside the window"] and rises["decoded: matched > shifted"]
+    assert all(verdict(0.9, 0.5, 0.4, 0.3, 0.2, 0.2).values()), "none of its blocks are shared any more"
+    level = verdict(0.9, 0.9, 0.4, 0.3, 0.2, 0.0, hit=5.0, gap=float("nan"), rank=51.0)
+    assert not level["captured: matched > shifted"]
+    assert not level["retrieval above chance, same recording, both ways"]
+    assert not level["domain gap below a quarter of the reach"] and not level["true lexeme above chance"]
+
+
+# ------------------------------------------------------------------------------------------------- models and tables
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("rewards")
+
+
+@pytest.fixture(scope="module")
+def bundle(tiny_store: Path, work: Path) -> bundles.Bundle:
+    """A bundle that nobody trained, with two reward models that look back on four blocks."""
+    own = untrained(*PLAIN)
+    corpus = prepare(Store.open(tiny_store), own.config, work, progress=False)
+    models = [RewardModel(RewardConfig(width=16, projection=8, window=4), own.config.rhythm.frames,
+                          corpus.motion.shape[-1], corpus.low.shape[-1]) for _ in range(2)]
+    for model in models:
+        freeze(model)
+    return dataclasses.replace(own, statistics=corpus.statistics, reward=models[0], reward_judge=models[1])
+
+
+@pytest.fixture(scope="module")
+def corpus(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> Corpus:
+    return prepare(Store.open(tiny_store), bundle.config, work, progress=False)
+
+
+def test_what_is_asked_is_the_reward_of_the_model(bundle: bundles.Bundle, corpus: Corpus) -> None:
+    labels = token_labels(bundle.lexicon, corpus)
+    assert bundle.reward is not None
+    asked, own = Asked.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")[0]
+    at = rewards.windows(own.blocks, 4)
+    decoded = asked.score("decoded", at, at)
+    np.testing.assert_allclose(decoded, asked.played(labels[at], at), atol=1e-5)
+    along = asked.table.sequence(torch.as_tensor(own.lexemes), torch.as_tensor(own.blocks)).numpy()
+    np.testing.assert_allclose(decoded, along[3:], atol=1e-5)
+    np.testing.assert_allclose(asked.every(own)[np.arange(len(own.blocks) - 1), own.lexemes[1:]], along[1:], atol=1e-5)
+    for kind in ("captured", "decoded"):
+        for retimed in (False, True):
+            np.testing.assert_allclose(np.diagonal(asked.pairs(kind, at[:5], retimed)),
+                                       asked.score(kind, at[:5], at[:5]), atol=1e-5)
+    moved = asked.pairs("captured", at[:5], retimed=True)
+    np.testing.assert_allclose(moved[3, 1:2], asked.score("captured", at[3:4], at[1:2]), atol=1e-5)
+    no_pose = asked.pairs("durations alone", at[:5], retimed=True)
+    np.testing.assert_allclose(no_pose, np.broadcast_to(no_pose[:1], (5, 5)), atol=1e-5)  # nothing left to match
+    with torch.no_grad():
+        as_trained, heard = bundle.reward.embed({
+            "motion": corpus.motion[torch.as_tensor(at)],
+            "audio": corpus.low[torch.as_tensor(at), bundle.reward.frames:2 * bundle.reward.frames].float(),
+            "log_duration": torch.as_tensor(np.log(corpus.durations[at])).float(), "valid": torch.ones(at.shape)})
+    np.testing.assert_allclose((as_trained * heard).sum(-1).numpy(), asked.score("captured", at, at), atol=1e-5)
+
+
+class Knows:
+    """A reward that knows the moment: what is less far away has more; nothing but the pose tells it."""
+
+    model = type("Model", (), {"config": RewardConfig(window=2, shortest=1, longest=2)})()
+    table = type("Table", (), {"size": 7})()
+
+    def score(self, kind: str, motion: np.ndarray, audio: np.ndarray) -> np.ndarray:
+        assert kind in rewards.MOTIONS
+        return -np.abs(motion - audio).mean(axis=1) / 1000
+
+    def pairs(self, kind: str, own: np.ndarray, retimed: bool) -> np.ndarray:
+        if kind == "durations alone":
+            return np.zeros((len(own), len(own)))
+        return np.asarray(-np.abs(own[:, None, 0] - own[None, :, 0]) / 1000)
+
+    def played(self, lexemes: np.ndarray, audio: np.ndarray) -> np.ndarray:
+        assert lexemes.max() < 7
+        return np.full(len(audio), -1.0)
+
+
+def test_a_reward_that_knows_the_moment_passes() -> None:
+    takes = [take([0] * 40, silent=[0, 1, 2], recording=k) for k in range(3)]
+    silent = np.zeros(300, dtype=bool)
+    silent[[0, 1, 2, 100, 101, 102, 200, 201, 202]] = True
+    every = [np.tile(np.eye(7)[0], (39, 1))] * 3
+    got = rewards.figures(Knows(), takes, silent, every)  # type: ignore[arg-type]
+    assert got["retrieval"]["windows"] == 3 * 19, "the first of twenty is silent"
+    for against in ("same recording", "other recordings"):
+        hits = got["retrieval"]["rows"]["decoded"][against]
+        assert hits["motion_r1"]["mean"] == hits["audio_r5"]["mean"] == 100.0
+        assert got["retrieval"]["rows"]["durations alone"][against]["motion_r1"]["mean"] == 0.0
+    assert got["retrieval"]["rows"]["decoded"]["same recording"]["chance_r1"]["mean"] == pytest.approx(100 / 19)
+    assert got["shift"]["decoded"]["matched - shifted"]["8"]["mean"] == pytest.approx(0.008)
+    assert got["shift"]["decoded"]["mean"]["another recording"]["mean"] < -0.1
+    assert got["domain_gap"]["ratio"] == 0.0 and got["domain_gap"]["reach"]["mean"] == 1.0
+    assert got["actions"]["median_rank"] == 1.0
+    assert all(got["acceptance"].values()), got["acceptance"]
+
+
+def test_random_motion_repeats_and_differs_between_recordings(bundle: bundles.Bundle, corpus: Corpus) -> None:
+    labels = token_labels(bundle.lexicon, corpus)
+    assert bundle.reward is not None
+    asked, takes = Asked.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")
+    for kind in rewards.MOTIONS:
+        first, again = (rewards.shift_values(asked, kind, takes, 0) for _ in range(2))
+        for name, own in first.items():
+            np.testing.assert_array_equal(own, again[name])
+        alone = rewards.shift_values(asked, kind, takes[:1], 0)
+        assert np.isnan(alone["another recording"]).all(), "there is none"
+        np.testing.assert_array_equal(alone["4"], first["4"])
+
+
+def test_the_tables_of_random_models(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> None:
+    result = rewards.rewards(Store.open(tiny_store), bundle, work, progress=False)
+    assert list(result["models"]) == ["reward", "judge"] and result["store"]["test_recordings"] == 2
+    for own in result["models"].values():
+        assert own["actions"]["actions"] == len(bundle.lexicon.vectors)
+        assert list(own["shift"]["decoded"]["mean"]) == ["0", "1", "2", "4", "8", "16", "another recording", "random"]
+        for part in own["retrieval"]["rows"].values():
+            # Nobody trained it: what it finds is not far from what guessing would.
+            assert part["same recording"]["motion_r1"]["mean"] < 50 and part["same recording"]["chance_r1"]["mean"] < 50
+    assert result["models"]["reward"]["shift"] != result["models"]["judge"]["shift"]
+    assert abs(result["agreement"]["mean"]) < 0.9
+    text = rewards.markdown(json.loads(json.dumps(result)))
+    assert text.count("| same recording |") == 8 and "| 16 - random |" in text and "is chance" in text
+
+
+def test_the_command(tiny_store: Path, bundle: bundles.Bundle, work: Path, tmp_path: Path,
+                     monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bundles, "load", lambda path: bundle)
+    out = tmp_path / "rewards.json"
+    assert rewards.main(["--data", str(tiny_store), "--work", str(work), "--out", str(out)]) == 0
+    assert set(json.loads(out.read_text())) == {"store", "settings", "models", "agreement"}
+    assert "| asked of a reward | reward | judge |" in out.with_suffix(".md").read_text()
+
+
+@pytest.mark.parametrize("lacking", ["reward", "reward_judge"])
+def test_a_bundle_without_both_models_is_refused(tiny_store: Path, bundle: bundles.Bundle, work: Path, lacking: str
+                                                 ) -> None:
+    without: dict[str, Any] = {lacking: None}
+    with pytest.raises(InputError, match="reward models"):
+        rewards.rewards(Store.open(tiny_store), dataclasses.replace(bundle, **without), work, progress=False)
