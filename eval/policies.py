@@ -45,7 +45,7 @@ from eval.results import keep
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import Corpus, prepare
-from gesticulator.racer import features_of, reward_table, takes_of
+from gesticulator.racer import features_of, reward_table, takes_of, taught_reward
 from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter, select
 from interpreters.episodes import Take
 
@@ -456,8 +456,8 @@ def policies(store: Store, bundle: bundles.Bundle, work: Path, by: Sequence[gest
     ground = Ground.of(bundle, corpus, labels, limit)
     if not ground.takes:
         raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
-    tables: dict[str, Rewards] = {"": reward_table(reward, bundle.lexicon, corpus),
-                                  "judge_": reward_table(judge, bundle.lexicon, corpus)}
+    table = reward_table(reward, bundle.lexicon, corpus)
+    tables: dict[str, Rewards] = {"": table, "judge_": reward_table(judge, bundle.lexicon, corpus)}
     training = [labels[corpus.blocks_of(r)] for r in corpus.recordings("train")]
     by_scores = rows_of(bundle, lstm, cql)
     chosen = choices(by_scores, ground, tables[""], progress)
@@ -470,7 +470,8 @@ def policies(store: Store, bundle: bundles.Bundle, work: Path, by: Sequence[gest
             | motion_values(measure(motion, recording.speech), motion, recording.motion, seed=k)
             for k, (motion, recording) in enumerate(zip(motions[name], recordings, strict=True))])
     gamma = cql.config.gamma
-    q = columns([q_values(by_scores["cql"], ground, take, tables[""], gamma) for take in ground.takes])
+    taught = taught_reward(table, corpus, bundle.config.episodes.baseline)
+    q = columns([q_values(by_scores["cql"], ground, take, taught, gamma) for take in ground.takes])
     return {"store": {"name": store.corpus, "fingerprint": store.fingerprint, "test_recordings": len(recordings),
                       "decisions": sum(len(take.blocks) - 1 for take in ground.takes)},
             "settings": {"episode": EPISODE, "rare": RARE, "gamma": gamma, "seed": SEED,

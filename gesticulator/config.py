@@ -171,7 +171,7 @@ class Config:
     seed: int = 1
 
 
-LITERAL = EpisodeConfig(truth=1.0, sampled=0.0, statistical=0.0, perturbed=0.0)
+LITERAL = EpisodeConfig(truth=1.0, sampled=0.0, statistical=0.0, perturbed=0.0, baseline=0)
 """RACER's own data set: what was really done, and nothing else."""
 
 T = TypeVar("T")
@@ -203,6 +203,8 @@ def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
         return cls(**values)
     except TypeError as error:
         raise InputError("settings", str(error), "use a matching version of gesticulator") from None
+    except ValueError as error:
+        raise InputError("settings", str(error), "change them") from None
 
 
 def with_settings(config: Config, settings: Sequence[str]) -> Config:
@@ -210,6 +212,7 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
 
     Values are JSON; InputError names a path that does not exist or a value of another type.
     """
+    tree = to_dict(config)
     for setting in settings:
         path, mark, text = setting.partition("=")
         if not mark:
@@ -218,11 +221,12 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
             value = json.loads(text)
         except ValueError:
             value = text
-        config = _replaced(config, path.split("."), value, setting)
-    return config
+        _put(tree, config, path.split("."), value, setting)
+    # All at once: shares that must sum to 1 cannot be changed in turn.
+    return from_dict(Config, tree) if settings else config
 
 
-def _replaced(node: Any, path: list[str], value: Any, setting: str) -> Any:
+def _put(tree: dict[str, Any], node: Any, path: list[str], value: Any, setting: str) -> None:
     names = {f.name for f in dataclasses.fields(node)}
     if path[0] not in names:
         raise InputError(setting, f"there is no setting '{path[0]}'", f"known here: {', '.join(sorted(names))}")
@@ -230,14 +234,15 @@ def _replaced(node: Any, path: list[str], value: Any, setting: str) -> Any:
     if len(path) > 1:
         if not dataclasses.is_dataclass(old):
             raise InputError(setting, f"'{path[0]}' holds no further settings", "shorten the path")
-        return dataclasses.replace(node, **{path[0]: _replaced(old, path[1:], value, setting)})
+        _put(tree[path[0]], old, path[1:], value, setting)
+        return
     if isinstance(old, tuple) and isinstance(value, list):
         value = tuple(value)
     if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if dataclasses.is_dataclass(old) or type(old) is not type(value):
         raise InputError(setting, f"expects a value like {old!r}", "write path=value")
-    return dataclasses.replace(node, **{path[0]: value})
+    tree[path[0]] = value
 
 
 def digest(*parts: Any) -> str:

@@ -20,7 +20,7 @@ from gesticulator.prepare import Corpus
 from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, cross_entropy
 from interpreters.episodes import Episodes, Reward, SilentLexemes, Take, build, distance_rewards, looked_up
-from interpreters.reward import RewardConfig, RewardModel, RewardTable
+from interpreters.reward import Centred, RewardConfig, RewardModel, RewardTable
 from interpreters.statistical import StatisticalInterpreter
 from lexicon.autoencoder import Lexicon
 from lexicon.quantizer import perplexity
@@ -223,10 +223,18 @@ def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
                                        bool(corpus.silent[block]))
 
 
+def taught_reward(table: RewardTable, corpus: Corpus, draws: int) -> RewardTable | Centred:
+    """The reward as a policy is taught it: told from what random lexemes earn on the same audio, or as it is (0)."""
+    if not draws:
+        return table
+    recordings = [torch.as_tensor(corpus.blocks_of(r)) for r in range(len(corpus.names))]
+    return Centred(table, recordings, draws)
+
+
 def step_reward(run: Run, tokens: Tokens, model: RewardModel) -> Reward:
     """What a step earns, by the settings: the contrastive reward, or the distance to the recording (RACER 5.5)."""
     if run.config.episodes.reward == "contrastive":
-        return reward_table(model, tokens, run.corpus).sequence
+        return taught_reward(reward_table(model, tokens, run.corpus), run.corpus, run.config.episodes.baseline).sequence
     if not isinstance(tokens, Lexicon):
         raise NotImplementedError("the distance reward is of lexemes that are decoded one by one")
     return looked_up(distance_rewards(decoded_lexemes(tokens), run.corpus.motion))
@@ -268,9 +276,9 @@ def train_q_network(run: Run, tokens: Tokens, labelled: Labelled, model: RewardM
 
     def train(folder: Path) -> dict[str, float]:
         episodes = make_episodes(run, tokens, labelled, model, lstm)
-        table = reward_table(model, tokens, corpus)
         held = Episodes(build(takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train"),
-                              configs.LITERAL, table.sequence, silent=SilentLexemes(labelled.silent, labelled.nearest),
+                              configs.LITERAL, step_reward(run, tokens, model),
+                              silent=SilentLexemes(labelled.silent, labelled.nearest),
                               vectors=tokens.vectors.numpy()).episodes)
         checks = [q_batch(corpus, held.windows(fitting.generator_for(3, i), 64, decisions)) for i in range(4)]
 

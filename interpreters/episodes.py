@@ -46,7 +46,8 @@ _AT_RANDOM = 0.5
 
 @dataclass(frozen=True)
 class EpisodeConfig:
-    """Who acts in the data set, and what is rewarded. The paper's own is `truth=1` and 0 for the other shares."""
+    """Who acts in the data set, and what is rewarded. The paper's own is `truth=1` and 0 for the other shares and the
+    baseline."""
 
     truth: float = 0.65
     """Share of what was really done: every recording, once. The other shares are in proportion to it, in decisions."""
@@ -66,6 +67,9 @@ class EpisodeConfig:
     """True lexemes before another behaviour takes over."""
     reward: str = "contrastive"
     """"contrastive" (RACER Eq. 8), or "distance" to the recorded motion (the paper's ablation)."""
+    baseline: int = 8
+    """Random sequences of lexemes whose mean reward on the same audio is taken off the contrastive reward; 0 for none
+    (the paper). It changes no choice and spares the Q-network to learn what the audio alone earns."""
     scheme: str = "window"
     """What a step earns: "window" the reward of the blocks that trail it; "prefix" that of all since the stretch began;
     "terminal" that of the whole stretch, at its end; "difference" what the step added to the prefix."""
@@ -80,6 +84,8 @@ class EpisodeConfig:
         for name in ("nearest", "prefix", "stretch"):
             if getattr(self, name) < 1:
                 raise InputError(f"episodes.{name}", f"is {getattr(self, name)}", "give 1 or more")
+        if self.baseline < 0:
+            raise InputError("episodes.baseline", f"is {self.baseline}", "give 0 or more")
         for name in ("replace", "cloned"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"episodes.{name}", f"is {getattr(self, name)}", "give 0 to 1")

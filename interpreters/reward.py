@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -57,7 +57,7 @@ class RewardConfig:
     tempo: bool = False
     """Tell the motion side how long each block lasts. The audio side knows, so this gives the pair away: durations
     alone, without any motion, then find 9 pairs in 10, and a policy cannot change them."""
-    rivals: int = 2
+    rivals: int = 4
     """H, further negatives of each window that is shown decoded: itself with some of its last lexemes replaced. Without
     them a single lexeme hardly moves the reward, and not towards the right one."""
     decoded: float = 0.5
@@ -142,15 +142,16 @@ class CausalLayer(nn.Module):
 class WindowEncoder(nn.Module):
     """E_m or E_u of RACER Eq. 8: the tokens of a window of any length to one unit vector.
 
-    Causal residual layers, the mean over the tokens that are no padding, a linear projection and the L2 norm, which
-    makes the paper's inner product the cosine that its text speaks of.
+    Causal residual layers, the mean over the tokens that are no padding beside the last token, a linear projection and
+    the L2 norm, which makes the paper's inner product the cosine that its text speaks of. The last token is the
+    decision that is rewarded: in the mean alone it would be one voice among eight.
     """
 
     def __init__(self, config: RewardConfig) -> None:
         super().__init__()
         self.layers = nn.ModuleList(
             CausalLayer(config.width, config.kernel, dilation, config.dropout) for dilation in config.dilations)
-        self.project = nn.Linear(config.width, config.projection)
+        self.project = nn.Linear(2 * config.width, config.projection)
 
     def features(self, tokens: Tensor, valid: Tensor) -> Tensor:
         """[B, W, C] to [B, W, C], each token with its past; what stands at padding means nothing. valid: [B, W]."""
@@ -162,8 +163,8 @@ class WindowEncoder(nn.Module):
     def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
         """[B, W, C] to unit vectors [B, P]; valid: [B, W], 0 at padding, which stands on the left."""
         mask = valid.to(tokens.dtype)[..., None]
-        total = (self.features(tokens, valid) * mask).sum(1)
-        return self._finish(total, mask.sum(1))
+        rows = self.features(tokens, valid) * mask
+        return self._finish(rows.sum(1), mask.sum(1), rows[:, -1])
 
     def every_last(self, history: Tensor, valid: Tensor, candidates: Tensor) -> Tensor:
         """Unit vectors [B, S, P] of the windows that end in each of the candidates.
@@ -177,11 +178,11 @@ class WindowEncoder(nn.Module):
             candidates = layer.last(history, before, candidates)
             if history.shape[1]:
                 history = layer(history, before)
-        total = candidates * mask[:, -1:] + (history * before).sum(1, keepdim=True)
-        return self._finish(total, mask.sum(1, keepdim=True))
+        last = candidates * mask[:, -1:]
+        return self._finish(last + (history * before).sum(1, keepdim=True), mask.sum(1, keepdim=True), last)
 
-    def _finish(self, total: Tensor, count: Tensor) -> Tensor:
-        return functional.normalize(self.project(total / count.clamp_min(1.0)), dim=-1)
+    def _finish(self, total: Tensor, count: Tensor, last: Tensor) -> Tensor:
+        return functional.normalize(self.project(torch.cat([total / count.clamp_min(1.0), last], dim=-1)), dim=-1)
 
 
 class RewardModel(nn.Module):
@@ -391,6 +392,43 @@ class RewardTable:
         valid = valid.repeat_interleave(self.size, 0)
         tokens = self._motion_tokens(lexemes, blocks.repeat_interleave(self.size, 0), valid)
         return self.model.embed_motion(tokens, valid).unflatten(0, (-1, self.size))
+
+
+class Centred:
+    """A `RewardTable` whose rewards are told from what random lexemes earn on the same audio.
+
+    Any two windows agree to some degree (random ones at 0.6 to 0.7), and agree better on some audio than on other. What
+    the audio alone earns is the same whatever is done, so it changes no choice; but summed over a recording it is many
+    times what a choice can add, and a Q-network would spend itself on learning it.
+    """
+
+    def __init__(self, table: RewardTable, recordings: Sequence[Tensor], draws: int, seed: int = 0) -> None:
+        """recordings: the block numbers [M] of each recording, in order; draws: random sequences for each."""
+        self.table, self.window, self.size = table, table.window, table.size
+        generator = torch.Generator().manual_seed(seed)
+        last = max(int(blocks.max()) for blocks in recordings)
+        self.baseline = torch.zeros(last + 1, device=recordings[0].device)
+        """[N] the mean reward of random lexemes in the window that ends with a block."""
+        for blocks in recordings:
+            for _ in range(draws):
+                lexemes = torch.randint(self.size, (len(blocks),), generator=generator).to(blocks.device)
+                self.baseline[blocks] += table.sequence(lexemes, blocks) / draws
+
+    def rewards(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """As of the table, [B], in [-2, 2]."""
+        return self.table.rewards(lexemes, blocks, valid) - self.baseline[blocks[:, -1]]
+
+    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """As of the table, [B, S]."""
+        return self.table.every(history, blocks, valid) - self.baseline[blocks[:, -1:]]
+
+    def sequence(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
+        """As of the table, [M]."""
+        return self.table.sequence(lexemes, blocks) - self.baseline[blocks]
+
+    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
+        """As of the table, [M, S]."""
+        return self.table.sequence_every(lexemes, blocks) - self.baseline[blocks][:, None]
 
 
 def _cosine(motion: Tensor, audio: Tensor) -> Tensor:

@@ -13,7 +13,15 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional
 
-from interpreters.reward import LEAST_TEMPERATURE, RewardConfig, RewardModel, RewardTable, contrast, similarities
+from interpreters.reward import (
+    LEAST_TEMPERATURE,
+    Centred,
+    RewardConfig,
+    RewardModel,
+    RewardTable,
+    contrast,
+    similarities,
+)
 
 FRAMES, MOTION, AUDIO, LEXEMES, BLOCKS = 4, 5, 3, 7, 40
 
@@ -468,3 +476,24 @@ def test_rows_that_are_no_rivals_leave_every_gradient_a_number() -> None:
     model.losses(batch)["contrast"].backward()
     assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
     assert float(model.log_temperature.grad.abs()) > 0  # type: ignore[union-attr]
+
+
+def test_centred_rewards_are_told_from_chance_and_order_lexemes_alike() -> None:
+    audio, times = drawn(12, FRAMES, AUDIO, seed=3), drawn(12, seed=4)
+    table = RewardTable(model(window=3, longest=4), audio, times, drawn(LEXEMES, FRAMES, MOTION, seed=5))
+    parts = [torch.arange(0, 7), torch.arange(7, 12)]
+    centred = Centred(table, parts, 400)
+    # What random lexemes earn is nothing, but for the draw.
+    generator = torch.Generator().manual_seed(99)
+    fresh = [centred.sequence(torch.randint(LEXEMES, (7,), generator=generator), parts[0]) for _ in range(400)]
+    assert torch.stack(fresh).mean(0).abs().max() < 0.15 < torch.stack(fresh).std(0).max()
+    lexemes = torch.tensor([1, 0, 2, 2, 1, 0, 1])
+    difference = table.sequence(lexemes, parts[0]) - centred.sequence(lexemes, parts[0])
+    torch.testing.assert_close(difference, centred.baseline[parts[0]])
+    torch.testing.assert_close(centred.sequence_every(lexemes, parts[0]).argsort(1),
+                               table.sequence_every(lexemes, parts[0]).argsort(1))
+    torch.testing.assert_close(centred.sequence_every(lexemes, parts[0]).gather(1, lexemes[:, None])[:, 0],
+                               centred.sequence(lexemes, parts[0]))
+    blocks, valid = torch.tensor([[7, 8, 9]]), torch.ones(1, 3)
+    torch.testing.assert_close(centred.every(torch.tensor([[0, 1]]), blocks, valid)[:, 2],
+                               centred.rewards(torch.tensor([[0, 1, 2]]), blocks, valid))
