@@ -79,7 +79,7 @@ from lexicon.inventory import nearest_silent
 
 VERSION = 1
 """Raised when the same settings would no longer give the same figures."""
-PRESET = ("cql.width=64", "cql.layers=4", "cql.heads=4", "schedules.cql.steps=400",
+PRESET = ("cql.width=64", "cql.layers=4", "cql.heads=4", "schedules.cql.steps=300",
           "schedules.cql.batch=32")
 """What all rows share, on top of the bundle's settings."""
 SEEDS = 3
@@ -111,13 +111,13 @@ ROWS: dict[str, Row] = {
     "distance": Row("rewarded by nearness to the recorded motion, brought to the scale of the other reward",
                     ("episodes.reward=distance",)),
     "dqn": Row("no conservative term; acts in the recorded speech and learns from what it remembers",
-               ("cql.conservative=0",), "online"),
+               ("cql.conservative=0", "cql.warm_up=0"), "online"),
     "actor-critic": Row("begins as `supervised`, then policy gradients on what it has just done; a tenth of the rate, "
                         "since it shall not forget what it began as", ("schedules.cql.rate=0.0001",), "actor-critic"),
     "cql": Row("ours"),
     "literal": Row("ours on what people did and nothing else, the paper's own data set",
                    ("episodes.truth=1", "episodes.sampled=0", "episodes.statistical=0", "episodes.perturbed=0",
-                    "episodes.baseline=0")),
+                    "episodes.baseline=0", "cql.warm_up=0")),
     **{f"alpha={alpha}": Row(f"ours with alpha {alpha}", (f"cql.conservative={alpha}",))
        for alpha in ("0.05", "0.1", "0.5", "1", "4", "10")},
 }
@@ -273,7 +273,8 @@ class Learner:
 
 def latest(policy: QNetwork | ActorCritic, corpus: Corpus, seen: dict[str, Tensor]) -> Tensor:
     """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `interpreters.simulator.Choose`)."""
-    heard = q_batch(corpus, seen)
+    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
+    heard = q_batch(corpus, seen, config.lookahead)
     return policy.values(heard["previous"], heard["audio"], heard["speaker"], heard["silent"])[:, -1]
 
 
@@ -307,7 +308,7 @@ def offline(bench: Bench, config: Config, network: QNetwork, seed: int) -> Learn
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
     model, (episodes, _) = ConservativeQ(network), rewarded(bench, config)
     return Learner(model, lambda rng: q_batch(bench.corpus, episodes.windows(
-        rng, config.schedules.cql.batch, config.cql.decisions)), model.before_step)
+        rng, config.schedules.cql.batch, config.cql.decisions), config.cql.lookahead), model.before_step)
 
 
 def online(bench: Bench, config: Config, network: QNetwork, seed: int) -> Learner:
@@ -324,7 +325,8 @@ def online(bench: Bench, config: Config, network: QNetwork, seed: int) -> Learne
                 memory.add(collect(simulator, epsilon_greedy(network, bench.corpus, epsilon_at(step, steps), rng), rng,
                                    count, decisions))
 
-    return Learner(model, lambda rng: q_batch(bench.corpus, memory.windows(rng, count)), before_step)
+    return Learner(model, lambda rng: q_batch(bench.corpus, memory.windows(rng, count), config.cql.lookahead),
+                   before_step)
 
 
 def actor_critic(bench: Bench, config: Config, network: QNetwork, seed: int) -> Learner:
@@ -338,7 +340,7 @@ def actor_critic(bench: Bench, config: Config, network: QNetwork, seed: int) -> 
 
     def make_batch(rng: np.random.Generator) -> fitting.Batch:
         return q_batch(bench.corpus, collect(simulator, drawn(model, bench.corpus, rng), rng,
-                                             config.schedules.cql.batch, config.cql.decisions))
+                                             config.schedules.cql.batch, config.cql.decisions), config.cql.lookahead)
 
     return Learner(model, make_batch, model.before_step)
 

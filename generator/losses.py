@@ -36,9 +36,10 @@ def lexeme(generated: Tensor, lexemes: Tensor, encoder: Encoder) -> Tensor:
 def style_divergence(codes: Tensor, eps: float = 1e-6) -> Tensor:
     """L_z = KL(N(mu_z, sigma_z^2) || N(0, 1)) of the batch's style codes [B, 32], mean over dimensions (RG Eq. 14).
 
-    Moment matching: mu and sigma are those of the mini-batch. Zero for exact N(0, 1) moments, finite for a batch of 1.
+    Moment matching: mu and sigma are those of the mini-batch. Zero for exact N(0, 1) moments, finite for a batch of 1,
+    zero where there are no codes, or codes of width 0.
     """
-    if len(codes) == 0:
+    if codes.numel() == 0:
         return codes.new_zeros(())
     mean = codes.mean(0)
     variance = codes.var(0, unbiased=False) + eps

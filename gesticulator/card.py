@@ -24,7 +24,8 @@ def model_card(bundle: Bundle) -> str:
                         for name, value in own.items())
     return f"""# Model card
 
-Preset `{c.name}`. Speech in, upper-body gesture of a 16-joint character out, after *Rhythmic Gesticulator* (2022).
+Preset `{c.name}`. Speech in, upper-body gesture of a 16-joint character out, after *Rhythmic Gesticulator* (2022)
+and *RACER* (2023).
 
 ## Trained on
 {p["store"]}: {hours["train"]} h of speech and motion for training, {hours["val"]} h for validation and

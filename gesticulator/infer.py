@@ -171,7 +171,7 @@ def perform(job: Job, system: Gesticulator, arguments: argparse.Namespace, contr
     spent = time.perf_counter() - begin
     written = [str(write(target, made)) for target in job.targets]
     return (f"{job.source.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
-            f"{len(set(made.lexemes.tolist()))} of {system.bundle.config.lexicon.size} lexemes, "
+            f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.lexicon.vectors)} lexemes, "
             f"real-time factor {spent / speech.duration:.3f} -> {', '.join(written)}"
             + "".join(f"\n  {note}" for note in made.notes))
 

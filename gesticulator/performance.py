@@ -38,6 +38,8 @@ class Performance:
     codes: NDArray[np.float32] | None = None
     gate: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
+    score_is: str = "log-probability"
+    """What the scores are: natural logarithms of probabilities, or expected returns (of a Q-network)."""
 
     def __post_init__(self) -> None:
         n = len(self.blocks)
@@ -59,14 +61,16 @@ class Performance:
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture, ready for JSON.
 
-        {"blocks": [{"start", "end", "flag", "silent", "played", "lexemes": [{"id", "score"}, ... best first]}]}:
-        seconds; `flag` is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last
+        {"score": what a score is,
+         "blocks": [{"start", "end", "flag", "silent", "played", "lexemes": [{"id", "score"}, ... best first]}]};
+        seconds;
+        `flag` is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last
         one ended; `played` is the lexeme that was taken, and `gate`, where the gate was asked, how likely it thought a
         gesture.
         """
         edges = self.blocks.edges.tolist()
         gates = np.full(len(self.blocks), np.nan) if self.gate is None else self.gate
-        return {"blocks": [
+        return {"score": self.score_is, "blocks": [
             {
                 "start": start,
                 "end": end,

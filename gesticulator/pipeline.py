@@ -138,7 +138,8 @@ class Gesticulator:
         made = roll.run(heard, asked, on_block)
         motion = self.to_motion(made.motion, heard, who, FPS if fps is None else fps)
         return Performance(motion=motion, speech=speech, blocks=heard.blocks, lexemes=made.lexemes, best=made.best,
-                           scores=made.scores, codes=made.codes, gate=made.gate, notes=(note,) if note else ())
+                           scores=made.scores, codes=made.codes, gate=made.gate, notes=(note,) if note else (),
+                           score_is="expected return" if isinstance(system, QNetwork) else "log-probability")
 
     def _check(self, activity: float, controls: Controls | None) -> None:
         if not 0 <= activity <= 1:

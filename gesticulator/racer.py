@@ -81,9 +81,12 @@ def reward_table(model: RewardModel, tokens: Tokens, corpus: Corpus) -> RewardTa
     return RewardTable(model, audio, durations, decode=tokens.decode_tokens, size=len(tokens.vectors))
 
 
-def q_batch(corpus: Corpus, windows: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Windows of episodes with what a Q-network hears: audio [B, T + 1, 3K, d] and speaker one-hot [B, P]."""
-    return {**windows, "audio": corpus.high[windows["block"]].float(),
+def q_batch(corpus: Corpus, windows: dict[str, Tensor], lookahead: int = 1) -> dict[str, Tensor]:
+    """Windows of episodes with what a Q-network hears: audio [B, T + 1, 3K, d] and speaker one-hot [B, P].
+
+    Without look-ahead that is the window around the block before. Decisions begin with a recording's second block.
+    """
+    return {**windows, "audio": corpus.high[windows["block"] - (1 - lookahead)].float(),
             "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float()}
 
 
@@ -280,14 +283,15 @@ def train_q_network(run: Run, tokens: Tokens, labelled: Labelled, model: RewardM
                               configs.LITERAL, step_reward(run, tokens, model),
                               silent=SilentLexemes(labelled.silent, labelled.nearest),
                               vectors=tokens.vectors.numpy()).episodes)
-        checks = [q_batch(corpus, held.windows(fitting.generator_for(3, i), 64, decisions)) for i in range(4)]
+        ahead = config.cql.lookahead
+        checks = [q_batch(corpus, held.windows(fitting.generator_for(3, i), 64, decisions), ahead) for i in range(4)]
 
         @torch.no_grad()
         def validate() -> dict[str, float]:
             return q_figures(learner, [{key: value.to(run.device) for key, value in b.items()} for b in checks])
 
         return run.fit("cql", learner, lambda rng: q_batch(corpus, episodes.windows(
-            rng, config.schedules.cql.batch, decisions)), learner.losses, folder, validate, learner.before_step)
+            rng, config.schedules.cql.batch, decisions), ahead), learner.losses, folder, validate, learner.before_step)
 
     figures = run.stage("cql", learner, train)
     return learner.online, figures

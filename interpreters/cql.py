@@ -39,12 +39,18 @@ class QConfig:
     """Width that each row of audio is brought to before that FC; 0 for none."""
     audio_blocks: int = 3
     """Blocks of audio that a decision hears: 3, the one before and the one after too (RG Eq. 17), or 1 (the paper)."""
+    lookahead: int = 1
+    """1: the three blocks of a decision are the one before, its own and the one after; 0: the two before and its own,
+    so that a stream need not wait for the next beat."""
     use_speaker: bool = True
     """Hear the one-hot of the speaker with every block."""
     conservative: float = 0.1
     """alpha of RACER Eq. 11. A large one makes the data's lexemes look ever better, and the target with them."""
     temporal: float = 1.0
     """Weight of the temporal difference. 0 leaves a cross-entropy: the paper's "Supervised Learning"."""
+    warm_up: float = 0.0
+    """Share of the run that is supervised learning alone (the conservative term): a short run then need not learn what
+    people do by way of values. 0 is the paper's."""
     gamma: float = 0.99
     """What a reward one block later is worth now."""
     copy_every: int = 500
@@ -62,12 +68,14 @@ class QState:
     """The pairs that the next decision will see, and the speaker. Never changed in place.
 
     tokens: [1, 2, n, C] audio and action tokens of the last n <= T decisions, without positions. past: keys and values
-    of these tokens, layer by layer; None once the window slides, or when nothing is cached.
+    of these tokens, layer by layer; None once the window slides, or when nothing is cached. before: [3K, d] what was
+    heard around the block before, which is what a decision without look-ahead hears; None at first.
     """
 
     speaker: Tensor
     tokens: Tensor
     past: tuple[KeyValue, ...] | None
+    before: Tensor | None = None
 
 
 class QNetwork(nn.Module):
@@ -82,6 +90,8 @@ class QNetwork(nn.Module):
         super().__init__()
         if any(not 0 <= index < lexemes for index in silent):
             raise ValueError(f"silent lexemes {list(silent)} lie outside a lexicon of {lexemes}")
+        if config.lookahead not in (0, 1):
+            raise ValueError(f"lookahead is {config.lookahead}: a decision hears the next block (1) or not (0)")
         self.config, self.frames, self.lexemes, self.speakers = config, frames, lexemes, speakers
         self.cached = True
         """Remember keys and values while the window fills (the same scores, sooner)."""
@@ -159,16 +169,19 @@ class QNetwork(nn.Module):
     def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
         """Q values [S] of this block's lexeme, and the state after it. The silent mask is the chooser's to apply."""
         device = self.positions.device
-        pair = self.tokens(torch.tensor([[previous_lexeme]], device=device), features.high[None, None].to(device),
+        heard = features.high
+        if not self.config.lookahead:
+            heard = torch.zeros_like(features.high) if state.before is None else state.before
+        pair = self.tokens(torch.tensor([[previous_lexeme]], device=device), heard[None, None].to(device),
                            state.speaker, torch.tensor([[features.silent]], device=device))
-        before, window = state.tokens.shape[2], self.config.decisions
+        filled, window = state.tokens.shape[2], self.config.decisions
         tokens = torch.cat([state.tokens, pair], dim=2)[:, :, -window:]
-        resumes = state.past is not None and before < window
-        new, first = (pair, before) if resumes else (tokens, 0)
+        resumes = state.past is not None and filled < window
+        new, first = (pair, filled) if resumes else (tokens, 0)
         out, present = self.through(self.placed(new, first), self.layers, state.past if resumes else None)
         keep = self.cached and tokens.shape[2] < window
         scores = self.head(out[0, 1, -1]).double().cpu().numpy()
-        return scores, QState(state.speaker, tokens, present if keep else None)
+        return scores, QState(state.speaker, tokens, present if keep else None, features.high)
 
 
 def cross_entropy(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
@@ -285,11 +298,11 @@ class ConservativeQ(nn.Module):
 
         batch: previous, action, reward, terminal, valid, silent, cloned [B, T + 1], audio [B, T + 1, 3K, d], speaker
         one-hot [B, P]. The last decision is there to bootstrap from only: a window that was cut from a longer take is
-        no end of it.
+        no end of it. Before `warm_up` of the run (progress, 0 to 1) there is the conservative term alone.
         """
         now = {key: batch[key][:, :-1] for key in DECISIONS}
         values = self.online.values(now["previous"], now["audio"], batch["speaker"], now["silent"])
-        learns = bool(self.config.temporal)
+        learns = bool(self.config.temporal) and progress >= self.config.warm_up
         conservative, difference = conservative_q_loss(
             values, self.next_values(batch) if learns else torch.zeros_like(now["reward"]),
             now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),

@@ -123,6 +123,21 @@ def test_a_stream_equals_the_sliding_window_far_past_its_length(cached: bool) ->
         np.testing.assert_allclose(streamed[last], alone.detach().numpy(), atol=1e-5)
 
 
+def test_without_look_ahead_a_decision_hears_the_window_of_the_block_before() -> None:
+    net = network(lookahead=0)
+    previous, audio, speaker, silent = heard(6)
+    state, told = net.start(int(speaker[0].argmax()), int(previous[0, 0])), []
+    for i in range(6):
+        block = BlockFeatures(audio[0, i], audio[0, i], bool(silent[0, i]))
+        scores, state = net.step(state, block, int(previous[0, i]))
+        told.append(scores)
+    shifted = torch.cat([torch.zeros_like(audio[:, :1]), audio[:, :-1]], dim=1)
+    wanted = net.values(previous, shifted, speaker, silent)[0].detach().double().numpy()
+    np.testing.assert_allclose(np.stack(told), wanted, atol=1e-4)
+    with pytest.raises(ValueError, match="lookahead"):
+        network(lookahead=2)
+
+
 def test_what_left_the_window_is_forgotten() -> None:
     net = network()
     previous, audio, speaker, silent = heard(WINDOW + 1)
@@ -318,6 +333,14 @@ def test_what_does_not_count_does_not_count() -> None:
     assert float(difference) == pytest.approx((2.0 + 1.125) / 2), "learning values from every behaviour"
     conservative, difference = by_hand(known=torch.tensor([[0.0, 1.0]]))
     assert float(difference) == pytest.approx(1.125)
+
+
+def test_a_warm_up_is_supervised_learning_alone() -> None:
+    learner = ConservativeQ(network(warm_up=0.5))
+    given = windows()
+    early, late = learner.losses(given, 0.49), learner.losses(given, 0.5)
+    assert set(early) == {"conservative"} and set(late) == {"conservative", "temporal_difference"}
+    torch.testing.assert_close(early["conservative"], late["conservative"])
 
 
 def test_the_end_of_a_take_is_not_bootstrapped_and_a_cut_is() -> None:

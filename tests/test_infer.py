@@ -362,3 +362,18 @@ def test_the_same_seed_gives_the_same_bytes_with_everything_asked(recording: Pat
                    tiny_bundle) == 0
         made.append([file.read_bytes() for file in files])
     assert made[0] == made[1] and made[0][0] != made[2][0]
+
+
+@pytest.mark.parametrize(("name", "score"), [("lstm", "log-probability"), ("statistical", "log-probability"),
+                                             ("cql", "expected return")])
+def test_every_interpreter_is_explained(name: str, score: str, recording: Path, tiny_bundle: Path, tmp_path: Path
+                                        ) -> None:
+    assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--explain", str(tmp_path / "o.json"), "--quiet",
+                "--interpreter", name, "--temperature", "0"], tiny_bundle) == 0
+    plan = json.loads((tmp_path / "o.json").read_text())
+    silent = set(bundles.load(tiny_bundle).silent.tolist())
+    assert plan["score"] == score and plan["blocks"]
+    for block in plan["blocks"]:
+        told = [entry["id"] for entry in block["lexemes"]]
+        # Taken is the best, or in silence the best of the silent ones.
+        assert block["played"] in silent if block["silent"] else block["played"] == told[0]

@@ -1,0 +1,225 @@
+"""The rows of the papers' ablations: each a question, and the settings that put it (RG Tables 1 to 7, Fig. 18).
+
+A row is what it changes on top of a preset, as one would type it after `--set`, or how the same weights are played.
+`TABLES` puts rows in the papers' order with the papers' figures; one row may stand in several tables. What other
+commands measure is listed in `ELSEWHERE`, and what cannot be asked yet is a row with a reason instead of settings.
+
+How a part is left out by settings alone:
+- beats (w/o BC): `rhythm.beats.rule=even` cuts every D_M seconds, whatever is heard; such blocks all have the length
+  that normalisation would give them, so nothing is stretched either.
+- lexemes (w/o SC): a lexicon of one lexeme tells the generator nothing. Its encoder stays a plain autoencoder
+  (`lexicon.warm_up=1`), so that the perceptual loss is what it was; the lexeme loss, which has nothing to ask, is off.
+- style codes (w/o ZC), low-level audio, position: an input of width 0. The interpreter of codes has nothing to learn.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from gesticulator import config as configs
+from gesticulator.config import Config
+from gesticulator.fit import FitSettings
+
+OURS = "ours"
+PERFORMER, REAL_TAKE = "performer", "real-take"
+REFERENCES = {PERFORMER: "the motion that the store was made with", REAL_TAKE: "a person speaking (BEAT), one take"}
+"""What every table shows beside the rows; nothing is trained for them."""
+
+Paper = Mapping[str, tuple[float | None, float | None]]
+"""Figures of the paper by column: on Trinity and on TED."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A variant: what it asks and what it changes."""
+
+    question: str
+    settings: tuple[str, ...] = ()
+    interpreter: str = "lstm"
+    """Who chooses the lexemes, as after `--interpreter`."""
+    style: str = "interpreted"
+    """Whose style codes are played: "interpreted", or "random" for z drawn from N(0, I) on each block."""
+    split: str = "test"
+    """"val" for what is there to choose a setting by."""
+    unavailable: str = ""
+    """Why it cannot be run."""
+
+
+_NO_STYLE = ("generator.style_width=0", "schedules.style.steps=0")
+_ONE_LEXEME = ("lexicon.size=1", "lexicon.warm_up=1", "generator.lexeme=0", "schedules.interpreter.steps=0",
+               "schedules.interpreter_text.steps=0")
+SIZES = (10, 25, 50, 100, 200, 400)
+"""Lexicon sizes of Fig. 18; the paper shows its own only in the plot."""
+
+ROWS: dict[str, Row] = {
+    OURS: Row("the system as the preset has it"),
+    "no-segmentation": Row("does it matter that blocks end on beats? (w/o BC)", ("rhythm.beats.rule=even",)),
+    "no-lexemes": Row("does the generator need lexemes? (w/o SC)", _ONE_LEXEME),
+    "no-style": Row("does it need style codes? (w/o ZC)", _NO_STYLE),
+    "audio-only": Row("what is lost without words and speaker?",
+                      ("interpreter.text_features=0", "interpreter.text_reading=0", "interpreter.use_speaker=false",
+                       "style.text_features=0")),
+    "no-audio-no-style": Row("can lexemes alone carry the motion?", ("generator.audio_features=0", *_NO_STYLE)),
+    "random-style": Row("would any style code do?", style="random"),
+    "style-reads": Row("does the style interpreter gain from words?",
+                       ("style.text_features=32", "style.text_bottleneck=32")),
+    "range-0.2-1.0": Row("may intervals between beats vary more?", ("rhythm.beats.d_max=1.0",)),
+    "range-0.5-1.0": Row("may they be long?", ("rhythm.beats.d_max=1.0", "rhythm.beats.d_min=0.5")),
+    "statistical": Row("must the lexemes fit the speech? Drawn from Eq. 24, at temperature 1",
+                       interpreter="statistical"),
+    "q-network": Row("may reinforcement learning choose them?",
+                     ("schedules.reward.steps=300", "schedules.cql.steps=300"), interpreter="cql"),
+    "no-position": Row("must the generator be told how far a block is done?", ("generator.position_width=0",)),
+    "no-hint": Row("must the interpreter be taught silence?", ("silence.hint=false",)),
+    "no-augmentation": Row("must the generator be shown more silence?", ("silence.augmentation=0",)),
+    **{f"size-{size}": Row(f"how many lexemes? {size}, on the validation split", (f"lexicon.size={size}",), split="val")
+       for size in SIZES},
+    "no-normalisation": Row("must blocks be brought to one length?", unavailable=(
+        "no setting says how many frames a block of its own length has; every stage counts on K of them")),
+    "baselines": Row("are other systems worse? (SG, Ges, GTC, S2AG, Bailando)", unavailable=(
+        "their motion for the test speech is not here")),
+}
+
+ELSEWHERE: dict[str, str] = {
+    "RG Fig. 6, 8b (t-SNE of the lexicon)": "eval.lexicon_map", "RG Fig. 9 (strips)": "eval.strips",
+    "RG Fig. 5, 8a (onset intervals: their mean, no histogram)": "benchmarks.onsets",
+    "RG Fig. 10 (style editing)": "eval.style_editing",
+    "RG Fig. 13 (other languages)": "eval.languages", "RG Fig. 14 (audio clusters)": "eval.speech_levels",
+    "RG Table 6, as policies": "eval.policies", "RACER Table 2": "eval.racer_ablation",
+    "RACER 4.2 (the reward)": "eval.rewards"}
+"""What other commands measure."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a table: the paper's name for it, our row, the paper's figures."""
+
+    label: str
+    row: str
+    paper: Paper = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table or figure of the paper. columns: of `eval.ablate.COLUMNS`, in order."""
+
+    columns: tuple[str, ...]
+    lines: tuple[Line, ...]
+    split: str = "test"
+
+
+def _line(label: str, row: str, keys: str = "", trinity: tuple[float | None, ...] = (),
+          ted: tuple[float | None, ...] = ()) -> Line:
+    return Line(label, row, {key: (a, b) for key, a, b in zip(keys.split(), trinity, ted, strict=True)})
+
+
+_T1 = "maje mad fgd pmb"
+_T2 = "variance fgd pmb"
+_PMB = ("pmb", "pmb_above_chance")
+TABLES: dict[str, Table] = {
+    "RG Table 1": Table(("maje", "mad", "fgd", *_PMB), (
+        _line("Real", PERFORMER, "pmb", (95.74,), (93.10,)),
+        _line("Ours (w/o BC)", "no-segmentation", _T1, (59.11, 1.89, 16.13, 78.18), (27.10, 3.11, 3.88, 67.88)),
+        _line("Ours (w/o SC)", "no-lexemes", _T1, (70.10, 2.51, 29.75, 85.74), (30.07, 3.53, 5.22, 83.10)),
+        _line("Ours (w/o ZC)", "no-style", _T1, (52.85, 1.35, 12.53, 91.36), (21.33, 2.61, 2.47, 88.67)),
+        _line("Ours (audio only)", "audio-only", _T1, (57.99, 1.83, 15.79, 87.35), (27.28, 3.17, 3.96, 81.33)),
+        _line("Ours", OURS, _T1, (49.53, 0.97, 10.78, 91.36), (18.13, 2.29, 2.04, 89.52)))),
+    "RG Table 2": Table(("variance", "fgd", *_PMB), (
+        _line("Real", PERFORMER, "variance pmb", (0.41, 95.74), (2.72, 93.10)),
+        _line("w/o a_low, z", "no-audio-no-style", _T2, (0.09, 17.99, 89.35), (0.89, 3.71, 84.57)),
+        _line("w/ a_low, w/o z", "no-style", _T2, (0.21, 12.53, 91.36), (1.87, 2.47, 88.67)),
+        _line("w/ a_low, random z", "random-style", _T2, (0.30, 11.96, 91.28), (2.49, 2.13, 88.89)),
+        _line("w/ a_low, z", OURS, _T2, (0.37, 10.78, 91.36), (2.45, 2.04, 89.52)))),
+    "RG Table 3": Table(("fgd", *_PMB), (
+        _line("w/o text feature", OURS, "fgd pmb", (10.91, 91.36), (2.09, 89.22)),
+        _line("w/ text feature", "style-reads", "fgd pmb", (10.78, 91.36), (2.04, 89.52)))),
+    "RG Table 4": Table(("fgd", *_PMB), (
+        _line("0.5 to 1.0 s", "range-0.5-1.0", "fgd pmb", (25.45, 73.87), (3.61, 65.34)),
+        _line("0.2 to 1.0 s", "range-0.2-1.0", "fgd pmb", (19.16, 90.75), (2.55, 89.10)),
+        _line("0.2 to 0.5 s", OURS, "fgd pmb", (10.78, 91.36), (2.04, 89.52)))),
+    "RG Table 5": Table(("diversity",), (
+        _line("Real", PERFORMER, "diversity", (3.79,), (4.32,)),
+        _line("w/o gesture lexeme", "no-lexemes", "diversity", (1.91,), (2.99,)),
+        _line("w/ gesture lexeme", OURS, "diversity", (3.40,), (4.09,)))),
+    "RG Table 6": Table(("accuracy", "teacher_forced", "fgd", *_PMB), (
+        _line("Statistical", "statistical", "accuracy fgd pmb", (28.01, 21.53, 90.75), (32.11, 3.57, 87.99)),
+        _line("Learning-based", OURS, "accuracy fgd pmb", (59.15, 10.78, 91.36), (62.53, 2.04, 89.52)),
+        _line("Q-network", "q-network"))),
+    "RG Table 7": Table(("fgd", *_PMB), (
+        _line("w/o positional encoding", "no-position", "fgd pmb", (11.15, 89.98), (2.19, 88.13)),
+        _line("w/ positional encoding", OURS, "fgd pmb", (10.78, 91.36), (2.04, 89.52)))),
+    "RG Fig. 18": Table(("fgd", *_PMB), tuple(_line(f"{size} lexemes", f"size-{size}") for size in SIZES), "val"),
+    "RG 6.4.1": Table(("silence_speed", "speech_speed", *_PMB), (
+        _line("w/o silent period hint", "no-hint"), _line("w/o silent augmentation", "no-augmentation"),
+        _line("both", OURS))),
+}
+
+
+def tables_of(row: str) -> list[str]:
+    """The tables that a row stands in."""
+    return [name for name, table in TABLES.items() if any(line.row == row for line in table.lines)]
+
+
+def configured(base: Config, row: str) -> Config:
+    """The settings of a row; InputError where a preset lacks one of them."""
+    return configs.with_settings(base, ROWS[row].settings)
+
+
+def ablation() -> Config:
+    """`default` made short, for a row and seed in about three minutes of one core.
+
+    What is heard and the lexicon are those of `default`, to the letter, so that a work folder that has them serves all
+    rows; their cost is paid once. Shorter and narrower: the generator (an LSTM of 1 x 128, 8 groups, 400 steps of 32
+    windows) and both interpreters (96 and 64 wide, 300, 500 and 300 steps of 32 windows). There is no gate and nothing
+    can be asked of the style: the paper's system has neither here.
+    """
+    base = configs.default()
+    s = base.schedules
+
+    def short(steps: int, of: FitSettings) -> FitSettings:
+        return dataclasses.replace(of, steps=steps, batch=32)
+
+    return dataclasses.replace(
+        base, name="ablation",
+        schedules=dataclasses.replace(
+            s, generator=short(400, s.generator), interpreter=short(300, s.interpreter),
+            interpreter_text=short(500, s.interpreter_text), style=short(300, s.style),
+            gate=short(0, s.gate), reward=dataclasses.replace(s.reward, steps=0), cql=short(0, s.cql)),
+        generator=dataclasses.replace(base.generator, motion_features=32, audio_features=24, audio_bottleneck=32,
+                                      hidden=128, groups=8, lstm_width=128, lstm_layers=1, use_control=False),
+        interpreter=dataclasses.replace(base.interpreter, audio_features=24, audio_bottleneck=32, width=96,
+                                        text_reading=128, use_control=False),
+        style=dataclasses.replace(base.style, audio_features=24, audio_bottleneck=32, width=64),
+        cql=dataclasses.replace(base.cql, width=64, heads=4, layers=4, copy_every=10))
+
+
+def tiny() -> Config:
+    """The `tiny` preset at half its steps, without what no row of the papers has: gate, style editing, Q-network."""
+    base = configs.tiny()
+    halved = {name: dataclasses.replace(own, steps=own.steps // 2)
+              for name in ("speech", "contrast", "lexicon", "generator", "interpreter", "style")
+              for own in [getattr(base.schedules, name)]}
+    return configs.with_settings(
+        dataclasses.replace(base, schedules=dataclasses.replace(base.schedules, **halved)),
+        ["schedules.gate.steps=0", "schedules.reward.steps=0", "schedules.cql.steps=0", "generator.use_control=false",
+         "interpreter.use_control=false", "style.text_features=0"])
+
+
+PRESETS = {"ablation": ablation, "tiny": tiny}
+
+
+def listing() -> str:
+    """What there is to run, and where the rest is."""
+    lines = []
+    for name, row in ROWS.items():
+        told = [*row.settings, *([f"--interpreter {row.interpreter}"] if row.interpreter != "lstm" else []),
+                *([f"{row.style} style codes"] if row.style != "interpreted" else []),
+                *([f"on {row.split}"] if row.split != "test" else [])]
+        what = f"unavailable: {row.unavailable}" if row.unavailable else " ".join(told) or "(the preset as it is)"
+        lines.append(f"{name:18} {row.question}\n{'':18} {what}\n{'':18} "
+                     f"{', '.join(tables_of(name)) or 'in no table'}")
+    lines += [f"{name:18} {about} (stands in every table)" for name, about in REFERENCES.items()]
+    lines += [f"elsewhere: {what}: python -m {command}" for what, command in ELSEWHERE.items()]
+    return "\n".join(lines)

@@ -1,0 +1,322 @@
+"""A user study: the page that raters see, and what their answers say (RG 7.3.3, Figure 12; RACER 5.4, Figure 4).
+
+    python -m eval.study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
+    python -m eval.study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
+
+`make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
+that works from a disk without a server or a network (FOLDER/page/index.html), and FOLDER/key.json, which raters must
+not get. No video encoder is needed: the page draws the figure itself, the same body in the same place for every system,
+at one frame rate, so that neither the skeleton nor the file tells whose motion it is. Its ids are opaque.
+
+Theory: each rater sees every clip by every system, one clip's versions in a row. The order is a Williams design
+(Williams 1949): over its rows each system comes in each place equally often, and after each other equally often, so
+that neither fatigue nor what was seen just before favours any. What fools a study: the true recording among the systems
+is the ceiling, and one with the motion of other speech the floor: without both, "3.8" says nothing. Who rates a figure
+without face and fingers rates only what it shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import hashlib
+import json
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.audio import load_speech
+from data_module.bvh import read_bvh
+from data_module.errors import InputError, one_line_errors
+from data_module.files import write_text
+from data_module.silence import FRAME, pauses, silent_frames
+from data_module.types import Motion, Speech
+from eval import anova
+from eval.results import keep
+from eval.strips import figure_points
+from gesticulator.export import sound
+from gesticulator.sounds import SUFFIXES
+
+ASPECTS = {
+    "human_likeness": "How human-like does the figure move? Please leave the speech aside for this question.",
+    "content_match": "How well do the gestures match what is said?",
+    "beat_match": "How well do the gestures match the rhythm of the speech?",
+    "appropriateness": "How appropriate are the gestures for this speech, all in all?",
+    "style": "How well do the gestures match the way the speaker speaks (calm, lively, ...)?",
+}
+"""What can be asked. The first three are those of RG 7.3.3; RACER 5.4 calls the first one realism."""
+DEFAULT_ASPECTS = ("human_likeness", "content_match", "beat_match")
+SCALE = (1, 5)
+"""1 is worst, 3 average, 5 best (RG 7.3.3)."""
+FPS = 30
+ENOUGH_SPEECH = 0.6
+"""Share of a clip that must lie outside pauses."""
+STEPS_PER_METRE = 8192
+"""Places travel as int16: an eighth of a millimetre, up to 4 m away."""
+_FADE = 0.03
+_ALIKE = 0.9
+_SLOT = re.compile(r"\{\{([a-z_]+)\}\}")
+
+
+@dataclass(frozen=True)
+class Take:
+    """One recording by every system: the speech and one motion per system, `seconds` of which all of them cover."""
+
+    name: str
+    speech: Speech
+    motions: tuple[Motion, ...]
+
+    @property
+    def seconds(self) -> float:
+        """How much of it every system moves to; half a frame at the end is forgiven."""
+        return min([self.speech.duration, *(motion.duration + 0.5 / motion.fps for motion in self.motions)])
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A stretch of a take: its start in seconds, and the share of it that is speech."""
+
+    take: int
+    start: float
+    speech: float
+
+
+# ---------------------------------------------------------------- the material
+
+def parse_systems(told: Sequence[str]) -> dict[str, Path]:
+    """NAME=DIR as a mapping, in the given order; InputError for what is not two or more different names."""
+    systems: dict[str, Path] = {}
+    for word in told:
+        name, equals, folder = word.partition("=")
+        if not (equals and name.strip() and folder):
+            raise InputError(word, "is not NAME=DIR", "write --systems ours=folder truth=folder")
+        if name in systems:
+            raise InputError(name, "is named twice", "give each system a name of its own")
+        if not Path(folder).is_dir():
+            raise InputError(folder, "is not a folder", f"name the folder of {name}'s motion and sound")
+        systems[name] = Path(folder)
+    if len(systems) < 2:
+        raise InputError("--systems", "needs two systems or more to compare", "write NAME=DIR for each")
+    return systems
+
+
+def _pairs(folder: Path) -> dict[str, tuple[Path, Path]]:
+    """stem -> (motion, sound) of a folder."""
+    motions = {file.stem: file for file in sorted(folder.iterdir()) if file.suffix.lower() == ".bvh"}
+    sounds = {file.stem: file for file in sorted(folder.iterdir()) if file.suffix.lower() in SUFFIXES}
+    both = {stem: (motions[stem], sounds[stem]) for stem in sorted(motions.keys() & sounds.keys())}
+    if not both:
+        raise InputError(folder, "has no BVH file with a sound file of the same name", "put both there")
+    return both
+
+
+def read_takes(systems: dict[str, Path]) -> list[Take]:
+    """The recordings that every system has; InputError when there is none, or when the sound of one differs."""
+    found = {name: _pairs(folder) for name, folder in systems.items()}
+    common = sorted(set.intersection(*(set(pairs) for pairs in found.values())))
+    if not common:
+        raise InputError("--systems", "have no recording in common", "use the same file names in each folder")
+    takes = []
+    for stem in common:
+        files = [pairs[stem] for pairs in found.values()]
+        first = load_speech(files[0][1])
+        for _, other in files[1:]:
+            if not _same_sound(first, load_speech(other)):
+                raise InputError(other, f"is not the sound of {files[0][1]}", "compare systems on the same speech")
+        takes.append(Take(stem, first, tuple(read_bvh(motion) for motion, _ in files)))
+    return takes
+
+
+def _same_sound(a: Speech, b: Speech) -> bool:
+    """Whether both are one recording, whatever the files' formats; an end cut by less than a frame of video counts."""
+    if abs(a.duration - b.duration) > 0.05:
+        return False
+    size = min(len(a.samples), len(b.samples))
+    x, y = a.samples[:size].astype(np.float64), b.samples[:size].astype(np.float64)
+    return float(x @ y) >= _ALIKE * float(np.sqrt((x @ x) * (y @ y)))
+
+
+def choose_clips(takes: Sequence[Take], count: int, seconds: float, seed: int) -> list[Clip]:
+    """`count` stretches that do not overlap, spread over the takes, each with enough speech; InputError for fewer."""
+    if count < 1 or not (np.isfinite(seconds) and seconds >= 1):
+        raise InputError("--clips, --seconds", f"cannot be {count} and {seconds:g}", "ask for one clip of 1 s at least")
+    rng = np.random.default_rng(seed)
+    offered: list[list[Clip]] = []
+    for number, take in enumerate(takes):
+        slots = int((take.seconds + 1e-6) // seconds)
+        shift = rng.uniform(0.0, max(take.seconds - slots * seconds, 0.0))
+        loud = ~pauses(silent_frames(take.speech.samples, take.speech.sample_rate))
+        starts = shift + seconds * np.arange(slots)
+        clips = [Clip(number, round(start, 3), round(_share(loud, start, seconds), 3)) for start in starts.tolist()]
+        clips = [clip for clip in clips if clip.speech >= ENOUGH_SPEECH]
+        offered.append([clips[k] for k in rng.permutation(len(clips))])
+    # One of each take before a second one of any.
+    turns = [offered[k][turn] for turn in range(max(map(len, offered))) for k in rng.permutation(len(takes))
+             if turn < len(offered[k])]
+    if len(turns) < count:
+        raise InputError("--clips", f"only {len(turns)} stretches of {seconds:g} s with enough speech, not {count}",
+                         "ask for fewer or shorter ones, or give more recordings")
+    return turns[:count]
+
+
+def _share(loud: NDArray[np.bool_], start: float, seconds: float) -> float:
+    return float(loud[round(start / FRAME):round((start + seconds) / FRAME)].mean())
+
+
+# ---------------------------------------------------------------- the order
+
+def williams(n: int) -> NDArray[np.int64]:
+    """[n or 2 n, n] orders of n things: each comes in each place, and right after each other one, equally often."""
+    first = np.array([k // 2 + 1 if k % 2 else -(k // 2) for k in range(n)]) % n
+    rows = (first + np.arange(n)[:, None]) % n
+    return rows if n % 2 == 0 else np.concatenate([rows, rows[:, ::-1]])
+
+
+def orders(systems: int, clips: int, raters: int, seed: int) -> list[list[tuple[int, int]]]:
+    """For each rater the (clip, system) pairs in the order to be shown, all of them once.
+
+    Clips go by a Williams design over raters; within a clip, systems by one over raters and clips, so that a single
+    rater's share is nearly balanced too. `seed` says which clip and which system is which number of the designs.
+    """
+    rng = np.random.default_rng(seed)
+    clip_of, system_of = rng.permutation(clips), rng.permutation(systems)
+    clip_rows, system_rows = williams(clips), williams(systems)
+    # A clip starts at a row of its own, so that a rater's clips differ; shuffled, lest its place in time say which.
+    turn = rng.permutation(clips)
+    return [[(int(clip_of[c]), int(system_of[s])) for c in clip_rows[rater % len(clip_rows)]
+             for s in system_rows[(rater + turn[c]) % len(system_rows)]] for rater in range(raters)]
+
+
+# ---------------------------------------------------------------- the page
+
+def make(systems: dict[str, Path], out: Path, *, clips: int = 10, seconds: float = 30.0, seed: int = 0,
+         raters: int = 30, aspects: Sequence[str] = DEFAULT_ASPECTS) -> Path:
+    """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same bytes.
+
+    raters: how many orders the page holds; rater raters + 1 gets that of rater 1.
+    """
+    if raters < 1:
+        raise InputError("--raters", f"must be 1 or more, not {raters}")
+    takes = read_takes(systems)
+    chosen = choose_clips(takes, clips, seconds, seed)
+    # Ids are hashes of the whole sources, which no rater has: knowing the seed and the names would not undo them.
+    source = _digest(takes, seed)
+    ids = {(c, k): _opaque(source, f"item {c} {k}") for c in range(clips) for k in range(len(systems))}
+    study = _opaque(source, f"study {clips} {seconds:g} {list(aspects)}")
+    key = {"study": study, "seed": seed, "seconds": float(seconds), "scale": SCALE, "aspects": list(aspects),
+           "systems": list(systems),
+           "clips": [{"recording": takes[own.take].name, "start": own.start, "speech": own.speech} for own in chosen],
+           "items": {name: {"clip": c, "system": list(systems)[k]} for (c, k), name in ids.items()}}
+    # Sorted by hash: neither items nor sounds lie in the page in the order of systems and clips.
+    items = sorted(ids, key=lambda pair: ids[pair])
+    sounds = sorted(range(clips), key=lambda c: _opaque(source, f"sound {c}"))
+    shown = {(c, k): _places(takes[chosen[c].take].motions[k], chosen[c].start, seconds) for c, k in items}
+    data = {
+        "study": study, "fps": FPS, "seconds": float(seconds), "scale": SCALE, "stepsPerMetre": STEPS_PER_METRE,
+        "questions": [[name, ASPECTS[name]] for name in aspects], "points": list(shown[items[0]]),
+        "soundType": sound.MEDIA_TYPE,
+        "sounds": [_base64(_sound(takes[chosen[c].take].speech, chosen[c].start, seconds)) for c in sounds],
+        "items": [{"id": ids[c, k], "sound": sounds.index(c), "motion": _encode(shown[c, k])} for c, k in items],
+        "orders": [[items.index(pair) for pair in row] for row in orders(len(systems), clips, raters, seed)],
+    }
+    (out / "page").mkdir(parents=True, exist_ok=True)
+    write_text(out / "key.json", json.dumps(key, indent=1) + "\n")
+    write_text(out / "page" / "index.html", _page(data))
+    return out / "page" / "index.html"
+
+
+def _opaque(source: str, what: str) -> str:
+    return hashlib.sha256(f"{source} {what}".encode()).hexdigest()[:10]
+
+
+def _digest(takes: Sequence[Take], seed: int) -> str:
+    digest = hashlib.sha256(str(seed).encode())
+    for take in takes:
+        digest.update(take.name.encode() + take.speech.samples.tobytes())
+        for motion in take.motions:
+            digest.update(motion.rotations.tobytes() + motion.root_positions.tobytes())
+    return digest.hexdigest()
+
+
+def _places(motion: Motion, start: float, seconds: float) -> dict[str, NDArray[np.float64]]:
+    """Where the figure's points are, [FPS * seconds + 1, 3] metres each: one body, standing, facing the viewer."""
+    return figure_points(motion, np.minimum(start + np.arange(round(FPS * seconds) + 1) / FPS,
+                                            (len(motion) - 1) / motion.fps))
+
+
+def _encode(points: dict[str, NDArray[np.float64]]) -> str:
+    steps = np.round(np.stack(list(points.values()), axis=1) * STEPS_PER_METRE)
+    return _base64(np.clip(steps, -32768, 32767).astype("<i2").tobytes())
+
+
+def _sound(speech: Speech, start: float, seconds: float) -> bytes:
+    """The stretch as Ogg Vorbis, its ends faded so that a cut word does not click."""
+    first = round(start * speech.sample_rate)
+    samples = speech.samples[first:first + round(seconds * speech.sample_rate)].copy()
+    ramp = np.linspace(0.0, 1.0, round(_FADE * speech.sample_rate), dtype=np.float32)
+    samples[:len(ramp)] *= ramp
+    samples[len(samples) - len(ramp):] *= ramp[::-1]
+    return sound.compress(Speech(samples, speech.sample_rate))
+
+
+def _page(data: dict[str, Any]) -> str:
+    told = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\u002f")
+    parts = {"data": told, "study": data["study"]}
+    text = (resources.files("eval") / "assets" / "study.html").read_text(encoding="utf-8")
+    return _SLOT.sub(lambda found: parts[found.group(1)], text)
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
+
+
+# ---------------------------------------------------------------- the command
+
+def _parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser("eval.study", description="A user study: its page, and what the answers say.")
+    commands = p.add_subparsers(dest="command", required=True)
+    m = commands.add_parser("make", help="the page that raters see, and the key that they must not")
+    m.add_argument("--systems", nargs="+", required=True, metavar="NAME=DIR", help="motion (BVH) and sound of each")
+    m.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="page/index.html and key.json go there")
+    m.add_argument("--clips", type=int, default=10, metavar="N", help="how many stretches (10)")
+    m.add_argument("--seconds", type=float, default=30.0, metavar="S", help="how long each is (30)")
+    m.add_argument("--seed", type=int, default=0, metavar="K", help="which stretches, and the order (0)")
+    m.add_argument("--raters", type=int, default=30, metavar="N", help="how many different orders (30)")
+    m.add_argument("--aspects", nargs="+", choices=ASPECTS, default=list(DEFAULT_ASPECTS), help="what is asked")
+    a = commands.add_parser("analyse", help="means, intervals, ANOVA and Tukey HSD, ranks")
+    a.add_argument("--key", type=Path, required=True, metavar="FILE.json")
+    a.add_argument("ratings", nargs="+", type=Path, metavar="RATINGS", help="what the raters saved, .json or .csv")
+    a.add_argument("--without", nargs="+", default=[], metavar="RATER", help="leave these raters out")
+    a.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
+    a.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
+    return p
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; bad input is one line and exit code 2."""
+    told = _parser().parse_args(argv)
+    with one_line_errors("eval.study"):
+        if told.command == "make":
+            page = make(parse_systems(told.systems), told.out, clips=told.clips, seconds=told.seconds, seed=told.seed,
+                        raters=told.raters, aspects=list(dict.fromkeys(told.aspects)))
+            print(f"{page} is for the raters (1 to {told.raters}: page?rater=7 fills in the number); "
+                  f"keep {told.out / 'key.json'} to yourself")
+            return 0
+        key = anova.read_key(told.key)
+        ratings = anova.gather(anova.read_answers(told.ratings, key), key, without=told.without)
+        result = anova.analyse(ratings, seed=told.seed)
+        if told.out:
+            keep(result, anova.markdown(result), told.out)
+        print(anova.markdown(result))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

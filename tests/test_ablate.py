@@ -1,0 +1,252 @@
+"""The ablation runner: what a row is, what rows share, and the whole command on networks of no size."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_module.errors import InputError
+from data_module.store import Store
+from eval import ablate, ablations, gesture_features
+from eval.ablate import COLUMNS, Bench
+from eval.ablations import ELSEWHERE, OURS, REFERENCES, ROWS, TABLES, configured
+from generator import losses
+from gesticulator import config as configs
+from gesticulator.config import Config
+from gesticulator.train import Run
+
+RUNNABLE = [name for name, row in ROWS.items() if not row.unavailable]
+SHORT = ("schedules.speech.steps=1", "schedules.contrast.steps=1", "schedules.lexicon.steps=20",
+         "schedules.generator.steps=6", "schedules.interpreter.steps=4", "schedules.style.steps=4")
+BY = [gesture_features.RawFeatures(34, count=1)]
+
+
+def base() -> Config:
+    """The tiny preset, shorter still."""
+    return configs.with_settings(ablations.tiny(), SHORT)
+
+
+# ------------------------------------------------------------------------------------------------------------- rows
+
+@pytest.mark.parametrize("preset", list(ablations.PRESETS))
+def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
+    own = ablations.PRESETS[preset]()
+    seen = {}
+    for name in RUNNABLE:
+        row = ROWS[name]
+        variant = json.dumps([configs.to_dict(configured(own, name)), row.interpreter, row.style, row.split])
+        assert variant not in seen, f"{name} is {seen.get(variant)} again"
+        seen[variant] = name
+        assert name == OURS or variant != json.dumps([configs.to_dict(own), "lstm", "interpreted", "test"])
+        assert all("=" in setting for setting in row.settings) and row.question
+
+
+def test_what_cannot_be_run_says_why() -> None:
+    for name in set(ROWS) - set(RUNNABLE):
+        assert not ROWS[name].settings and len(ROWS[name].unavailable) > 20
+
+
+def test_tables_hold_rows_and_columns_that_there_are() -> None:
+    for title, table in TABLES.items():
+        assert set(table.columns) <= set(COLUMNS)
+        papers = {COLUMNS[key].paper for key in table.columns}
+        for line in table.lines:
+            assert line.row in (*ROWS, *REFERENCES), title
+            assert set(line.paper) <= papers, f"a figure of the paper that {title} would not show"
+            assert line.row in REFERENCES or ROWS[line.row].split == table.split
+    assert {line.row for table in TABLES.values() for line in table.lines} >= set(RUNNABLE)
+    assert dict(zip(("maje", "mad", "fgd", "pmb"), ((70.10, 30.07), (2.51, 3.53), (29.75, 5.22), (85.74, 83.10)),
+                    strict=True)) == TABLES["RG Table 1"].lines[2].paper, "w/o SC"
+
+
+def test_the_preset_hears_and_names_as_the_default_does() -> None:
+    own, default = ablations.ablation(), configs.default()
+    ours, theirs = (Run(c, _Fingerprint(), Path()) for c in (own, default))  # type: ignore[arg-type]
+    for stage in ("speech", "contrast", "lexicon"):
+        assert ours.key(stage) == theirs.key(stage), "a finished stage of the default serves"
+    for stage in ("generator", "interpreter", "interpreter_text", "style"):
+        assert ours.key(stage) != theirs.key(stage)
+        assert ours.schedule(stage).steps < theirs.schedule(stage).steps
+    assert own.schedules.gate.steps == own.schedules.cql.steps == own.schedules.reward.steps == 0
+
+
+class _Fingerprint:
+    """All that `Run.key` asks of a store."""
+
+    fingerprint = "0" * 64
+
+
+@pytest.mark.parametrize(("row", "same", "other"), [
+    ("no-style", "interpreter lexicon", "generator style"),
+    ("no-position", "interpreter lexicon", "generator style"),
+    ("audio-only", "generator style lexicon", "interpreter interpreter_text"),
+    ("style-reads", "generator style interpreter interpreter_text lexicon", "style_text"),
+    ("statistical", "generator style interpreter lexicon", ""),
+    ("no-hint", "generator style lexicon", "interpreter"),
+    ("no-augmentation", "interpreter lexicon", "generator style"),
+    ("no-segmentation", "", "lexicon generator interpreter style"),
+    ("no-lexemes", "", "lexicon generator interpreter style")])
+def test_a_row_trains_what_its_settings_change_and_nothing_else(row: str, same: str, other: str) -> None:
+    own = ablations.ablation()
+    bench = Bench(Run(own, _Fingerprint(), Path()), None, [])  # type: ignore[arg-type]
+    (before, mine), (_, theirs) = bench.runs(row, 1), bench.runs(OURS, 1)
+    for stages, equal in ((same, True), (other, False)):
+        for stage in stages.split():
+            runs = (before, bench.first) if stage == "lexicon" else (mine, theirs)
+            assert (runs[0].key(stage) == runs[1].key(stage)) == equal, stage
+
+
+def test_a_seed_shares_ears_and_lexicon_and_nothing_that_another_command_would_take_for_its_own() -> None:
+    own = ablations.ablation()
+    bench = Bench(Run(own, _Fingerprint(), Path()), None, [])  # type: ignore[arg-type]
+    (first, one), (second, two) = bench.runs(OURS, 1), bench.runs(OURS, 2)
+    assert first.key("lexicon") == second.key("lexicon") == bench.first.key("lexicon")
+    assert one.key("generator") == bench.first.key("generator"), "as the training command would"
+    plain = Run(dataclasses.replace(own, seed=2), _Fingerprint(), Path())  # type: ignore[arg-type]
+    assert two.key("generator") not in (one.key("generator"), plain.key("generator"))
+    cut = bench.runs("no-segmentation", 1)[1]
+    plain = Run(configured(own, "no-segmentation"), _Fingerprint(), Path())  # type: ignore[arg-type]
+    assert cut.key("generator") != plain.key("generator"), "it hears through the ears of all rows"
+    assert one.seed("generator") != two.seed("generator")
+
+
+def test_no_style_code_costs_nothing() -> None:
+    assert float(losses.style_divergence(torch.zeros(7, 0))) == 0.0
+    assert float(losses.style_divergence(torch.zeros(0, 4))) == 0.0
+    codes = torch.randn(500, 4, generator=torch.Generator().manual_seed(0))
+    assert 0 <= float(losses.style_divergence(codes)) < 0.01
+
+
+# --------------------------------------------------------------------------------------------------------- measuring
+
+def test_the_jackknife_of_a_mean_is_the_values_and_of_a_variance_unbiased() -> None:
+    values = np.random.default_rng(0).normal(size=9)
+    assert ablate.pseudo_values(lambda k: float(values[k].mean()), 9) == pytest.approx(values)
+    assert ablate.pseudo_values(lambda k: float(values[k].var()), 9).mean() == pytest.approx(values.var(ddof=1))
+    assert ablate.pseudo_values(lambda k: float(len(k)), 1).tolist() == [1.0]
+
+
+def test_random_codes_are_normal_and_repeat() -> None:
+    def drawn(seed: int) -> np.ndarray:
+        style = ablate.RandomStyle(8, seed)
+        state, out = style.start(0), []
+        for _ in range(400):
+            code, state = style.step(state, None, 0)  # type: ignore[arg-type]
+            out.append(code.numpy()[0])
+        return np.array(out)
+
+    assert np.array_equal(drawn(1), drawn(1)) and not np.array_equal(drawn(1), drawn(2))
+    assert abs(drawn(1).mean()) < 0.05 and abs(drawn(1).std() - 1) < 0.05
+
+
+def cells_of(**values: list[list[float]]) -> ablate.Cells:
+    """Cells whose every column is values[row][seed][clip]."""
+    return {row.replace("_", "-"): {seed: {
+        "settings": [], "question": "?", "seconds": {"training": 3.0}, "sets": {"pmb_curve": {"percent": [1.0] * 10},
+                                                                                "fgd": []},
+        "clips": [dict.fromkeys(COLUMNS, own) for own in clips]} for seed, clips in enumerate(seeds, start=1)}
+        for row, seeds in values.items()}
+
+
+def test_tables_show_ours_beside_the_papers_and_mark_what_is_undecided() -> None:
+    rows = ablate.tabled(cells_of(ours=[[1.0, 3.0]] * 3, no_style=[[2.0, 2.0]]))
+    assert rows["ours"]["figures"]["maje"]["mean"] == 2.0 and rows["ours"]["decided"]
+    assert not rows["no-style"]["decided"]
+    lines = ablate.table_lines("RG Table 1", rows, {"no-lexemes": "400 s counted"})
+    assert all(line.count("|") == lines[0].count("|") for line in lines)
+    text = "\n".join(lines)
+    assert "| Ours (w/o ZC) (undecided: 1 of 3 seeds) |" in text and "| 52.85 / 21.33 |" in text
+    assert "| Ours (w/o SC) (400 s counted) | - | 70.1 / 30.07 |" in text and "(not run)" in text
+    assert "| Ours | 2.0 [1.0, 3.0] | 49.53 / 18.13 |" in text
+
+
+def test_a_folder_of_two_presets_is_refused(tmp_path: Path) -> None:
+    for seed, shared in ((1, "a"), (2, "b")):
+        (tmp_path / f"ours-{seed}.json").write_text(json.dumps({"row": "ours", "seed": seed, "shared": shared}))
+    (tmp_path / "ours-3.json").write_text('{"row": "ou')
+    with pytest.raises(InputError, match="different presets"):
+        ablate.read_cells(tmp_path)
+    assert set(ablate.read_cells(tmp_path, "b")["ours"]) == {2}
+
+
+# ------------------------------------------------------------------------------------------------------ the command
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("ablate")
+
+
+@pytest.fixture(scope="module")
+def bench(tiny_store: Path, work: Path) -> Bench:
+    return Bench.of(Store.open(tiny_store), base(), work, BY, limit=1, progress=False)
+
+
+def test_costs_are_counted_before_they_are_paid(bench: Bench, work: Path, tmp_path: Path) -> None:
+    before = sorted(work.rglob("*"))
+    long = dataclasses.replace(bench, first=dataclasses.replace(bench.first, config=configs.with_settings(
+        bench.first.config, ["schedules.generator.steps=1000000"])))
+    long.first.corpus = bench.first.corpus
+    result = ablate.ablate(long, tmp_path, only=["no-position"], seeds=1, budget=60.0)
+    why = result["refused"]["no-position"]
+    assert "s of training counted" in why and "60 s allowed" in why and "generator" in why
+    assert not (tmp_path / "no-position-1.json").exists()
+    assert not any("no-position" in str(file) or "generator-" in file.name
+                   for file in set(work.rglob("*")) - set(before)), "nothing was trained"
+
+
+def test_the_command_goes_on_where_it_was_stopped(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+                                                  ) -> None:
+    names = ["ours", "no-audio-no-style", "no-lexemes", "random-style"]
+    result = ablate.ablate(bench, tmp_path, only=names, seeds=1)
+    assert {f"{name}-1.json" for name in names} <= {file.name for file in tmp_path.iterdir()}
+    assert (tmp_path / "performer-0.json").exists() and set(names) <= set(result["rows"])
+    before = (tmp_path / "ours-1.json").read_bytes()
+    one, random = (json.loads((tmp_path / f"{name}-1.json").read_text()) for name in ("ours", "random-style"))
+    assert len(one["clips"]) == 1 and set(COLUMNS) <= set(one["clips"][0])
+    assert 0 <= one["clips"][0]["accuracy"] <= 100 and one["sets"]["fgd"][0]["distance"] > 0
+    assert one["stages"]["generator"] > 0 and set(random["stages"].values()) == {0.0}, "the same weights, played anew"
+    alone = json.loads((tmp_path / "no-lexemes-1.json").read_text())
+    assert math.isnan(alone["clips"][0]["accuracy"]), "it has no lexemes that could be right"
+    assert alone["clips"][0]["diversity"] > 0, "its motion is read by the lexicon of ours"
+    performer = json.loads((tmp_path / "performer-0.json").read_text())
+    assert performer["clips"][0]["maje"] == 0 and performer["clips"][0]["fgd"] == pytest.approx(0, abs=1e-9)
+
+    def nothing(*given: object) -> None:
+        raise AssertionError("finished rows are reused")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ablate, "fitted", nothing)
+        ablate.ablate(bench, tmp_path, only=["ours"], seeds=1, budget=0.001)
+    assert (tmp_path / "ours-1.json").read_bytes() == before
+    (tmp_path / "ours-1.json").write_text(before.decode()[:60])
+    ablate.ablate(bench, tmp_path, only=["ours"], seeds=1)
+    again = json.loads((tmp_path / "ours-1.json").read_text())
+    assert json.dumps(again["clips"]) == json.dumps(one["clips"]), "a file that was cut short is written again"
+    text = ablate.markdown(result)
+    assert "undecided: 1 of 3 seeds" in text and "(not run)" in text and "baselines" in text
+
+
+def test_what_cannot_be_asked(tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = ["--data", str(tiny_store), "--work", str(tmp_path)]
+    for wrong, word in ((["--only", "nothing"], "choose among"), (["--only", "baselines"], "unavailable"),
+                        (["--seeds", "0"], "--seeds 0"), (["--budget", "-1"], "--budget")):
+        with pytest.raises(SystemExit):
+            ablate.main([*told, *wrong])
+        assert word in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        ablate.main([])
+
+
+def test_the_list_shows_every_row(capsys: pytest.CaptureFixture[str]) -> None:
+    assert ablate.main(["--list"]) == 0
+    told = capsys.readouterr().out
+    assert all(re.search(rf"^{re.escape(name)} ", told, re.MULTILINE) for name in (*ROWS, *REFERENCES))
+    assert "rhythm.beats.rule=even" in told and "RG Table 7" in told and "unavailable: " in told
+    assert all(f"python -m {command}" in told for command in ELSEWHERE.values())

@@ -1,0 +1,106 @@
+"""Beat consistency by hand and against mir_eval; and what fools it, so that nobody forgets."""
+
+from __future__ import annotations
+
+import warnings
+
+import mir_eval
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module import rotation
+from data_module.skeletons import CHARACTER
+from data_module.types import Motion
+from eval.beat_consistency import (
+    DANCE_SIGMA,
+    consistency,
+    dance_beats,
+    joint_beats,
+    mean_score,
+    motion_joint_beats,
+    onset_score,
+)
+from eval.controls import jittered
+
+TIMES = st.lists(st.floats(0.0, 20.0), min_size=1, max_size=30, unique=True).map(lambda v: np.sort(np.array(v)))
+
+
+def test_by_hand() -> None:
+    onsets = np.array([1.0, 2.0])
+    assert onset_score(np.array([1.0, 2.0, 5.0]), onsets) == 1.0
+    assert onset_score(np.array([1.3]), onsets, 0.3) == pytest.approx((np.exp(-0.5) + np.exp(-49 / 18)) / 2)
+    assert onset_score(np.zeros(0), onsets) == 0.0
+    assert np.isnan(onset_score(np.array([1.0]), np.zeros(0)))
+    assert mean_score([onsets, np.zeros(0)], onsets) == 0.5
+    assert np.isnan(mean_score([], onsets))
+    with pytest.raises(ValueError):
+        onset_score(onsets, onsets, 0.0)
+
+
+@given(TIMES, TIMES, st.sampled_from([DANCE_SIGMA, 0.1, 0.3]))
+def test_cemgil_of_mir_eval_but_for_its_divisor(beats: np.ndarray, onsets: np.ndarray, sigma: float) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        theirs = mir_eval.beat.cemgil(onsets, beats, cemgil_sigma=sigma)[0]
+    assert onset_score(beats, onsets, sigma) * len(onsets) == pytest.approx(theirs * 0.5 * (len(beats) + len(onsets)))
+
+
+def test_minima_of_a_known_speed() -> None:
+    """|sin| at 30 fps is least once a half period; the first column rests there, the second does not."""
+    time = (np.arange(300) + 0.5) / 30.0
+    wave = np.abs(np.sin(np.pi * time / 0.9))
+    still, moving = joint_beats(np.stack([0.0 * wave, wave + 0.5], axis=1))
+    assert len(still) == 0
+    np.testing.assert_allclose(moving, 0.9 * np.arange(1, 12), atol=0.5 / 30)
+    assert len(joint_beats(wave[:, None])[0]) < 11, "some of the minima at 0 lie under a tenth of the mean: rests"
+
+
+def test_dance_beats_of_a_point_that_slows_down() -> None:
+    time = np.arange(600) / 60.0
+    place = time - 0.9 * np.sin(2 * np.pi * time / 2.0) / np.pi  # slowest at every even second
+    points = np.zeros((600, 2, 3))
+    points[:, :, 0] = place[:, None]
+    np.testing.assert_allclose(dance_beats(points, 60.0), [2, 4, 6, 8], atol=0.02)
+    assert len(dance_beats(points[:3], 60.0)) == 0
+
+
+def waving(fps: float = 30.0, seconds: float = 20.0) -> Motion:
+    """The arms turn back every 0.8 s, never quite still."""
+    time = np.arange(round(fps * seconds)) / fps
+    maps = np.zeros((len(time), len(CHARACTER), 3))
+    for name in ("RightArm", "LeftArm"):
+        maps[:, CHARACTER.index(name), 2] = 0.6 * np.sin(2 * np.pi * time / 1.6)
+        maps[:, CHARACTER.index(name), 1] = 0.15 * np.cos(2 * np.pi * time / 1.6)
+    return Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(time), 3)), fps)
+
+
+def test_only_joints_that_move_count_at_any_frame_rate() -> None:
+    for fps in (30.0, 60.0):
+        beats = motion_joint_beats(waving(fps))
+        assert len(beats) == 4, "two elbows and two wrists"
+        assert all(abs(len(own) - 25) <= 1 for own in beats)
+    assert motion_joint_beats(waving().crop(0, 1)) == []
+
+
+def test_perfect_input_and_its_chance() -> None:
+    beats = motion_joint_beats(waving())
+    got = consistency(beats, beats[0], 20.0, 0.1)
+    assert got.score == pytest.approx(1.0, abs=0.01) and got.chance < 0.6 and got.above_chance > 0.9
+    assert got == consistency(beats, beats[0], 20.0, 0.1)
+
+
+def test_undefined_with_a_reason() -> None:
+    assert consistency([], np.array([1.0]), 5.0).reason == "no joint moves"
+    silent = consistency([np.array([1.0])], np.zeros(0), 5.0)
+    assert np.isnan(silent.score) and silent.reason == "the sound has no onset" and silent.beats_per_second == 0.2
+
+
+def test_jitter_beats_the_motion_itself_with_any_sound() -> None:
+    """The metric's own flaw: more beats can only help."""
+    motion, onsets = waving(), np.sort(np.random.default_rng(0).uniform(0, 20, 50))
+    clean, shaken = (mean_score(motion_joint_beats(m), onsets) for m in (motion, jittered([motion], 0)[0]))
+    assert shaken > clean
+    more = np.sort(np.concatenate([motion_joint_beats(motion)[0], np.arange(0, 20, 0.1)]))
+    assert onset_score(more, onsets) > onset_score(motion_joint_beats(motion)[0], onsets)

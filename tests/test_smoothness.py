@@ -1,0 +1,105 @@
+"""Jerk and acceleration against circles and polynomials worked by hand; the histogram distance against scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.distance import jensenshannon
+
+from data_module import rotation
+from data_module.skeletons import CHARACTER
+from data_module.types import Array, Motion
+from eval import smoothness
+from eval.controls import jittered, reversed_in_time
+from eval.smoothness import BIN, BINS, derivative, hand_speeds, hellinger, motion_smoothness, speed_histogram
+
+
+def waving(fps: float, seconds: float = 6.0, absent: tuple[str, ...] = ()) -> Motion:
+    time = np.arange(round(fps * seconds)) / fps
+    maps = np.zeros((len(time), len(CHARACTER), 3))
+    maps[:, CHARACTER.index("RightArm"), 2] = 0.5 * np.sin(2 * np.pi * 0.7 * time)
+    maps[:, CHARACTER.index("LeftForeArm"), 1] = 0.4 * np.sin(2 * np.pi * 1.1 * time)
+    return Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(time), 3)), fps, absent)
+
+
+@pytest.mark.parametrize("fps", [60.0, 200.0])
+def test_a_point_on_a_circle(fps: float) -> None:
+    """Speed r w, acceleration r w^2, jerk r w^3."""
+    radius, w = 0.3, 2 * np.pi * 0.8
+    angle = w * np.arange(round(4 * fps)) / fps
+    circle = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)[:, None]
+    for order in (1, 2, 3):
+        np.testing.assert_allclose(derivative(circle, fps, order), radius * w ** order, rtol=0.01)
+
+
+def test_a_cubic_has_its_third_derivative_at_any_rate() -> None:
+    for fps in (15.0, 60.0):
+        t = np.arange(40) / fps
+        path = np.stack([t ** 3, 2 * t ** 3 + t, 5 - 2 * t ** 3], axis=1)[:, None]
+        np.testing.assert_allclose(derivative(path, fps, 3), 6 * 3.0, rtol=1e-6)
+
+
+def test_hands_and_joints_are_told_apart() -> None:
+    t = np.arange(30) / 30.0
+    points = np.zeros((30, 3, 3))
+    points[:, 1, 0], points[:, 2, 1] = 0.5 * 4 * t ** 2, t
+    got = smoothness.smoothness(points, 30.0, np.array([False, True, False]), np.array([False, True, True]))
+    assert got.acceleration_hands == pytest.approx(4.0) and got.acceleration == pytest.approx(2.0)
+    assert got.jerk_hands == pytest.approx(0.0, abs=1e-6) and got.reason == ""
+
+
+def test_absent_joints_do_not_count_and_too_few_frames_have_a_reason() -> None:
+    whole, without = motion_smoothness(waving(60.0)), motion_smoothness(waving(60.0, absent=("Head", "Neck")))
+    assert without.jerk > whole.jerk > 0 and without.jerk_hands == whole.jerk_hands
+    short = motion_smoothness(waving(60.0).crop(0, 3))
+    assert np.isnan(short.jerk) and short.acceleration > 0 and short.reason == "3 frames: jerk needs 4"
+
+
+def test_what_fools_it_as_the_chapter_says() -> None:
+    motion = waving(60.0)
+    plain, back = motion_smoothness(motion), motion_smoothness(reversed_in_time([motion])[0])
+    assert back.jerk == pytest.approx(plain.jerk) and back.acceleration_hands == pytest.approx(plain.acceleration_hands)
+    assert motion_smoothness(jittered([motion], 0)[0]).jerk > 100 * plain.jerk
+    assert motion_smoothness(waving(30.0)).jerk_hands == pytest.approx(plain.jerk_hands, rel=0.05)
+
+
+@given(st.lists(st.floats(0, 6), min_size=1, max_size=80))
+def test_the_histogram_is_numpys(speeds: list[float]) -> None:
+    own = np.asarray(speeds)
+    own = own[np.abs(own / BIN - np.round(own / BIN)) > 1e-6]
+    edges = np.append(BIN * np.arange(BINS), np.inf)
+    np.testing.assert_array_equal(speed_histogram(own), np.histogram(own, edges)[0])
+    assert speed_histogram(np.array([0.15]))[3] == 1, "0.15 / 0.05 is a hair under 3"
+
+
+@given(st.integers(0, 2 ** 16))
+def test_hellinger_by_the_printed_formula(seed: int) -> None:
+    p, q = np.random.default_rng(seed).integers(0, 9, (2, 12)) + np.eye(1, 12, 0)
+    assert hellinger(p, q) == pytest.approx(np.sqrt(max(0.0, 1 - np.sum(np.sqrt(p / p.sum() * q / q.sum())))), abs=1e-7)
+    # A known bound of the Jensen-Shannon divergence, in nats.
+    assert jensenshannon(p, q) ** 2 <= 2 * np.log(2) * hellinger(p, q) ** 2 + 1e-9
+
+
+def test_perfect_and_worst() -> None:
+    p: Array = np.array([3.0, 1.0, 0.0, 0.0])
+    assert hellinger(p, p) == 0.0 and hellinger(p, 7 * p) == pytest.approx(0.0, abs=1e-8)
+    assert hellinger(p, p[::-1]) == pytest.approx(1.0)
+    assert hellinger(np.array([1.0, 1.0]), np.array([1.0, 0.0])) == pytest.approx(np.sqrt(1 - np.sqrt(0.5)))
+    assert np.isnan(hellinger(p, 0 * p))
+    speeds = speed_histogram(hand_speeds(waving(60.0)))
+    assert hellinger(speeds, speeds) == 0.0
+
+
+def test_nonsense_is_refused() -> None:
+    for bad in (np.zeros((4, 3)), np.full((4, 2, 3), np.nan)):
+        with pytest.raises(ValueError):
+            derivative(bad, 30.0, 1)
+    with pytest.raises(ValueError):
+        derivative(np.zeros((4, 2, 3)), 0.0, 1)
+    with pytest.raises(ValueError):
+        hellinger(np.ones(3), np.ones(4))
+    for speeds in ([-0.1], [np.inf]):
+        with pytest.raises(ValueError):
+            speed_histogram(np.array(speeds))

@@ -1,0 +1,397 @@
+"""The user study: what raters see tells nothing about systems, and known answers give known figures."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import itertools
+import json
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile
+from performances import perform
+from scipy import stats
+from test_preview import browser  # noqa: F401 - the headless Chromium of the preview's tests
+
+from data_module import bvh
+from data_module.errors import InputError
+from data_module.types import Array, Speech
+from eval import anova, strips, study
+from eval.anova import Key
+
+NAMES = ("zebrafish", "quokka", "marmoset")
+RATE = 16000
+
+
+def _voice(seconds: float, seed: int) -> Array:
+    """Noise in syllables, which counts as speech, after a second of silence."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * RATE)) / RATE
+    return 0.3 * rng.normal(size=len(time)).clip(-3, 3) * np.sin(np.pi * 4 * time) ** 2 * (time > 1.0)
+
+
+@pytest.fixture(scope="module")
+def systems(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Three systems of different frame rates, two recordings of 9 s each."""
+    folders = {}
+    for k, name in enumerate(NAMES):
+        folders[name] = tmp_path_factory.mktemp(name)
+        for take in range(2):
+            soundfile.write(folders[name] / f"walrus{take}.wav", _voice(9.0, take), RATE)
+            motion = perform(9.0, fps=(20.0, 30.0, 60.0)[k], seed=10 * take + k).motion
+            bvh.write_bvh(folders[name] / f"walrus{take}.bvh", motion)
+    return folders
+
+
+@pytest.fixture(scope="module")
+def made(systems: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a study of 4 clips of 2 s."""
+    out = tmp_path_factory.mktemp("study")
+    assert study.main(["make", "--out", str(out), "--clips", "4", "--seconds", "2", "--raters", "24", "--systems",
+                       *(f"{name}={folder}" for name, folder in systems.items())]) == 0
+    return out
+
+
+def _data(page: Path) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="study">(.*?)</script>', page.read_text(), re.DOTALL)
+    assert found
+    return json.loads(found.group(1))
+
+
+# ---------------------------------------------------------------- the page
+
+def test_nothing_in_the_page_names_a_system(made: Path, systems: dict[str, Path]) -> None:
+    page, key = (made / "page" / "index.html").read_text(), json.loads((made / "key.json").read_text())
+    assert [file.name for file in (made / "page").iterdir()] == ["index.html"], "the key must not lie with the page"
+    for word in (*NAMES, "walrus", *map(str, systems.values()), *(folder.name for folder in systems.values())):
+        assert word.lower() not in page.lower()
+    assert key["systems"] == list(NAMES)
+    assert not re.search(r"https?://|\bfetch\(|XMLHttpRequest|sendBeacon|WebSocket|@import", page)
+    assert "default-src 'none'" in page and "connect-src 'none'" in page
+    # Nor does the form of an item: all are as long, and their order follows ids that are hashes.
+    told = _data(made / "page" / "index.html")
+    assert {frozenset(item) for item in told["items"]} == {frozenset(("id", "sound", "motion"))}
+    assert len({len(item["motion"]) for item in told["items"]}) == 1
+    ids = [item["id"] for item in told["items"]]
+    assert ids == sorted(ids) and set(ids) == set(key["items"]) and len(ids) == 12
+    assert all(re.fullmatch("[0-9a-f]{10}", name) for name in ids)
+
+
+def test_items_hold_the_motion_and_the_sound_that_the_key_says(made: Path, systems: dict[str, Path],
+                                                               tmp_path: Path) -> None:
+    told, key = _data(made / "page" / "index.html"), json.loads((made / "key.json").read_text())
+    sounds: dict[int, set[int]] = {}
+    for item in told["items"]:
+        own = key["items"][item["id"]]
+        clip = key["clips"][own["clip"]]
+        sounds.setdefault(own["clip"], set()).add(item["sound"])
+        motion = bvh.read_bvh(systems[own["system"]] / f"{clip['recording']}.bvh")
+        expected = strips.figure_points(motion, clip["start"] + np.arange(61) / 30)
+        steps = np.frombuffer(base64.b64decode(item["motion"]), "<i2").reshape(61, len(told["points"]), 3)
+        for number, name in enumerate(told["points"]):
+            np.testing.assert_allclose(steps[:, number] / told["stepsPerMetre"], expected[name], atol=1e-4)
+        (tmp_path / "clip.ogg").write_bytes(base64.b64decode(told["sounds"][item["sound"]]))
+        heard, rate = soundfile.read(tmp_path / "clip.ogg")
+        said = _voice(9.0, int(clip["recording"][-1]))[round(clip["start"] * RATE):][:len(heard)]
+        assert rate == RATE and len(heard) == 2 * RATE and np.corrcoef(heard, said)[0, 1] > 0.8
+    # One sound for all versions of a clip.
+    assert all(len(own) == 1 for own in sounds.values()) and len(sounds) == 4
+
+
+def test_same_input_gives_the_same_page_and_another_seed_another(made: Path, systems: dict[str, Path],
+                                                                 tmp_path: Path) -> None:
+    again = study.make(systems, tmp_path / "again", clips=4, seconds=2, raters=24)
+    # Not the texts themselves: pytest would explain at length how two megabytes differ.
+    assert hash(again.read_bytes()) == hash((made / "page" / "index.html").read_bytes())
+    other = _data(study.make(systems, tmp_path / "other", clips=4, seconds=2, raters=24, seed=1))
+    first = _data(again)
+    assert other["study"] != first["study"] and other["orders"] != first["orders"]
+    assert not {item["id"] for item in other["items"]} & {item["id"] for item in first["items"]}
+
+
+def test_clips_do_not_overlap_have_speech_and_are_spread(systems: dict[str, Path]) -> None:
+    takes = study.read_takes(systems)
+    chosen = study.choose_clips(takes, 6, 2.0, seed=3)
+    assert all(clip.speech >= study.ENOUGH_SPEECH for clip in chosen)
+    assert Counter(clip.take for clip in chosen[:2]) == {0: 1, 1: 1}
+    for a, b in itertools.combinations(chosen, 2):
+        assert a.take != b.take or abs(a.start - b.start) >= 2.0 - 1e-3
+    quiet = Speech(np.full(9 * RATE, 1e-6, np.float32), RATE)
+    with pytest.raises(InputError, match="only 0 stretches"):
+        study.choose_clips([study.Take("still", quiet, takes[0].motions)], 1, 2.0, seed=0)
+
+
+# ---------------------------------------------------------------- the order
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6])
+def test_williams_rows_balance_places_and_neighbours(n: int) -> None:
+    rows = study.williams(n)
+    assert all(sorted(row) == list(range(n)) for row in rows.tolist())
+    each = len(rows) // n
+    assert all((np.bincount(column, minlength=n) == each).all() for column in rows.T)
+    after = Counter(pair for row in rows.tolist() for pair in itertools.pairwise(row))
+    assert len(after) == n * (n - 1) and len(set(after.values())) == 1
+
+
+def test_orders_differ_between_raters_and_are_balanced() -> None:
+    rows = study.orders(systems=3, clips=4, raters=24, seed=5)
+    assert all(sorted(row) == list(itertools.product(range(4), range(3))) for row in rows)
+    assert len({tuple(row) for row in rows}) == 12, "a rater's order comes again only after the whole design"
+    # Over 24 raters: each system in each place among a clip's versions, and each clip in each place, equally often.
+    places = Counter((clip, system, index % 3) for row in rows for index, (clip, system) in enumerate(row))
+    assert set(places.values()) == {24 // 3}
+    clips = Counter((row[3 * place][0], place) for row in rows for place in range(4))
+    assert set(clips.values()) == {24 // 4}
+    # A single rater sees no system first all the time.
+    assert all(max(Counter(row[3 * place][1] for place in range(4)).values()) < 4 for row in rows)
+    assert rows != study.orders(3, 4, 24, seed=6)
+
+
+# ---------------------------------------------------------------- figures
+
+def _key(systems: int = 3, clips: int = 4, aspects: tuple[str, ...] = ("beat_match",), high: int = 5) -> Key:
+    items = {f"item{c}_{k}": (c, k) for c in range(clips) for k in range(systems)}
+    return Key("s1", tuple("ABCDEF"[:systems]), aspects, clips, (1, high), items)
+
+
+def _table(values: Array, high: int = 5) -> anova.Ratings:
+    """Ratings [R, C, K] of one aspect, by way of single answers."""
+    key = _key(values.shape[2], values.shape[1], high=high)
+    answers = [anova.Answer(str(r + 1), f"item{c}_{k}", "beat_match", int(values[r, c, k]), "file")
+               for r, c, k in np.ndindex(*values.shape) if np.isfinite(values[r, c, k])]
+    return anova.gather(answers, key)
+
+
+def test_anova_and_tukey_of_a_worked_example() -> None:
+    """Means 5, 9, 10 of six each: SSB = 84, SSW = 68, F = (84 / 2) / (68 / 15) = 9.26; Tukey's reach is
+    q(0.05; 3, 15) sqrt(MSW / 6) = 3.674 * 0.8692 = 3.19."""
+    groups = np.array([[6, 8, 4, 5, 3, 4], [8, 12, 9, 11, 6, 8], [13, 9, 11, 8, 7, 12]], dtype=float)
+    own = anova.analyse(_table(groups.T[:, None, :], high=13))["aspects"]["beat_match"]
+    assert own["anova"]["F"] == pytest.approx((84 / 2) / (68 / 15)) and own["anova"]["df"] == [2, 15]
+    assert own["anova"]["p"] == pytest.approx(float(stats.f.sf(42 / (68 / 15), 2, 15)))
+    assert own["anova"]["p"] == pytest.approx(0.0024, abs=5e-5)
+    assert own["anova"]["eta_squared"] == pytest.approx(84 / 152)
+    reach = float(stats.studentized_range.ppf(0.95, 3, 15)) * np.sqrt(68 / 15 / 6)
+    assert reach == pytest.approx(3.19, abs=0.01)
+    for row, difference in zip(own["pairs"], (-4, -5, -1), strict=True):
+        assert row["difference"] == pytest.approx(difference)
+        assert row["tukey"] == pytest.approx([difference - reach, difference + reach], abs=2e-3)
+        assert (row["p"] < 0.05) == (abs(difference) > reach)
+    first = own["systems"]["A"]
+    half = 2.5706 * groups[0].std(ddof=1) / np.sqrt(6)  # t(0.975; 5)
+    assert first["mean"] == 5 and first["t"] == pytest.approx([5 - half, 5 + half], abs=1e-3)
+
+
+def _study(rng: np.random.Generator, better: float, raters: int = 20, clips: int = 8) -> Array:
+    """Ratings [R, C, 3] with strict and mild raters and easy and hard clips; the first system is better by `better`."""
+    mean = 3 + 0.5 * rng.normal(size=(raters, 1, 1)) + 0.3 * rng.normal(size=(1, clips, 1)) + better * np.eye(3)[0]
+    return np.clip(np.round(mean + 0.8 * rng.normal(size=(raters, clips, 3))), 1, 5)
+
+
+def test_a_better_system_is_found_and_equal_ones_are_not() -> None:
+    false = 0
+    for seed in range(1, 7):
+        own = anova.analyse(_table(_study(np.random.default_rng(seed), 0.8)), draws=500)["aspects"]["beat_match"]
+        ab, ac, bc = own["pairs"]
+        assert own["anova"]["p"] < 1e-6 and ab["p"] < 0.001 and ac["p"] < 0.001
+        assert ab["bootstrap"][0] > 0 and ac["bootstrap"][0] > 0
+        false += bc["p"] < 0.05
+    # One of these six (the first) does tell two equal systems apart, as one in twenty may.
+    assert false <= 1
+    # Of fifty studies without a difference about one in twenty may say so, not many more.
+    rng = np.random.default_rng(2)
+    found = [anova.one_way(list(np.moveaxis(_study(rng, 0.0), 2, 0).reshape(3, -1)))["p"] < 0.05 for _ in range(50)]
+    assert sum(found) <= 6
+
+
+def test_bootstrap_draws_raters_and_clips() -> None:
+    rng = np.random.default_rng(3)
+    # All of the spread lies between raters: the interval must be that of 12 raters, not of 12 * 10 answers.
+    strictness = rng.normal(size=(12, 1, 1))
+    values = np.broadcast_to(strictness, (12, 10, 2)).copy()
+    drawn = anova.bootstrap_means(values, seed=0)
+    assert drawn[:, 0].std() == pytest.approx(strictness.std() / np.sqrt(12), rel=0.1)
+    assert np.abs(drawn[:, 0] - drawn[:, 1]).max() < 1e-12, "differences are paired"
+    by_clip = anova.bootstrap_means(values.transpose(1, 0, 2).copy(), seed=0)
+    assert by_clip[:, 0].std() == pytest.approx(drawn[:, 0].std(), rel=0.1)
+    values[0, 0, 1] = np.nan
+    assert np.isfinite(anova.bootstrap_means(values, seed=0)).all()
+
+
+def test_rank_counts_share_the_better_place() -> None:
+    nan = np.nan
+    values = np.array([[[5, 3, 1], [4, 4, 2], [3, 3, 3], [1, nan, 5]]], dtype=float)
+    assert anova.rank_counts(values).tolist() == [[3, 0, 0], [2, 1, 0], [1, 0, 2]]
+    result = anova.analyse(_table(values))["aspects"]["beat_match"]
+    assert result["comparisons"] == 3
+    assert result["systems"]["A"] | {"t": 0, "bootstrap": 0} == {
+        "ratings": 4, "mean": 3.25, "t": 0, "bootstrap": 0, "total": 13, "scores": [1, 0, 1, 1, 1], "places": [3, 0, 0]}
+
+
+def test_what_is_odd_is_named_and_what_is_undefined_is_none() -> None:
+    values = _study(np.random.default_rng(4), 0.0, raters=3, clips=4)
+    values[1] = 4
+    values[2, 0, 0] = np.nan
+    notes = _table(values).notes
+    assert notes == ("rater 2: gives 4 to everything; consider --without 2", "rater 3: 1 of 12 answers are missing")
+    one = anova.Answer("1", "item0_0", "beat_match", 3, "a.json")
+    ratings = anova.gather([one, one], _key())
+    assert "rater 1: 1 answers are there twice and count once" in ratings.notes
+    result = anova.analyse(ratings)
+    own = result["aspects"]["beat_match"]
+    assert own["anova"]["F"] is None and "fewer than two" in own["anova"]["reason"]
+    assert own["systems"]["A"]["t"] is None and own["systems"]["B"]["mean"] is None
+    json.dumps(result, allow_nan=False)
+    assert "not defined" in anova.markdown(result)
+    alike = anova.analyse(_table(np.full((3, 4, 2), 4.0)))["aspects"]["beat_match"]["anova"]
+    assert alike["F"] is None and "differ" in alike["reason"]
+
+
+# ---------------------------------------------------------------- the command
+
+def _files(made: Path, folder: Path, raters: int = 4) -> list[Path]:
+    """Ratings as the page saves them, JSON and CSV in turn: quokka better than the others."""
+    key = json.loads((made / "key.json").read_text())
+    rng = np.random.default_rng(0)
+    files = []
+    for rater in range(1, raters + 1):
+        answers = [{"item": item, "place": n + 1, "plays": 1, "seconds": 9.5, "ratings": {
+                    aspect: int(np.clip(rng.integers(1, 4) + 2 * (own["system"] == "quokka"), 1, 5))
+                    for aspect in key["aspects"]}} for n, (item, own) in enumerate(key["items"].items())]
+        if rater % 2:
+            files.append(folder / f"r{rater}.json")
+            files[-1].write_text(json.dumps({"study": key["study"], "rater": str(rater), "answers": answers}))
+            continue
+        files.append(folder / f"r{rater}.csv")
+        with files[-1].open("w", newline="") as stream:
+            table = csv.writer(stream)
+            table.writerow(anova.COLUMNS)
+            table.writerows([key["study"], rater, own["item"], aspect, rating]
+                            for own in answers for aspect, rating in own["ratings"].items())
+    return files
+
+
+def test_analyse_command_writes_json_and_markdown(made: Path, tmp_path: Path, capsys: Any) -> None:
+    files = [str(file) for file in _files(made, tmp_path)]
+    out = tmp_path / "figures" / "study.json"
+    assert study.main(["analyse", "--key", str(made / "key.json"), "--out", str(out), *files]) == 0
+    result = json.loads(out.read_text())
+    assert result["raters"] == 4 and result["notes"] == []
+    own = result["aspects"]["human_likeness"]
+    assert own["systems"]["quokka"]["ratings"] == 16 and own["anova"]["p"] < 0.001
+    assert [row["p"] < 0.01 for row in own["pairs"]] == [True, False, True]
+    printed = capsys.readouterr().out
+    assert out.with_suffix(".md").read_text().strip() == printed.strip()
+    assert "| quokka - marmoset |" in printed and "\\*\\*\\*" in printed and "place 1" in printed
+    assert study.main(["analyse", "--key", str(made / "key.json"), "--without", "2", "--", *files]) == 0
+    assert "3 raters" in capsys.readouterr().out
+
+
+def _bad(folder: Path, told: Any) -> Path:
+    file = folder / "bad.json"
+    file.write_text(told if isinstance(told, str) else json.dumps(told))
+    return file
+
+
+@pytest.mark.parametrize(("change", "says"), [
+    (lambda told: "{", "is not JSON"),
+    (lambda told: [1], "is not a file of ratings"),
+    (lambda told: told | {"study": "other"}, "belongs to study 'other'"),
+    (lambda told: told | {"rater": ""}, "without a rater"),
+    (lambda told: told | {"answers": [{"item": "nobody", "ratings": {"beat_match": 3}}]}, "does not know"),
+    (lambda told: told | {"answers": [told["answers"][0] | {"ratings": {"beat_match": 6}}]}, "from 1 to 5"),
+    (lambda told: told | {"answers": [told["answers"][0] | {"ratings": {"beat_match": "2.5"}}]}, "from 1 to 5"),
+    (lambda told: told | {"answers": [told["answers"][0] | {"ratings": {"beat_match": None}}]}, "from 1 to 5"),
+    (lambda told: told | {"answers": [own | {"ratings": {"beat_match": k + 1}} for k, own in
+                                      enumerate([told["answers"][0]] * 2)]}, "twice and differently"),
+    (lambda told: told | {"answers": []}, "hold no answer"),
+])
+def test_bad_ratings_are_one_line_and_exit_2(made: Path, tmp_path: Path, capsys: Any, change: Any, says: str) -> None:
+    told = json.loads(_files(made, tmp_path, raters=1)[0].read_text())
+    with pytest.raises(SystemExit) as left:
+        study.main(["analyse", "--key", str(made / "key.json"), str(_bad(tmp_path, change(told)))])
+    line = capsys.readouterr().err
+    assert left.value.code == 2 and line.count("\n") == 1 and says in line
+
+
+def test_other_bad_input_is_one_line_and_exit_2(made: Path, systems: dict[str, Path], tmp_path: Path,
+                                                capsys: Any) -> None:
+    good = [f"{name}={folder}" for name, folder in systems.items()]
+    (tmp_path / "empty").mkdir()
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "walrus0.bvh").write_bytes((systems["quokka"] / "walrus0.bvh").read_bytes())
+    soundfile.write(other / "walrus0.wav", _voice(9.0, 77), RATE)
+    (tmp_path / "head.csv").write_text("a,b\n1,2\n")
+    rated = str(_files(made, tmp_path, raters=1)[0])
+    make, analyse = ["make", "--out", str(tmp_path / "out"), "--systems"], ["analyse", "--key"]
+    for command, says in [
+        ([*make, good[0]], "two systems"), ([*make, good[0], "nothing"], "NAME=DIR"),
+        ([*make, good[0], good[0]], "twice"), ([*make, good[0], "b=/nowhere/at/all"], "not a folder"),
+        ([*make, good[0], f"b={tmp_path / 'empty'}"], "no BVH"),
+        ([*make, good[0], f"b={other}"], "is not the sound of"), ([*make, *good, "--clips", "99"], "only"),
+        ([*make, *good, "--seconds", "0"], "1 s"), ([*make, *good, "--raters", "0"], "1 or more"),
+        ([*analyse, str(tmp_path / "none.json"), rated], "none.json"), ([*analyse, rated, rated], "not the key"),
+        ([*analyse, str(made / "key.json"), str(tmp_path / "head.csv")], "columns"),
+        ([*analyse, str(made / "key.json"), rated, "--without", "9"], "rater 9"),
+    ]:
+        with pytest.raises(SystemExit) as left:
+            study.main(command)
+        line = capsys.readouterr().err
+        assert left.value.code == 2 and line.count("\n") == 1 and says in line, line
+    assert not (tmp_path / "out").exists()
+
+
+# ---------------------------------------------------------------- in a browser
+
+def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path) -> None:  # noqa: F811
+    """Clip by clip in her order; questions open at the end of a clip; answers outlive a reload and can be analysed."""
+    path, complaints, requests = made / "page" / "index.html", [], []
+    told = _data(path)
+    page = browser.new_page(viewport={"width": 1100, "height": 800})
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(path.as_uri() + "?rater=26")
+    page.click("#begin button")
+    order = told["orders"][25 % 24]
+    for place, item in enumerate(order):
+        if place == 2:
+            page.reload()
+            page.click("#begin button")
+        assert page.inner_text("#place") == f"Clip {place + 1} of 12"
+        assert page.evaluate("trial.item.id") == told["items"][item]["id"]
+        assert page.is_disabled("#next") and page.is_disabled("#questions input >> nth=0")
+        before = page.evaluate("document.getElementById('figure').toDataURL()")
+        page.click("#play")
+        if place == 0:
+            page.wait_for_function("() => sound.currentTime > 0.5", timeout=20_000)
+            assert page.evaluate("document.getElementById('figure').toDataURL()") != before, "the figure must move"
+        else:
+            page.evaluate("sound.currentTime = 1.8")
+        page.wait_for_function("() => trial.seen", timeout=20_000)
+        for number, (name, _) in enumerate(told["questions"]):
+            assert page.is_disabled("#next")
+            page.check(f"input[name={name}][value='{1 + (place + number) % 5}']")
+        page.click("#next")
+    assert page.is_visible("#end")
+    files = []
+    for kind in ("json", "csv"):
+        with page.expect_download() as saved:
+            page.click(f"#save-{kind}")
+        files.append(tmp_path / saved.value.suggested_filename)
+        saved.value.save_as(files[-1])
+    page.close()
+    assert complaints == [] and all(url.startswith(("file:", "data:", "blob:")) for url in requests)
+    key = anova.read_key(made / "key.json")
+    ratings = [anova.gather(anova.read_answers([file], key), key) for file in files]
+    assert [file.name for file in files] == [f"ratings-{key.study}-26.{kind}" for kind in ("json", "csv")]
+    np.testing.assert_array_equal(ratings[0].values, ratings[1].values)
+    assert ratings[0].notes == () and ratings[0].raters == ("26",)
+    for place, item in enumerate(order):
+        assert ratings[0].values[0, *key.items[told["items"][item]["id"]], 1] == 1 + (place + 1) % 5
