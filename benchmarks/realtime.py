@@ -2,6 +2,7 @@
 
 Real-time factor = seconds of computing / seconds of sound, decoding and features included. Cold: a fresh process, from
 the command to the file, imports and loading included. Warm: a second call in a process that has the bundle loaded.
+With a transcript beside the recording (same name, .txt) both are also measured with text, aligned and read.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def warm(system: Gesticulator, source: Path, target: Path, interpreter: str) -> float:
+def warm(system: Gesticulator, source: Path, target: Path, interpreter: str, text: Path | None = None) -> float:
     """Seconds from a sound file to a BVH file, the second time."""
     spent = 0.0
     for _ in range(2):
         begin = time.perf_counter()
-        write(target, system(load_speech(source), interpreter=interpreter))
+        write(target, system(load_speech(source), interpreter=interpreter, text=text))
         spent = time.perf_counter() - begin
     return spent
 
@@ -68,8 +69,13 @@ def main() -> None:
             options = ["--bundle", a.bundle] if a.bundle else []
             row: dict[str, Any] = {"file": Path(name).name, "seconds": round(seconds, 2)}
             row["cold"] = round(cold([name, "-o", str(target), "--threads", str(a.threads), *options]) / seconds, 4)
-            for interpreter in ("lstm", "statistical"):
+            for interpreter in system.bundle.interpreters:
                 row[f"warm_{interpreter}"] = round(warm(system, Path(name), target, interpreter) / seconds, 4)
+            words = Path(name).with_suffix(".txt")
+            if words.exists():
+                own = [name, "-o", str(target), "--threads", str(a.threads), "--text", str(words), *options]
+                row["cold_with_text"] = round(cold(own) / seconds, 4)
+                row["warm_with_text"] = round(warm(system, Path(name), target, "lstm", words) / seconds, 4)
             rows.append(row)
             print(row)
     if a.out:
