@@ -38,7 +38,8 @@ def test_every_row_is_another(name: str) -> None:
         assert row_name == OURS or config != base or row.training != "offline" or "alpha" in row_name
         seen.setdefault(json.dumps([to_dict(config), row.training]), []).append(row_name)
         assert len(set(row.settings)) == len(row.settings)
-    assert [own for own in seen.values() if len(own) > 1] == [["cql", "alpha=0.1"]], "one alpha is ours already"
+    assert [own for own in seen.values() if len(own) > 1] == [
+        ["cql", f"alpha={base.cql.conservative:g}"]], "one alpha is ours already"
     assert {row.training for row in ROWS.values()} == set(ablations.TRAININGS)
 
 
@@ -46,7 +47,7 @@ def test_rows_are_what_the_paper_says() -> None:
     base = preset("default")
     of = {name: with_settings(base, row.settings) for name, row in ROWS.items()}
     assert of["supervised"].cql == dataclasses.replace(base.cql, temporal=0.0)
-    assert of["dqn"].cql == dataclasses.replace(base.cql, conservative=0.0)
+    assert of["dqn"].cql == dataclasses.replace(base.cql, conservative=0.0, warm_up=0.0)
     assert of["distance"].episodes == dataclasses.replace(base.episodes, reward="distance")
     assert of["literal"].episodes.shares == LITERAL.shares
     assert of["alpha=10"].cql.conservative == 10.0 and isinstance(of["alpha=10"].cql.conservative, float)
@@ -64,9 +65,9 @@ def test_the_preset_of_the_command_fits_every_row() -> None:
 
 def test_an_alpha_that_is_ours_is_run_once() -> None:
     same = ablations.twins(preset("default"))
-    assert {name for name, first in same.items() if name != first} == {"alpha=0.1"} and same["alpha=0.1"] == OURS
+    assert {name for name, first in same.items() if name != first} == {"alpha=1"} and same["alpha=1"] == OURS
     other = with_settings(preset("default"), ["cql.conservative=4"])
-    assert ablations.twins(other)["alpha=4"] == OURS and ablations.twins(other)["alpha=0.1"] == "alpha=0.1"
+    assert ablations.twins(other)["alpha=4"] == OURS and ablations.twins(other)["alpha=1"] == "alpha=1"
 
 
 # ---------------------------------------------------------------------------------------------------------- rewards
