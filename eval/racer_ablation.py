@@ -482,7 +482,7 @@ def with_motion(bench: Bench, found: dict[str, Any], by: Sequence[gesture_featur
     rows = []
     for place, (motion, recording) in enumerate(zip(motions, recordings, strict=True)):
         clip = measure(motion, recording.speech)
-        rows.append({"pmb": 100.0 * pmb.pmb(clip.beats, clip.onsets),
+        rows.append({"pmb": pmb.pmb(clip.beats, clip.onsets),
                      **policies.motion_values(clip, motion, recording.motion, seed=place)})
     real = [recording.motion for recording in recordings]
     distances = {f"{one.name}, {one.frames} at {one.fps:g} fps": fgd.measure(

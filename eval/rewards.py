@@ -49,6 +49,8 @@ Score = Callable[[Integers, Integers], Array]
 """Windows of motion [B, W] and of audio [B, W], as block numbers, to rewards [B]."""
 
 SHIFTS = (0, 1, 2, 4, 8, 16)
+AGAINST_RANDOM = (4, 16)
+"""Shifts that are held against random motion: one that shares half of its blocks, and one that shares none."""
 """Blocks by which motion is moved against audio, 0 the matched pair."""
 FIRST = (1, 5)
 OTHERS = 3
@@ -275,15 +277,16 @@ def by_shift(asked: Asked, takes: Sequence[Take], silent: Mask) -> dict[str, dic
 
 def compared(values: dict[str, Array], count: int) -> dict[str, Any]:
     """Intervals of the rewards under each shift, of matched less each, of each shift less the next ("falls", by the
-    greater of the two), and of the furthest shift less random; values: rewards [n] by shift, and "owner" [n]."""
+    greater of the two), and of two shifts less random; values: rewards [n] by shift, and "owner" [n]."""
     owner = values["owner"].astype(np.int64)
     names = [name for name in values if name != "owner"]
-    matched, furthest = names[0], str(SHIFTS[-1])
+    matched = names[0]
     return {"mean": {name: mean_of(values[name], owner, count) for name in names},
             "matched - shifted": {name: mean_of(values[matched] - values[name], owner, count) for name in names[1:]},
             "falls": {str(further): mean_of(values[str(shift)] - values[str(further)], owner, count)
                       for shift, further in zip(SHIFTS, SHIFTS[1:], strict=False)},
-            "shifted - random": mean_of(values[furthest] - values["random"], owner, count)}
+            "shifted - random": {str(shift): mean_of(values[str(shift)] - values["random"], owner, count)
+                                 for shift in AGAINST_RANDOM}}
 
 
 def domain_gap(captured: Array, decoded: Array, random: Array, owner: Integers, count: int) -> dict[str, Any]:
@@ -337,7 +340,8 @@ def acceptance(result: dict[str, Any], window: int) -> dict[str, bool]:
     for kind in MOTIONS:
         own = shifts[kind]
         out |= {f"{kind}: matched > shifted": all(row["low"] > 0 for row in own["matched - shifted"].values()),
-                f"{kind}: shifted > random": own["shifted - random"]["low"] > 0,
+                **{f"{kind}: shifted by {shift} > random": row["low"] > 0
+                   for shift, row in own["shifted - random"].items()},
                 f"{kind}: falls with every shift inside the window": all(
                     row["low"] > 0 for shift, row in own["falls"].items() if int(shift) <= window)}
     gap, actions = result["domain_gap"], result["actions"]
@@ -406,7 +410,8 @@ def _shift_table(models: dict[str, Any]) -> list[str]:
               for shift in own[0]["mean"]]
     lines += [f"| matched - {shift} | " + " | ".join(_cell(part["matched - shifted"][shift], 3) for part in own) + " |"
               for shift in own[0]["matched - shifted"]]
-    lines.append(f"| {SHIFTS[-1]} - random | " + " | ".join(_cell(part["shifted - random"], 3) for part in own) + " |")
+    lines += [f"| {shift} - random | " + " | ".join(_cell(part["shifted - random"][shift], 3) for part in own) + " |"
+              for shift in own[0]["shifted - random"]]
     return [*lines, ""]
 
 

@@ -271,6 +271,7 @@ def test_the_command_goes_on_where_it_was_stopped(bench: Bench, tiny_store: Path
     again = json.loads((tmp_path / "cql-1.json").read_text())
     assert again["recordings"] == one["recordings"], "a file that was cut short is written again"
     assert len(again["motion"]["recordings"]) == 1
+    assert not again["motion"]["recordings"][0]["pmb"] > 100, "a percentage"
     table = json.loads((tmp_path / "table.json").read_text())
     assert list(table["rows"]) == ["supervised", "dqn", "cql", "alpha=0.1"], "all that are finished"
     assert table["rows"]["alpha=0.1"]["run_as"] == "cql" and list(table["motion"]) == ["dqn", "cql", "alpha=0.1"]
