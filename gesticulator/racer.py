@@ -239,7 +239,8 @@ def step_reward(run: Run, tokens: Tokens, model: RewardModel) -> Reward:
     if run.config.episodes.reward == "contrastive":
         return taught_reward(reward_table(model, tokens, run.corpus), run.corpus, run.config.episodes.baseline).sequence
     if not isinstance(tokens, Lexicon):
-        raise NotImplementedError("the distance reward is of lexemes that are decoded one by one")
+        raise InputError("episodes.reward=distance", "is of lexemes that are decoded one by one",
+                         "use it over a lexicon, not with tokens=racer")
     return looked_up(distance_rewards(decoded_lexemes(tokens), run.corpus.motion))
 
 
