@@ -1,8 +1,10 @@
 """The rows of the papers' ablations: each a question, and the settings that put it (RG Tables 1 to 7, Fig. 18).
 
 A row is what it changes on top of a preset, as one would type it after `--set`, or how the same weights are played.
-`TABLES` puts rows in the papers' order with the papers' figures; one row may stand in several tables. What other
-commands measure is listed in `ELSEWHERE`, and what cannot be asked yet is a row with a reason instead of settings.
+`TABLES` puts rows in the papers' order with the papers' figures; one row may stand in several tables. The papers' other
+systems (SG, Ges, GTC, S2AG, Bailando) are lines too: their motion for the test speech is handed in, not made here.
+RACER's own rows are those of `eval.racer_ablation`, under the prefix `racer-`. What has a command of its own is listed
+in `ELSEWHERE`.
 
 How a part is left out by settings alone:
 - beats (w/o BC): `rhythm.beats.rule=even` cuts every D_M seconds, whatever is heard; such blocks all have the length
@@ -15,20 +17,28 @@ How a part is left out by settings alone:
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from eval import racer_ablation
 from gesticulator import config as configs
 from gesticulator.config import Config
 from gesticulator.fit import FitSettings
 
 OURS = "ours"
 PERFORMER, REAL_TAKE = "performer", "real-take"
+STILL, FLOOR = "still", "halves"
 REFERENCES = {PERFORMER: "the motion that the store was made with", REAL_TAKE: "a person speaking (BEAT), one take"}
-"""What every table shows beside the rows; nothing is trained for them."""
+CONTROLS = {"shuffled": "the performer's motion for another speech", "reversed": "the performer's motion, backwards",
+            "jitter": "the performer's motion, each joint 2 cm off, anew in each frame",
+            STILL: "the performer's mean pose, held", FLOOR: "one half of the performer's clips against the other"}
+"""References and controls stand in every table; nothing is trained for them."""
+SYSTEMS = {"SG": "Style Gestures", "Ges": "Gesticulator", "GTC": "Trimodal Context", "S2AG": "Speech2AffectiveGestures",
+           "Bailando": "Bailando"}
+"""The papers' baselines, by the names under which `--system NAME=DIR` fills their lines."""
 
 Paper = Mapping[str, tuple[float | None, float | None]]
-"""Figures of the paper by column: on Trinity and on TED."""
+"""Figures of the paper by column: on Trinity and on the table's other data set."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +53,6 @@ class Row:
     """Whose style codes are played: "interpreted", or "random" for z drawn from N(0, I) on each block."""
     split: str = "test"
     """"val" for what is there to choose a setting by."""
-    unavailable: str = ""
-    """Why it cannot be run."""
 
 
 _NO_STYLE = ("generator.style_width=0", "schedules.style.steps=0")
@@ -76,20 +84,20 @@ ROWS: dict[str, Row] = {
     "no-augmentation": Row("must the generator be shown more silence?", ("silence.augmentation=0",)),
     **{f"size-{size}": Row(f"how many lexemes? {size}, on the validation split", (f"lexicon.size={size}",), split="val")
        for size in SIZES},
-    "no-normalisation": Row("must blocks be brought to one length?", unavailable=(
-        "no setting says how many frames a block of its own length has; every stage counts on K of them")),
-    "baselines": Row("are other systems worse? (SG, Ges, GTC, S2AG, Bailando)", unavailable=(
-        "their motion for the test speech is not here")),
+    "style-editing": Row("does it cost anything that height, speed and radius can be asked for?",
+                         ("generator.use_control=true", "interpreter.use_control=true")),
 }
 
+RACER = {f"racer-{name}": name for name in racer_ablation.ROWS}
+"""The rows of `eval.racer_ablation` by the names that they have here."""
+
 ELSEWHERE: dict[str, str] = {
-    "RG Fig. 6, 8b (t-SNE of the lexicon)": "eval.lexicon_map", "RG Fig. 9 (strips)": "eval.strips",
-    "RG Fig. 5, 8a (onset intervals: their mean, no histogram)": "benchmarks.onsets",
-    "RG Fig. 10 (style editing)": "eval.style_editing",
-    "RG Fig. 13 (other languages)": "eval.languages", "RG Fig. 14 (audio clusters)": "eval.speech_levels",
-    "RG Table 6, as policies": "eval.policies", "RACER Table 2": "eval.racer_ablation",
-    "RACER 4.2 (the reward)": "eval.rewards"}
-"""What other commands measure."""
+    "RG Fig. 6, as a contact sheet with words": "eval.lexicon_map", "RG Fig. 9, of any motion": "eval.strips",
+    "RG Fig. 10, of a bundle": "eval.style_editing", "RG Fig. 12, RACER Fig. 4 (people)": "eval.study",
+    "RG Fig. 13 (other languages)": "eval.languages", "RG Fig. 14, of a bundle": "eval.speech_levels",
+    "RG Table 6, as policies": "eval.policies", "RACER 4.2 (the reward)": "eval.rewards",
+    "all metrics, of any motion": "eval.score"}
+"""What has a command of its own."""
 
 
 @dataclass(frozen=True)
@@ -103,24 +111,32 @@ class Line:
 
 @dataclass(frozen=True)
 class Table:
-    """A table or figure of the paper. columns: of `eval.ablate.COLUMNS`, in order."""
+    """A table or figure of the paper. columns: of `eval.ablation_tables.COLUMNS`, in order; places: what the paper's
+    two figures are of."""
 
     columns: tuple[str, ...]
     lines: tuple[Line, ...]
     split: str = "test"
+    places: tuple[str, str] = ("Trinity", "TED")
 
 
-def _line(label: str, row: str, keys: str = "", trinity: tuple[float | None, ...] = (),
-          ted: tuple[float | None, ...] = ()) -> Line:
-    return Line(label, row, {key: (a, b) for key, a, b in zip(keys.split(), trinity, ted, strict=True)})
+def _line(label: str, row: str, keys: str = "", first: tuple[float, ...] = (), second: tuple[float, ...] = ()) -> Line:
+    """The paper's figures on its two data sets; () for a set that it has none of."""
+    named = keys.split()
+    one, other = (values or (None,) * len(named) for values in (first, second))
+    return Line(label, row, {key: (a, b) for key, a, b in zip(named, one, other, strict=True)})
 
 
 _T1 = "maje mad fgd pmb"
+_SG, _GES, _S2AG = (97.29, 4.26, 36.98, 54.54), (82.41, 3.62, 31.04, 71.0), (54.93, 1.49, 20.36, 79.53)
 _T2 = "variance fgd pmb"
 _PMB = ("pmb", "pmb_above_chance")
 TABLES: dict[str, Table] = {
     "RG Table 1": Table(("maje", "mad", "fgd", *_PMB), (
         _line("Real", PERFORMER, "pmb", (95.74,), (93.10,)),
+        _line("SG", "SG", _T1, _SG), _line("Ges", "Ges", _T1, _GES),
+        _line("GTC", "GTC", _T1, (), (26.95, 3.03, 3.73, 71.72)),
+        _line("S2AG", "S2AG", _T1, _S2AG, (24.49, 2.93, 3.54, 75.57)),
         _line("Ours (w/o BC)", "no-segmentation", _T1, (59.11, 1.89, 16.13, 78.18), (27.10, 3.11, 3.88, 67.88)),
         _line("Ours (w/o SC)", "no-lexemes", _T1, (70.10, 2.51, 29.75, 85.74), (30.07, 3.53, 5.22, 83.10)),
         _line("Ours (w/o ZC)", "no-style", _T1, (52.85, 1.35, 12.53, 91.36), (21.33, 2.61, 2.47, 88.67)),
@@ -154,6 +170,14 @@ TABLES: dict[str, Table] = {
     "RG 6.4.1": Table(("silence_speed", "speech_speed", *_PMB), (
         _line("w/o silent period hint", "no-hint"), _line("w/o silent augmentation", "no-augmentation"),
         _line("both", OURS))),
+    "RG Fig. 10": Table(("fgd", *_PMB), (
+        _line("nothing can be asked", OURS), _line("height, speed and radius can be asked", "style-editing"))),
+    "RACER Table 1": Table(("maje", "mad", "fgd", *_PMB), (
+        _line("Real", PERFORMER, "pmb", (95.74,)), _line("Style Gestures", "SG", _T1, _SG, (62.95, 3.46, 30.11, 53.56)),
+        _line("Gesticulator", "Ges", _T1, _GES), _line("S2AG", "S2AG", _T1, _S2AG),
+        _line("Bailando", "Bailando", _T1, (61.89, 1.74, 17.29, 84.21), (45.45, 1.29, 25.07, 68.53)),
+        _line("RACER (our Q-network over this lexicon)", "q-network", _T1, (50.33, 1.21, 13.44, 89.58),
+              (43.25, 1.19, 9.21, 74.29))), places=("Trinity", "Chinese")),
 }
 
 
@@ -208,18 +232,29 @@ def tiny() -> Config:
 
 
 PRESETS = {"ablation": ablation, "tiny": tiny}
+RACER_PRESETS = {"ablation": racer_ablation.PRESET, "tiny": ("cql.width=16", "cql.layers=4", "cql.heads=2",
+                                                             "schedules.cql.steps=10", "schedules.cql.batch=8")}
+"""What RACER's rows share on top of that."""
 
 
-def listing() -> str:
-    """What there is to run, and where the rest is."""
+def _flags(settings: Sequence[str]) -> list[str]:
+    return [f"--set {setting}" for setting in settings]
+
+
+def listing(figures: Mapping[str, str]) -> str:
+    """What there is to run, and where the rest is; figures: what each shows."""
     lines = []
     for name, row in ROWS.items():
-        told = [*row.settings, *([f"--interpreter {row.interpreter}"] if row.interpreter != "lstm" else []),
+        told = [*_flags(row.settings), *([f"--interpreter {row.interpreter}"] if row.interpreter != "lstm" else []),
                 *([f"{row.style} style codes"] if row.style != "interpreted" else []),
                 *([f"on {row.split}"] if row.split != "test" else [])]
-        what = f"unavailable: {row.unavailable}" if row.unavailable else " ".join(told) or "(the preset as it is)"
-        lines.append(f"{name:18} {row.question}\n{'':18} {what}\n{'':18} "
-                     f"{', '.join(tables_of(name)) or 'in no table'}")
-    lines += [f"{name:18} {about} (stands in every table)" for name, about in REFERENCES.items()]
+        lines.append(f"{name:20} {row.question}\n{'':20} {' '.join(told) or '(the preset as it is)'}\n{'':20} "
+                     f"{', '.join(tables_of(name))}")
+    for name, theirs in RACER.items():
+        other = racer_ablation.ROWS[theirs]
+        told = [*_flags(other.settings), *([other.training] if other.training != "offline" else [])]
+        lines.append(f"{name:20} {other.about}\n{'':20} {' '.join(told)}\n{'':20} RACER Table 2")
+    lines += [f"{name:20} {about} (stands in every table)" for name, about in {**REFERENCES, **CONTROLS}.items()]
+    lines += [f"{name:20} {about}" for name, about in figures.items()]
     lines += [f"elsewhere: {what}: python -m {command}" for what, command in ELSEWHERE.items()]
     return "\n".join(lines)

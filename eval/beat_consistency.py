@@ -67,11 +67,15 @@ class Consistency:
 def onset_score(motion_beats: Array, onsets: Array, sigma: float = SIGMA) -> float:
     """Mean over onsets [m] of exp(-d^2 / (2 sigma^2)), d seconds to the nearest of the motion beats [n].
 
-    NaN without onsets; 0 without motion beats (each onset waits in vain). ValueError for a sigma that is not positive.
+    NaN without onsets, as a mean over none; 0 without motion beats (each onset waits in vain). ValueError for a sigma
+    that is not positive, and for times that are not finite or not [n].
     """
     if not (np.isfinite(sigma) and sigma > 0):
         raise ValueError(f"sigma must be positive, not {sigma}")
-    own, heard = np.sort(np.asarray(motion_beats, dtype=np.float64)), np.asarray(onsets, dtype=np.float64)
+    own, heard = np.asarray(motion_beats, dtype=np.float64), np.asarray(onsets, dtype=np.float64)
+    if own.ndim != 1 or heard.ndim != 1 or not (np.isfinite(own).all() and np.isfinite(heard).all()):
+        raise ValueError(f"times must be finite seconds, [n], not {own.shape} and {heard.shape}")
+    own = np.sort(own)
     if len(heard) == 0:
         return float("nan")
     if len(own) == 0:
@@ -92,16 +96,19 @@ def joint_beats(speeds: Array, fps: float = FPS, order: int = ORDER, moving: flo
     either side, that lie above `moving` times the joint's mean speed. A joint that never moves has none.
 
     Near an end of the clip, as in the public code, a minimum is the least of those frames that there are; the first
-    and the last frame are none.
+    and the last frame are none. ValueError for speeds of another shape or not finite, or an fps that is not positive.
     """
     from scipy.signal import argrelextrema
 
     own = np.asarray(speeds, dtype=np.float64)
+    if own.ndim != 2 or not np.isfinite(own).all() or not (np.isfinite(fps) and fps > 0):
+        raise ValueError(f"speeds must be finite, [T, J], and fps positive, not {own.shape} and {fps}")
     beats = []
     for column in own.T:
         least = argrelextrema(column, np.less, order=order, mode="clip")[0] if len(column) else np.zeros(0, int)
+        rest = moving * column.mean() if len(column) else 0.0
         # Speed t is that between frames t and t + 1.
-        beats.append((least[column[least] > moving * column.mean()] + 0.5) / fps)
+        beats.append((least[column[least] > rest] + 0.5) / fps)
     return beats
 
 
@@ -121,13 +128,21 @@ def motion_joint_beats(motion: Motion) -> list[Array]:
 
 
 def dance_beats(positions: Array, fps: float) -> Array:
-    """Seconds of the strict minima of the mean speed of joints, smoothed, of positions [T, J, 3] (Bailando's rule)."""
+    """Seconds of the strict minima of the mean speed of joints, smoothed, of positions [T, J, 3] (Bailando's rule).
+
+    ValueError for positions of another shape or not finite, or an fps that is not positive.
+    """
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import argrelextrema
 
-    if len(positions) < 4:
+    places = np.asarray(positions, dtype=np.float64)
+    if places.ndim != 3 or places.shape[1] == 0 or places.shape[2] != 3 or not np.isfinite(places).all():
+        raise ValueError(f"positions must be finite, [T, J, 3], not {places.shape}")
+    if not (np.isfinite(fps) and fps > 0):
+        raise ValueError(f"fps must be positive, not {fps}")
+    if len(places) < 4:
         return np.zeros(0)
-    speed = np.linalg.norm(np.diff(positions, axis=0), axis=-1).mean(axis=1) * fps
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=-1).mean(axis=1) * fps
     smooth = gaussian_filter1d(speed, DANCE_SMOOTHING * fps)
     return (argrelextrema(smooth, np.less)[0] + 0.5) / fps
 
@@ -137,10 +152,12 @@ def consistency(joints: Sequence[Array], onsets: Array, duration: float, sigma: 
     """Score and chance of the beats of joints against onsets (both in seconds, 0 to `duration`).
 
     chance: the mean over circular shifts of all beats together, drawn evenly but no closer to 0 than a second (or a
-    tenth of the duration).
+    tenth of the duration). ValueError as in `onset_score`, and for a duration that is not positive or no shift.
     """
     nan = float("nan")
-    if len(joints) == 0 or duration <= 0:
+    if not (np.isfinite(duration) and duration > 0) or shifts < 1:
+        raise ValueError(f"the duration must be positive and shifts 1 or more, not {duration} and {shifts}")
+    if len(joints) == 0:
         return Consistency(nan, nan, nan, "no joint moves")
     rate = float(np.mean([len(beats) for beats in joints])) / duration
     if len(onsets) == 0:

@@ -1,8 +1,12 @@
 """Intervals: how far a mean over clips would move if other clips had been drawn.
 
 Theory: the percentile bootstrap (Efron 1979): draw as many clips with replacement as there are, take the mean, repeat;
-the 2.5th and 97.5th percentiles bound it. Clips, not blocks, are drawn, because blocks of one clip are alike. What
-fools it: fewer than about ten clips make the interval too narrow.
+the 2.5th and 97.5th percentiles bound it. Clips, not blocks, are drawn, because blocks of one clip are alike. Unit:
+that of the values; a narrow interval is good only where the mean is.
+
+What fools it: fewer than about ten clips make the interval too narrow, and one clip has none: it is then drawn each
+time, and the width of 0 means nothing. Clips of one speaker, or cut from one recording, are alike and count as fewer.
+It tells of other clips only: another seed of training moves a figure too.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean over `clips` clips and its 95 % interval; NaN where nothing is defined."""
+    """A mean over `clips` clips and its 95 % interval; NaN where nothing is defined (`clips` is then 0)."""
 
     mean: float
     low: float
@@ -30,13 +34,18 @@ class Interval:
 
 
 def interval(values: ArrayLike, weights: ArrayLike | None = None, *, seed: int = 0, draws: int = DRAWS) -> Interval:
-    """Mean and 95 % bootstrap interval of one value per clip [n]; NaN values are left out.
+    """Mean and 95 % bootstrap interval of one value per clip [n]; NaN values, and clips of no weight, are left out.
 
     weights: [n], such as the blocks of each clip, for a mean over blocks with clips as the unit that is drawn.
+    ValueError for other shapes, infinite values, and weights that are negative or not finite.
     """
     own = np.asarray(values, dtype=np.float64)
     weight = np.ones_like(own) if weights is None else np.asarray(weights, dtype=np.float64)
-    kept = np.isfinite(own)
+    if own.ndim != 1 or weight.shape != own.shape:
+        raise ValueError(f"values and weights must be [n], not {own.shape} and {weight.shape}")
+    if np.isinf(own).any() or not (np.isfinite(weight).all() and (weight >= 0).all()):
+        raise ValueError("values must not be infinite, and weights must be finite and 0 or more")
+    kept = ~np.isnan(own) & (weight > 0)
     own, weight = own[kept], weight[kept]
     if len(own) == 0:
         return Interval(float("nan"), float("nan"), float("nan"), 0)

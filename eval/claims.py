@@ -27,11 +27,11 @@ import numpy as np
 from data_module.errors import one_line_errors
 from data_module.types import Array
 from eval import racer_ablation
-from eval.ablate import COLUMNS, DECIDED, Cells, read_cells
+from eval.ablation_tables import COLUMNS, DECIDED, Cells, read_cells
 from eval.ablations import OURS, PERFORMER, TABLES, Paper
 from eval.bootstrap import Interval
 from eval.racer_ablation import interval_over
-from eval.results import keep
+from eval.results import publish
 
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 ALIKE = 5.0
@@ -251,9 +251,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = p.parse_args(argv)
     with one_line_errors("eval.claims"):
         result = claims(read_cells(Path(arguments.ablation)), racer_cells(Path(arguments.racer)))
-        if arguments.out:
-            keep(result, markdown(result), arguments.out)
-        print(markdown(result))
+        publish(result, markdown(result), arguments.out)
     return 0
 
 

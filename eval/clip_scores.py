@@ -1,19 +1,41 @@
-"""What the table of `eval.score` says of one clip: each metric's number, and why where there is none."""
+"""What the table of `eval.score` says of one clip: each metric's number, and why where there is none.
+
+With a bundle, a motion is also read as blocks at the beat of its speech, whoever made it:
+
+- the reward is the mean cosine between the motion and the speech in the windows that end with each block, by the
+  model that judges, which no policy was trained to please (RACER Eq. 8). No unit, from -1 to 1, more is better. Windows
+  that are silent throughout are left out. What fools it: a model hears what its training taught it to hear, so motion
+  of another style, or of joints that it never saw, gets less for that alone, and random motion far more than 0. Look at
+  the distance from the row `shuffled`, not at the value.
+- lexeme accuracy is the share of blocks that read as the same lexeme as the speaker's own motion, percent, more is
+  better. What fools it: many gestures suit a word, so a good system may have little of it; lexemes of rest are common,
+  so standing still may have much. `shuffled` is its chance level as well.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
+from data_module import blocks as block_module
 from data_module.beats import detect_onsets
 from data_module.motion_beats import MODES, motion_beats
-from data_module.types import Array, Motion, Speech
+from data_module.types import Array, Blocks, Motion, Speech
 from eval import pmb
 from eval.beat_consistency import consistency, mean_score, motion_joint_beats
 from eval.joint_error import motion_error
 from eval.mismatch import wrapped
 from eval.smoothness import motion_smoothness
+from gesticulator.hear import front_end_for, hear
+from gesticulator.prepare import representation_of
+
+if TYPE_CHECKING:
+    from gesticulator.bundle import Bundle
 
 WIDE = 0.2
 """Seconds: the delta that the papers print."""
@@ -54,6 +76,11 @@ METRICS: dict[str, Metric] = {
     "jerk": Metric("joint jerk, m/s^3", 1, "vigour", "near"),
 }
 """The metrics that have a value for each clip."""
+LEXEME_METRICS: dict[str, Metric] = {
+    "reward": Metric("reward of the judging model, cosine", 3, "lexemes", "high"),
+    "lexeme_accuracy": Metric("lexemes like the speaker's own, %", 1, "lexemes", "high"),
+}
+"""Those that take a bundle."""
 SYNCHRONY = ("pmb_A", "pmb_B", "consistency")
 """Those that the mismatch test tries."""
 _PAIR = tuple(name for name, metric in METRICS.items() if metric.part == "joints")
@@ -152,3 +179,84 @@ def synchrony(name: str, moved: Moved, heard: Heard) -> float:
     if name == "consistency":
         return mean_score(moved.joints, onsets)
     return pmb.pmb(moved.modes[name.removeprefix("pmb_")], onsets)
+
+
+# ------------------------------------------------------------------------------------------- as a bundle reads it
+
+@dataclass(frozen=True)
+class Spoken:
+    """A clip's speech as a bundle hears it: its N blocks, and audio [N, K, d] for the reward (None without one)."""
+
+    blocks: Blocks
+    audio: Tensor | None
+    speaker: str
+
+    @classmethod
+    def of(cls, bundle: Bundle, speech: Speech) -> Spoken:
+        """Cut and, where there is a model that judges, encoded as its training data was."""
+        own = speech.speaker or ""
+        if bundle.reward_judge is None:
+            return cls(block_module.cut(speech, bundle.config.rhythm), None, own)
+        heard = hear(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
+        frames, statistics = bundle.config.rhythm.frames, bundle.statistics
+        low = _middle(statistics.low.apply(heard.low), frames)
+        if heard.high is heard.low:
+            return cls(heard.blocks, low, own)
+        high = _middle(statistics.high.apply(heard.high), frames)
+        return cls(heard.blocks, torch.cat([low[..., :-1], high], dim=-1), own)
+
+
+def _middle(windows: NDArray[np.floating], frames: int) -> Tensor:
+    """[N, K, d] the block itself of windows of three, in the half precision that corpora are kept in."""
+    return torch.as_tensor(windows[:, frames:2 * frames].astype(np.float16)).float()
+
+
+@dataclass(frozen=True)
+class Told:
+    """A motion as a bundle reads it. latents: [N, D]; labels: [N] nearest lexemes; reward: NaN without a model."""
+
+    latents: Array
+    labels: NDArray[np.int64]
+    reward: float
+
+
+@torch.no_grad()
+def told(bundle: Bundle, motion: Motion, spoken: Spoken) -> Told:
+    """A motion in the blocks of its speech. Of a performer unknown to the bundle, poses are told from the clip's own
+    mean; joints that the source lacks are at rest."""
+    poses = block_module.normalise_motion(motion, spoken.blocks, representation_of(bundle.config))
+    if spoken.speaker in bundle.speakers:
+        features = bundle.statistics.normalise(poses, bundle.speakers.index(spoken.speaker))
+    else:
+        features = (poses - poses.mean(axis=(0, 1))) / bundle.statistics.deviation
+    seen = torch.as_tensor(features, dtype=torch.float32)
+    latents = bundle.drawn.lexicon.latents(seen)
+    return Told(latents.double().numpy(), bundle.lexicon.quantizer.labels(latents).numpy(),
+                _reward(bundle, seen, spoken))
+
+
+def _reward(bundle: Bundle, seen: Tensor, spoken: Spoken) -> float:
+    """The mean reward of motion [N, K, D_m] over the windows that end with each block and are not all silent."""
+    model = bundle.reward_judge
+    if model is None or spoken.audio is None:
+        return float("nan")
+    at = torch.arange(len(seen))[:, None] + torch.arange(1 - model.config.window, 1)
+    valid, at = (at >= 0).float(), at.clamp_min(0)
+    motion = model.block_motion(seen, torch.as_tensor(np.log(spoken.blocks.durations)).float())
+    cosines = (model.embed_motion(motion[at], valid) * model.embed_audio(model.block_audio(spoken.audio)[at], valid)
+               ).sum(-1)
+    heard = ((valid > 0) & ~torch.as_tensor(spoken.blocks.silent)[at]).any(dim=1)
+    return float(cosines[heard].double().mean()) if heard.any() else float("nan")
+
+
+def lexeme_values(own: Told | None, truth: Told | None, judged: bool) -> Values:
+    """Both of `LEXEME_METRICS` of a motion beside the speaker's own; None where there is no speech. judged: whether the
+    bundle has a model that judges."""
+    out, nan = Values(), float("nan")
+    if own is None or truth is None:
+        for name in LEXEME_METRICS:
+            out.put(name, nan, "its speech is not known")
+        return out
+    out.put("reward", own.reward, "nothing is said" if judged else "the bundle has no judging reward model")
+    out.put("lexeme_accuracy", 100.0 * float((own.labels == truth.labels).mean()), "")
+    return out

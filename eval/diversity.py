@@ -68,7 +68,7 @@ class MotionVariance:
 
 def diversity(labels: ArrayLike, size: int) -> Diversity:
     """- sum of p_i log p_i over the `size` lexemes of the lexicon, of labels [N] (RG Eq. 23)."""
-    own = _labels(labels, size)
+    own = checked_labels(labels, size)
     if len(own) == 0:
         nan = float("nan")
         return Diversity(nan, nan, nan, 0, 0, "there is no block")
@@ -94,7 +94,7 @@ def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> Motion
     variance is the unbiased one, so that rare lexemes do not lower the mean.
     """
     own, lexemes = _latents(latents, vectors)
-    chosen = _labels(labels, len(lexemes))
+    chosen = checked_labels(labels, len(lexemes))
     if len(chosen) != len(own):
         raise ValueError(f"{len(own)} latents have {len(chosen)} labels")
     distances = np.linalg.norm(own - lexemes[chosen], axis=1)
@@ -119,7 +119,7 @@ def longest_run(sequences: Sequence[ArrayLike]) -> float:
     """How many blocks in a row have one lexeme, at most, in any sequence; 1: never twice. NaN without a block."""
     longest = 0
     for sequence in sequences:
-        own = _labels(sequence)
+        own = checked_labels(sequence)
         if len(own):
             edges = np.flatnonzero(np.diff(own)) + 1
             longest = max(longest, int(np.diff(np.concatenate([[0], edges, [len(own)]])).max()))
@@ -138,15 +138,8 @@ def unseen_bigrams(sequences: Sequence[ArrayLike], training: Sequence[ArrayLike]
     return float(np.mean([(int(a), int(b)) not in seen for a, b in pairs]))
 
 
-def _bigrams(sequences: Sequence[ArrayLike]) -> Labels:
-    """[n, 2] every pair of neighbours."""
-    own = [_labels(sequence) for sequence in sequences]
-    pairs = [np.stack([labels[:-1], labels[1:]], axis=1) for labels in own if len(labels) > 1]
-    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
-
-
-def _labels(labels: ArrayLike, size: int | None = None) -> Labels:
-    """Labels [N], checked: whole numbers from 0 to size - 1."""
+def checked_labels(labels: ArrayLike, size: int | None = None) -> Labels:
+    """Labels [N] of lexemes; ValueError unless they are whole numbers from 0 (to size - 1), in one row."""
     own = np.asarray(labels)
     if own.size == 0 and own.ndim == 1:
         return np.zeros(0, dtype=np.int64)
@@ -156,6 +149,13 @@ def _labels(labels: ArrayLike, size: int | None = None) -> Labels:
         raise ValueError(f"labels must lie in 0 to {'N_s' if size is None else size} - 1: "
                          f"{own.min()} to {own.max()}")
     return own.astype(np.int64)
+
+
+def _bigrams(sequences: Sequence[ArrayLike]) -> Labels:
+    """[n, 2] every pair of neighbours."""
+    own = [checked_labels(sequence) for sequence in sequences]
+    pairs = [np.stack([labels[:-1], labels[1:]], axis=1) for labels in own if len(labels) > 1]
+    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
 
 
 def _latents(latents: Array, vectors: Array) -> tuple[Array, Array]:

@@ -34,14 +34,15 @@ from data_module.silence import pauses, silent_frames
 from data_module.store import Recording, Store
 from data_module.types import Array, Motion, Speech
 from eval import pmb
+from eval.accuracy import lexeme_accuracy
 from eval.bootstrap import interval
 from eval.parts import hinted_labels
-from eval.results import keep
+from eval.results import publish
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import FPS, Gesticulator
 from gesticulator.prepare import Corpus, prepare, representation_of
 from gesticulator.train import lexicon_figures
-from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter
+from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter, select
 
 REAL_FPS = 15.0
 _HANDS = ("RightHand", "LeftHand")
@@ -169,26 +170,30 @@ def accuracy_table(bundle: bundles.Bundle, corpus: Corpus, hinted: NDArray[np.in
             own = corpus.blocks_of(recording)
             sizes.append(len(own) - 1)
             for kind, values in scores.items():
-                values.append(_accuracy(bundle, corpus, system, recording, own, hinted, kind == "teacher_forced"))
+                made = likeliest(system, corpus, hinted, bundle.silent, recording, kind == "teacher_forced")
+                values.append(lexeme_accuracy(made, hinted[own[1:]]).percent)
         table[name] = {kind: interval(values, sizes).to_dict() for kind, values in scores.items()}
     return table
 
 
-def _accuracy(bundle: bundles.Bundle, corpus: Corpus, system: LexemeInterpreter, recording: int,
-              own: NDArray[np.int64], hinted: NDArray[np.int64], teacher: bool) -> float:
-    from interpreters import select
+@torch.inference_mode()
+def likeliest(system: LexemeInterpreter, corpus: Corpus, hinted: NDArray[np.int64], silent: NDArray[np.int64],
+              recording: int, teacher: bool) -> NDArray[np.int64]:
+    """[n - 1] the best lexeme of each block of a recording but the first, which is given; under the silent mask.
 
-    previous, right = int(hinted[own[0]]), 0
+    hinted: [N] the performer's, with the silent hint; teacher: that past is heard, and not the system's own.
+    """
+    own, reads = corpus.blocks_of(recording), isinstance(system, LstmInterpreter) and system.config.reads
+    previous, chosen = int(hinted[own[0]]), []
     state = system.start(int(corpus.speaker_of[recording]), previous)
     for block in own[1:]:
-        silent = bool(corpus.silent[block])
-        text = corpus.text(np.array([block]))[0] if corpus.has_text[recording] else None
-        features = BlockFeatures(corpus.low[block].float(), corpus.high[block].float(), silent, text)
-        scores, state = system.step(state, features, previous)
-        chosen = select(scores, allowed=bundle.silent if silent else None)
-        right += chosen == hinted[block]
-        previous = int(hinted[block]) if teacher else chosen
-    return 100.0 * right / max(1, len(own) - 1)
+        quiet = bool(corpus.silent[block])
+        text = corpus.text(np.array([block]))[0] if reads else None
+        heard = BlockFeatures(corpus.low[block].float(), corpus.high[block].float(), quiet, text)
+        scores, state = system.step(state, heard, previous)
+        chosen.append(select(scores, allowed=silent if quiet else None))
+        previous = int(hinted[block]) if teacher else chosen[-1]
+    return np.array(chosen, dtype=np.int64)
 
 
 # ----------------------------------------------------------------------------------------------------- motion
@@ -206,11 +211,11 @@ class Clip:
     seam_speed: Array = field(default_factory=lambda: np.zeros(0))
 
 
-def measure(motion: Motion, speech: Speech, edges: Array | None = None) -> Clip:
+def measure(motion: Motion, speech: Speech, edges: Array | None = None, onsets: Array | None = None) -> Clip:
     """Onsets, motion beats, speeds of both hands [T - 1, 2] in m/s, which of those frames lie in a settled silence.
 
     A frame is silent when the second before it was. Heights of the hands over the hips, metres. edges: block edges,
-    for the hand speed across the seams.
+    for the hand speed across the seams. onsets: those of the speech, where they are known already.
     """
     faced = skeletons.facing(motion)
     positions = positions_of(faced)
@@ -219,7 +224,8 @@ def measure(motion: Motion, speech: Speech, edges: Array | None = None) -> Clip:
     quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
     settled = np.convolve(quiet, np.ones(round(1 / SILENCE_FRAME)))[:len(quiet)] >= round(1 / SILENCE_FRAME) - 0.5
     at = np.minimum((np.arange(len(speed)) / motion.fps / SILENCE_FRAME).astype(int), len(settled) - 1)
-    clip = Clip(detect_onsets(speech.samples, speech.sample_rate), motion_beats(motion), speech.duration, speed,
+    onsets = detect_onsets(speech.samples, speech.sample_rate) if onsets is None else onsets
+    clip = Clip(onsets, motion_beats(motion), speech.duration, speed,
                 settled[at], hands[..., 1] - positions[:, :1, 1])
     if edges is not None and len(speed):
         seams = np.clip(np.round(edges[1:-1] * motion.fps).astype(int), 1, len(speed) - 1)
@@ -370,8 +376,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not any(info.split == "test" for info in store.recordings):
             raise InputError(store.path, "has no test split", "build the store again")
         result = figures(store, system, work)
-        keep(result, markdown(result), arguments.out)
-        print(markdown(result))
+        publish(result, markdown(result), arguments.out)
     return 0
 
 

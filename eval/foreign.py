@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from data_module.errors import InputError
 from data_module.representation import TED_JOINTS, rotations_from_positions, ted_positions
 from data_module.skeletons import CHARACTER, find_table, to_character
 from data_module.smplx import read_smplx
-from data_module.store import Store
+from data_module.store import RecordingInfo, Split, Store
 from data_module.types import Array, Motion, Speech
 
 MOTIONS = (".bvh", ".npz", ".npy")
@@ -47,6 +47,7 @@ _HIP_JOINTS = (("leftupleg", "rightupleg"), ("left_hip", "right_hip"), ("lhip", 
 _NOSES = ("nose",)
 _CROWNS = ("headtop", "head_top", "headend", "head_end", "headtop_end", "crown")
 _EPS = 1e-9
+_RATE_ADVICE = 'give the frame rate: {"fps": RATE} in NAME.json beside it, or --fps NAME=RATE of a command that has it'
 
 
 @dataclass(frozen=True)
@@ -89,17 +90,24 @@ def find_sound(folder: Path, name: str) -> Path | None:
                  if file.is_file()), None)
 
 
+def names_in(folder: Path, split: str = "test") -> list[str]:
+    """The names of the clips that `read_folder` would read; nothing but their files' names is looked at."""
+    if _is_store(folder):
+        return [info.name for info in _chosen(Store.open(folder), split)]
+    return list(find_motions(folder)[0])
+
+
 def read_folder(folder: Path, speech: Path | None = None, fps: float | None = None,
-                only: Sequence[str] | None = None) -> tuple[dict[str, Clip], list[str]]:
-    """The clips of a folder, or of a store's test split, by name; and what was left out.
+                only: Sequence[str] | None = None, split: str = "test") -> tuple[dict[str, Clip], list[str]]:
+    """The clips of a folder, or of a store's split ("all" for every one), by name; and what was left out.
 
     speech: where the sounds lie, beside the motion when not told. fps: where the files have none or a wrong one. only:
     names to read (None: all). InputError for a file that cannot be read, and for a speech folder that is none.
     """
     if speech is not None and not speech.is_dir():
         raise InputError(speech, "is not a folder", f"name one that holds NAME{' or NAME'.join(SOUNDS)}")
-    if (folder / "store.json").is_file():
-        return _of_store(Store.open(folder), only), []
+    if _is_store(folder):
+        return _of_store(Store.open(folder), only, split), []
     files, notes = find_motions(folder)
     clips = {}
     for name, file in files.items():
@@ -109,13 +117,21 @@ def read_folder(folder: Path, speech: Path | None = None, fps: float | None = No
     return clips, notes
 
 
-def _of_store(store: Store, only: Sequence[str] | None) -> dict[str, Clip]:
-    infos = [info for info in store.of_split("test") if only is None or info.name in only]
+def _is_store(folder: Path) -> bool:
+    return (folder / "store.json").is_file()
+
+
+def _chosen(store: Store, split: str) -> list[RecordingInfo]:
+    return list(store.recordings if split == "all" else store.of_split(cast(Split, split)))
+
+
+def _of_store(store: Store, only: Sequence[str] | None, split: str) -> dict[str, Clip]:
     clips = {}
-    for info in infos:
-        own = store.load(info.name)
-        clips[info.name] = Clip(info.name, own.motion, replace(own.speech, speaker=info.speaker),
-                                info.group or info.name)
+    for info in _chosen(store, split):
+        if only is None or info.name in only:
+            own = store.load(info.name)
+            clips[info.name] = Clip(info.name, own.motion, replace(own.speech, speaker=info.speaker),
+                                    info.group or info.name)
     return clips
 
 
@@ -132,7 +148,13 @@ def read_motion(path: Path, fps: float | None = None) -> Motion:
     with warnings.catch_warnings():
         # A rate that is told answers the warning of a header that contradicts itself.
         warnings.simplefilter("ignore", BvhWarning)
-        return to_character(read_bvh(path, fps=rate) if kind == ".bvh" else read_smplx(path, fps=rate))
+        try:
+            return to_character(read_bvh(path, fps=rate) if kind == ".bvh" else read_smplx(path, fps=rate))
+        except InputError as error:
+            advice = _RATE_ADVICE if error.advice == "give the frame rate" else error.advice
+            # A skeleton is known by its joints alone, and a user by the file.
+            subject = path if error.subject == "skeleton" else error.subject
+            raise InputError(subject, error.wrong, advice) from None
 
 
 def sidecar(path: Path) -> dict[str, Any]:

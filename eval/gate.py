@@ -36,7 +36,7 @@ from data_module.store import SPLITS, Recording, Store
 from data_module.types import Array, Speech
 from eval.bootstrap import Interval, interval
 from eval.lexicon_map import block_of_frames, evenly, hand_speed, read_blocks
-from eval.results import keep
+from eval.results import publish
 from gesticulator.bundle import Bundle
 from gesticulator.hear import front_end_for, hear
 from gesticulator.pipeline import Gesticulator
@@ -320,9 +320,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         gate_of(system.bundle, arguments.bundle or "the shipped bundle")
         result = figures(system, [store.load(info.name) for info in evenly(store, arguments.split, arguments.limit)])
         result["store"] = {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split}
-        if arguments.out:
-            keep(result, markdown(result), arguments.out)
-        print(markdown(result))
+        publish(result, markdown(result), arguments.out)
     return 0
 
 

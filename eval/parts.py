@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from data_module.errors import one_line_errors
 from data_module.store import Store
 from eval.bootstrap import interval
-from eval.results import keep
+from eval.results import publish
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator.prepare import Corpus, prepare
@@ -164,9 +164,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         work = Path(arguments.work)
         work.mkdir(parents=True, exist_ok=True)
         result = parts(Store.open(arguments.data), bundles.load(arguments.bundle or bundles.SHIPPED), work)
-        if arguments.out:
-            keep(result, markdown(result), arguments.out)
-        print(markdown(result))
+        publish(result, markdown(result), arguments.out)
     return 0
 
 

@@ -41,7 +41,7 @@ from eval.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.figures import Clip, Commonest, measure
 from eval.joint_error import motion_error
 from eval.parts import hinted_labels, table
-from eval.results import keep
+from eval.results import publish
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import Corpus, prepare
@@ -534,8 +534,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         work.mkdir(parents=True, exist_ok=True)
         bundle = bundles.load(arguments.bundle or bundles.SHIPPED)
         result = policies(store, bundle, work, networks(store, work), limit=arguments.limit)
-        keep(result, markdown(result), arguments.out)
-        print(markdown(result))
+        publish(result, markdown(result), arguments.out)
     return 0
 
 

@@ -15,3 +15,10 @@ def keep(result: dict[str, Any], tables: str, out: str | Path) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
     write_text(place, json.dumps(result, indent=1) + "\n")
     write_text(place.with_suffix(".md"), tables)
+
+
+def publish(result: dict[str, Any], tables: str, out: str | Path | None) -> None:
+    """`keep` where a file is asked for, and the tables on the screen."""
+    if out:
+        keep(result, tables, out)
+    print(tables)

@@ -36,7 +36,7 @@ from data_module.errors import InputError, one_line_errors
 from data_module.store import Store
 from data_module.types import Array
 from eval.bootstrap import interval
-from eval.results import keep
+from eval.results import publish
 from gesticulator import bundle as bundles
 from gesticulator.prepare import Corpus, prepare
 from gesticulator.racer import block_audio, decoded_blocks, reward_table, takes_of, token_labels
@@ -459,8 +459,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         store, work = Store.open(arguments.data), Path(arguments.work)
         work.mkdir(parents=True, exist_ok=True)
         result = rewards(store, bundles.load(arguments.bundle or bundles.SHIPPED), work)
-        keep(result, markdown(result), arguments.out)
-        print(markdown(result))
+        publish(result, markdown(result), arguments.out)
     return 0
 
 

@@ -74,8 +74,16 @@ def derivative(positions: Array, fps: float, order: int) -> Array:
 
 
 def smoothness(positions: Array, fps: float, hands: NDArray[np.bool_], joints: NDArray[np.bool_]) -> Smoothness:
-    """The figures of positions [T, J, 3]; hands, joints: [J] which joints count as either."""
-    chosen = {"hands": np.asarray(positions)[:, hands], "joints": np.asarray(positions)[:, joints]}
+    """The figures of positions [T, J, 3]; hands, joints: [J] which joints count as either.
+
+    ValueError for other shapes, positions that count and are not finite, or an fps that is not positive.
+    """
+    places = np.asarray(positions, dtype=np.float64)
+    if places.ndim != 3 or any(np.shape(mask) != places.shape[1:2] or np.asarray(mask).dtype != np.bool_
+                               for mask in (hands, joints)):
+        raise ValueError(f"positions must be [T, J, 3] and both masks [J] of bool: {places.shape}, "
+                         f"{np.shape(hands)}, {np.shape(joints)}")
+    chosen = {"hands": places[:, hands], "joints": places[:, joints]}
     fewest = min(hands.sum(), joints.sum())
     short = "" if len(positions) > 3 else f"{len(positions)} frames: jerk needs 4"
     reason = "no joint is known" if fewest == 0 else short
@@ -118,11 +126,11 @@ def speed_histogram(speeds: Array) -> Array:
 def hellinger(first: Array, second: Array) -> float:
     """Hellinger distance between two histograms of counts or shares [n]; NaN where either is empty.
 
-    ValueError for different bins, or counts below 0.
+    NaN has one reason here: a histogram of nothing. ValueError for different bins, or counts below 0 or not finite.
     """
     p, q = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    if p.shape != q.shape or p.ndim != 1 or (p < 0).any() or (q < 0).any():
-        raise ValueError(f"histograms must have the same bins and no count below 0: {p.shape} and {q.shape}")
+    if p.shape != q.shape or p.ndim != 1 or not all(np.isfinite(own).all() and (own >= 0).all() for own in (p, q)):
+        raise ValueError(f"histograms must have the same bins, finite and 0 or more: {p.shape} and {q.shape}")
     if p.sum() <= 0 or q.sum() <= 0:
         return float("nan")
     # As the distance of roots, so that equal histograms are at 0 and not at the root of a rounding error.

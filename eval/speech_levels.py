@@ -44,7 +44,7 @@ from eval import audio_clusters
 from eval.bootstrap import interval
 from eval.lexicon_map import evenly, read_blocks
 from eval.probes import Judged, Spoken, grouped, probe_frames, probe_words, tokens_of
-from eval.results import keep
+from eval.results import publish
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
@@ -277,9 +277,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         encoder_of(system.bundle, arguments.bundle or "the shipped bundle")
         result = figures(system, store, split=arguments.split, limit=arguments.limit, train_limit=arguments.train)
         result["store"] = {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split}
-        if arguments.out:
-            keep(result, markdown(result), arguments.out)
-        print(markdown(result))
+        publish(result, markdown(result), arguments.out)
     return 0
 
 

@@ -28,7 +28,7 @@ from data_module.errors import InputError, one_line_errors
 from data_module.speech_encoder import PredictiveCoding, SpeechEncoder
 from data_module.store import Store
 from eval.bootstrap import interval
-from eval.results import keep
+from eval.results import publish
 from gesticulator import config as configs
 from gesticulator.config import Config
 from gesticulator.fit import generator_for
@@ -132,9 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         speech = dataclasses.replace(config.schedules.speech, steps=arguments.steps)
         config = dataclasses.replace(config, schedules=dataclasses.replace(config.schedules, speech=speech))
         result = figures(config, store, arguments.language, other, Path(arguments.work))
-        if arguments.out:
-            keep(result, markdown(result), arguments.out)
-        print(markdown(result))
+        publish(result, markdown(result), arguments.out)
     return 0
 
 

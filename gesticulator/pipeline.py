@@ -95,7 +95,7 @@ class Gesticulator:
     def __call__(self, speech: Speech | str | PathLike[str], *, text: str | PathLike[str] | None = None,
                  speaker: str | None = None, seed: int = 0, fps: float | None = None,
                  interpreter: str | LexemeInterpreter | None = None, temperature: float | None = None,
-                 controls: Controls | None = None, activity: float | None = None,
+                 controls: Controls | None = None, activity: float | None = None, heard: Heard | None = None,
                  on_block: Callable[[int, int], None] | None = None) -> Performance:
         """Gesture for a recording.
 
@@ -104,8 +104,8 @@ class Gesticulator:
         speaker: a performer's habits. fps: frames per second of the result (60). interpreter: what chooses the lexemes,
         by name ("lstm", "cql", "statistical"; the bundle's first when none is named) or as an object. temperature:
         how freely lexemes are drawn, 0 for always the likeliest. controls: what is asked of hand height, speed and
-        radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to 1 (always). What is not told is the
-        bundle's own. on_block(done, total) is called after each block. The same seed, bundle and speech give the same
+        radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to 1 (always). heard: what `hear` gave
+        for this speech, to gesture for it again without hearing it again. What is not told is the bundle's own. on_block(done, total) is called after each block. The same seed, bundle and speech give the same
         result.
         """
         if not isinstance(speech, Speech):
@@ -122,8 +122,8 @@ class Gesticulator:
         if text is not None:
             speech, note = self.read(speech, text)
         who = self.speaker_index(speaker)
-        reads = self.reads_text and any(word.text.strip() for word in speech.words or ())
-        heard = hear(speech, self.bundle.config, self._front_end, self.word_encoder() if reads else None)
+        reads = self._reads(speech)
+        heard = self.hear(speech) if heard is None else heard
         interpreter = self.bundle.interpreters[0] if interpreter is None else interpreter
         system = self.interpreter(interpreter, reads) if isinstance(interpreter, str) else interpreter
         usual = chosen.q_temperature if isinstance(system, QNetwork) else chosen.temperature
@@ -140,6 +140,13 @@ class Gesticulator:
         return Performance(motion=motion, speech=speech, blocks=heard.blocks, lexemes=made.lexemes, best=made.best,
                            scores=made.scores, codes=made.codes, gate=made.gate, notes=(note,) if note else (),
                            score_is="expected return" if isinstance(system, QNetwork) else "log-probability")
+
+    def hear(self, speech: Speech) -> Heard:
+        """A speech at 16 kHz cut into blocks and encoded, with its words where the bundle reads them."""
+        return hear(speech, self.bundle.config, self._front_end, self.word_encoder() if self._reads(speech) else None)
+
+    def _reads(self, speech: Speech) -> bool:
+        return self.reads_text and any(word.text.strip() for word in speech.words or ())
 
     def _check(self, activity: float, controls: Controls | None) -> None:
         if not 0 <= activity <= 1:

@@ -104,3 +104,31 @@ def test_jitter_beats_the_motion_itself_with_any_sound() -> None:
     assert shaken > clean
     more = np.sort(np.concatenate([motion_joint_beats(motion)[0], np.arange(0, 20, 0.1)]))
     assert onset_score(more, onsets) > onset_score(motion_joint_beats(motion)[0], onsets)
+
+
+@given(st.lists(st.floats(0, 1, width=16), min_size=0, max_size=40), st.integers(1, 7))
+def test_joint_beats_by_plain_loops(column: list[float], order: int) -> None:
+    wanted = []
+    for t, speed in enumerate(column):
+        around = [column[min(max(t + step, 0), len(column) - 1)] for step in range(-order, order + 1) if step]
+        if all(speed < other for other in around) and speed > 0.1 * sum(column) / len(column):
+            wanted.append((t + 0.5) / 30)
+    np.testing.assert_allclose(joint_beats(np.array(column)[:, None], 30.0, order)[0], wanted)
+
+
+def test_nonsense_is_refused() -> None:
+    onsets = np.array([1.0])
+    for beats in (np.array([np.nan]), np.array([np.inf]), np.ones((1, 2))):
+        for pair in ((beats, onsets), (onsets, beats)):
+            with pytest.raises(ValueError):
+                onset_score(*pair)
+    for speeds, fps in ((np.ones(5), 30.0), (np.full((5, 1), np.nan), 30.0), (np.ones((5, 1)), 0.0)):
+        with pytest.raises(ValueError):
+            joint_beats(speeds, fps)
+    for places, fps in ((np.ones((9, 3)), 30.0), (np.full((9, 1, 3), np.nan), 30.0), (np.ones((9, 0, 3)), 30.0),
+                        (np.ones((9, 1, 3)), -1.0)):
+        with pytest.raises(ValueError):
+            dance_beats(places, fps)
+    for duration in (0.0, -1.0, float("nan")):
+        with pytest.raises(ValueError):
+            consistency([onsets], onsets, duration)

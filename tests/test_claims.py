@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eval import claims, racer_ablation
-from eval.ablate import COLUMNS, Cells
+from eval.ablation_tables import COLUMNS, Cells
 from eval.ablations import REFERENCES, ROWS, TABLES
 from eval.bootstrap import Interval
 from eval.claims import CLAIMS, FAILS, HOLDS, UNDECIDED, Claim

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import ndimage
 from scipy.spatial.distance import cdist
 from scipy.stats import entropy
 
@@ -148,3 +149,18 @@ def test_random_lexemes_look_diverse_and_unseen_bigrams_give_them_away() -> None
     assert distinct_2(noise) > distinct_2(speaker[-1:])
     assert unseen_bigrams(noise, speaker[:-1]) > 0.7
     assert unseen_bigrams(speaker[-1:], speaker[:-1]) == 0.0
+
+
+@given(labels=LABELS, seed=st.integers(0, 99))
+def test_motion_variance_is_scipys_by_label(labels: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    latents, vectors, own = rng.normal(size=(len(labels), 3)), rng.normal(size=(8, 3)), np.array(labels)
+    distances = cdist(latents, vectors)[np.arange(len(own)), own]
+    often = [lexeme for lexeme, count in Counter(labels).items() if count > 1]
+    got = motion_variance(latents, labels, vectors)
+    assert got.lexemes == len(often)
+    if often:
+        counts = np.array([labels.count(lexeme) for lexeme in often])
+        with np.errstate(invalid="ignore"):  # of the labels between, which do not occur
+            each = np.asarray(ndimage.variance(distances, own, often)) * counts / (counts - 1)
+        assert got.mean == pytest.approx(each.mean(), abs=1e-12)

@@ -7,6 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import mean_absolute_error
 
 from data_module import rotation
 from data_module.kinematics import positions_of
@@ -159,3 +162,24 @@ def test_what_the_chapter_says_fools_them_does() -> None:
     # Jitter of 2 cm overwhelms the acceleration of a gesture, and is slight beside its places.
     noisy = motion_error(jittered([truth], 0)[0], truth)
     assert noisy.mad > 5 * held.mad
+
+
+@given(frames=st.integers(3, 12), joints=st.integers(1, 5), seed=st.integers(0, 99),
+       fps=st.sampled_from([15.0, 20.0, 60.0]))
+def test_every_convention_agrees_with_scikit_learn_and_plain_loops(frames: int, joints: int, seed: int, fps: float
+                                                                   ) -> None:
+    ours, theirs = np.random.default_rng(seed).normal(size=(2, frames, joints, 3))
+    got = joint_error(ours, theirs, fps)
+    assert got.maje == pytest.approx(1000 * mean_absolute_error(theirs.ravel(), ours.ravel()))
+    lengths = [math.dist(ours[t, j], theirs[t, j]) for t in range(frames) for j in range(joints)]
+    assert got.maje_length == pytest.approx(1000 * math.fsum(lengths) / len(lengths))
+
+    def braking(places: Array, t: int, j: int) -> Array:  # mm per squared frame, of each motion by itself
+        return 1000 * ((places[t + 1, j] - places[t, j]) - (places[t, j] - places[t - 1, j]))
+
+    apart = [braking(ours, t, j) - braking(theirs, t, j) for t in range(1, frames - 1) for j in range(joints)]
+    length = math.fsum(math.hypot(*vector) for vector in apart) / len(apart)
+    coordinate = math.fsum(abs(x) for vector in apart for x in vector) / (3 * len(apart))
+    assert got.mad_per_frame == pytest.approx(length) and got.mad_coordinate_per_frame == pytest.approx(coordinate)
+    assert got.mad * (1 / fps) ** 2 == pytest.approx(length)
+    assert got.mad_coordinate * (1 / fps) ** 2 == pytest.approx(coordinate)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
+import mir_eval
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from data_module.types import Array
+from data_module import rotation, skeletons
+from data_module.motion_beats import motion_beats
+from data_module.types import Array, Motion
 from eval.pmb import DELTAS, above_chance, chance, delta_curve, matched, pmb
 
 TIMES = st.lists(st.floats(0, 8), min_size=1, max_size=25).map(lambda values: np.sort(np.array(values)))
@@ -89,3 +93,64 @@ def test_above_chance_by_hand() -> None:
     assert above_chance(100.0, 50.0) == 1.0
     assert math.isnan(above_chance(100.0, 100.0))
     assert math.isnan(above_chance(float("nan"), 50.0))
+
+
+@given(beats=TIMES, onsets=TIMES, delta=st.sampled_from([0.05, 0.1, 0.2]))
+def test_as_many_as_mir_eval_matches(beats: Array, onsets: Array, delta: float) -> None:
+    # Its window has its edges in, ours has not: a pair on the edge is no question of matching.
+    assume(np.abs(np.abs(beats[:, None] - onsets[None]) - delta).min() > 1e-9)
+    assert np.count_nonzero(matched(beats, onsets, delta) >= 0) == len(mir_eval.util.match_events(onsets, beats, delta))
+
+
+FEW = st.lists(st.floats(0, 1), min_size=1, max_size=5).map(lambda values: np.sort(np.array(values)))
+
+
+@given(beats=FEW, onsets=FEW, delta=st.sampled_from([0.05, 0.2, 0.5]))
+def test_no_assignment_matches_more(beats: Array, onsets: Array, delta: float) -> None:
+    padded = np.concatenate([onsets, np.full(len(beats), np.inf)])  # a beat may go without
+    best = max(sum(beat - delta < onset < beat + delta for beat, onset in zip(beats, order, strict=False))
+               for order in itertools.permutations(padded, len(beats)))
+    assert np.count_nonzero(matched(beats, onsets, delta) >= 0) == best
+
+
+@pytest.mark.parametrize(("mode", "at"), [("A", (3 + math.sqrt(3)) / 6), ("B", 1.0)])
+def test_the_beats_of_either_mode_are_where_a_known_movement_has_them(mode: str, at: float) -> None:
+    """The right arm swings there and back, each time along 10 u^3 - 15 u^4 + 6 u^5 in 0.7 s: it brakes hardest at the
+    larger root of 1 - 6 u + 6 u^2, and stands still where it turns back."""
+    fps, swings = 60.0, 6
+    u = np.arange(round(0.7 * fps)) / round(0.7 * fps)
+    there = 10 * u ** 3 - 15 * u ** 4 + 6 * u ** 5
+    angles = np.zeros((swings * len(u), len(skeletons.CHARACTER), 3))
+    angles[:, skeletons.CHARACTER.index("RightArm"), 2] = np.concatenate([there, 1 - there] * (swings // 2))
+    motion = Motion(skeletons.CHARACTER, rotation.from_exponential_map(angles), np.zeros((len(angles), 3)), fps)
+    beats = motion_beats(motion, mode)
+    onsets = 0.7 * (np.arange(swings if mode == "A" else swings - 1) + at)
+    assert len(beats) == len(onsets)
+    assert pmb(beats, onsets, 0.03) == 100.0
+    assert pmb(beats, onsets + 0.2, 0.1) == 0.0
+
+
+def test_undefined_is_nan_with_a_reason_and_without_onsets_it_is_zero() -> None:
+    none, some = np.zeros(0), np.array([1.0, 2.0])
+    assert chance(none, some, 5.0).reason == delta_curve(none, some).reason == "the motion has no beat"
+    assert math.isnan(chance(none, some, 5.0).p_value) and math.isnan(delta_curve(none, some).area)
+    assert chance(some, some, 5.0).reason == delta_curve(some, none).reason == ""
+    assert delta_curve(some, none).area == 0.0
+
+
+def test_nonsense_is_refused() -> None:
+    good = np.array([1.0, 2.0])
+    for bad in (np.array([np.nan, 1.0]), np.array([np.inf]), np.ones((2, 2))):
+        for pair in ((bad, good), (good, bad)):
+            for measure in (pmb, delta_curve, lambda beats, onsets: chance(beats, onsets, 5.0)):
+                with pytest.raises(ValueError):
+                    measure(*pair)
+    for delta in (0.0, -0.1, float("nan"), float("inf")):
+        with pytest.raises(ValueError):
+            pmb(good, good, delta)
+    for duration, shifts in ((0.0, 9), (float("nan"), 9), (5.0, 0)):
+        with pytest.raises(ValueError):
+            chance(good, good, duration, shifts=shifts)
+    for deltas in ((), (0.2, 0.1), (0.1, 0.1)):
+        with pytest.raises(ValueError):
+            delta_curve(good, good, deltas)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import shutil
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,17 +17,25 @@ import soundfile
 from data_module import rotation
 from data_module.bvh import write_bvh
 from data_module.errors import InputError
-from data_module.kinematics import positions_of
+from data_module.kinematics import global_rotations, local_rotations, positions_of
 from data_module.representation import TED_JOINTS, bone_directions, ted_positions
-from data_module.skeletons import CHARACTER, facing
+from data_module.skeletons import CHARACTER, NAME_TABLES, facing
 from data_module.smplx import SKELETON as SMPLX
+from data_module.store import Store
 from data_module.types import Motion, Speech
-from eval import foreign, score
+from eval import fgd, foreign, score
 from eval.__main__ import main as door
+from eval.bootstrap import Interval
+from eval.clip_scores import Spoken, Told, told
 from eval.controls import jittered
+from eval.diversity import diversity, motion_variance
 from eval.foreign import Clip, read_motion
 from eval.gesture_features import RawFeatures
+from eval.rewards import Asked
 from eval.score import FLOOR, STILL, TRUTH, common_ground, flags, markdown, mean_pose, plain
+from gesticulator import bundle as bundles
+from gesticulator.prepare import prepare
+from gesticulator.racer import token_labels
 
 SECONDS, FPS, RATE = 4.0, 20.0, 16000
 NETWORKS = {"raw, 12 frames": RawFeatures(12), "raw, 20 frames": RawFeatures(20)}
@@ -102,7 +112,7 @@ def test_differences_are_paired(result: dict[str, Any]) -> None:
 def test_the_tables_say_it_all(result: dict[str, Any]) -> None:
     text = markdown(result)
     assert "joint jerk, m/s^3 (!)" in text and "Metrics that a control beats:" in text and "Undefined:" in text
-    assert "needed for features of 54 numbers" in text and "| PMB, % at delta, s | 0.025" in text
+    assert "windows, and 270 are needed" in text and "| PMB, % at delta, s | 0.025" in text
     assert "MAJE, mm, length, less" in text or "MAJE, mm, length (!), less" in text
 
 
@@ -207,7 +217,7 @@ def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path, c
     assert door(["score", "--truth", str(real), "--system", f"ours={ours}", "--no-controls", "--out", str(out)]) == 0
     kept = json.loads(out.read_text())
     assert kept["clips"] == ["clip0", "clip1"] and kept["rows"]["ours"]["maje"]["mean"] < 0.01
-    assert "truth: clip2 is not compared, because ours has none of that name" in kept["notes"]
+    assert "truth: clip2, clip3, clip4 are not compared, because ours has none of these names" in kept["notes"]
     assert out.with_suffix(".md").read_text() == capsys.readouterr().out
 
 
@@ -220,7 +230,6 @@ def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path, c
     (["score", "--truth", ".", "--system", "a=.", "--fps", "b=15"], "names no system"),
     (["score", "--truth", ".", "--system", "a=.", "--fps", "a=0"], "give a number over 0"),
     (["score", "--truth", ".", "--system", "a=.", "--piece", "nan"], "give a number over 0"),
-    (["score", "--truth", ".", "--system", "a=.", "--fgd", "no"], "name the folder of the Human3.6M"),
     (["score", "--truth", ".", "--system", "a=."], "holds no motion"),
 ])
 def test_bad_input_is_one_line(arguments: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
@@ -248,7 +257,8 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
     shutil.copy(file.with_suffix(".wav"), real / f"{file.stem}.wav")
     result = score.run(Namespace(
         truth=real, system=[f"itself={real}", f"shaken={shaken}"], speech=None, fgd=None, work=None, bundle=None,
-        piece="8", rate=None, fps=[], no_controls=False, seed=0))
+        piece="8", rate=None, fps=[], no_controls=False, seed=0,
+        split="test"))
     itself, off = result["rows"]["itself"], result["rows"]["shaken"]
     assert len(result["clips"]) == 3 and result["fps"] == 15.0
     assert itself["maje"]["mean"] == itself["mad"]["mean"] == itself["speed_distance"]["mean"] == 0.0
@@ -257,3 +267,236 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
     assert any(flag["metric"] == "consistency" and flag["control"] == "jitter" and "beats the truth" in flag["says"]
                for flag in result["flags"])
     assert "too few groups" in " ".join(result["notes"])
+
+
+# ------------------------------------------------------------------------------------- one motion in three formats
+
+def in_three_formats(motion: Motion, folder: Path) -> None:
+    """One motion as BVH in centimetres under Mixamo's names, as SMPL-X, and as positions in millimetres, Z up."""
+    cm = replace(CHARACTER, names=tuple(f"mixamorig:{name}" for name in CHARACTER.names),
+                 offsets=CHARACTER.offsets * 100,
+                 end_sites={joint: 100 * tip for joint, tip in CHARACTER.end_sites.items()})
+    smplx = NAME_TABLES["smplx"]
+    ours = {theirs: CHARACTER.index(name) for name, theirs in smplx.items()}
+    world, turned = global_rotations(CHARACTER, motion.rotations), np.zeros((len(motion), len(SMPLX), 4))
+    for joint, name in enumerate(SMPLX.names):
+        parent = turned[:, SMPLX.parents[joint]] if joint else world[:, 0]
+        turned[:, joint] = world[:, ours[name]] if name in ours else parent
+    poses = rotation.to_exponential_map(rotation.normalise(local_rotations(SMPLX, turned)))
+    places = positions_of(motion)
+    told = {"joints": [*CHARACTER.names, "Nose", "HeadTop"], "fps": motion.fps, "up": "+Z"}
+    points = np.concatenate([places, ted_positions(motion)[:, 2:4] + places[:, [3]] - ted_positions(motion)[:, [0]]],
+                            axis=1)
+    for name in ("bvh", "smplx", "npy"):
+        (folder / name).mkdir(parents=True)
+    write_bvh(folder / "bvh" / "a.bvh", replace(motion, skeleton=cm, root_positions=100 * motion.root_positions))
+    np.savez(folder / "smplx" / "a.npz", poses=poses.reshape(len(motion), -1), betas=np.zeros(16),
+             trans=motion.root_positions + np.array([0.0, 0.35, 0.0]), mocap_frame_rate=motion.fps)
+    np.save(folder / "npy" / "a.npy", 1000 * points[..., [0, 2, 1]] * [1, -1, 1])
+    (folder / "npy" / "a.json").write_text(json.dumps(told))
+
+
+def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, tmp_path: Path) -> None:
+    (file,) = (outside_data / "takes" / "beat_scott").glob("*.bvh")
+    whole = facing(read_motion(file, 15.0).crop(0, 450))
+    turns = whole.rotations.copy()
+    # What SMPL-X has no joint for and positions cannot tell: it would be lost, rightly.
+    for name in ("Spine3", "Neck1", "Head"):
+        turns[:, CHARACTER.index(name)] = (1.0, 0.0, 0.0, 0.0)
+    motion = replace(whole, rotations=turns, absent=())
+    real = tmp_path / "real"
+    real.mkdir()
+    write_bvh(real / "a.bvh", motion)
+    off = replace(motion, rotations=rotation.continuous(rotation.normalise(
+        motion.rotations + 0.02 * np.sin(np.arange(len(motion)) / 7)[:, None, None])))
+    in_three_formats(off, tmp_path)
+    shutil.copy(file.with_suffix(".wav"), real / "a.wav")
+    result = score.run(asked(real, [f"{name}={tmp_path / name}" for name in ("bvh", "smplx", "npy")], piece="5"))
+    rows = result["rows"]
+    fgd = [key for key, column in result["metrics"].items() if column["part"] == "fgd"]
+    assert rows["bvh"]["maje_length"]["mean"] > 5
+    for other in ("smplx", "npy"):
+        for metric in ("maje_length", "maje", "pmb_A", "pmb_B", "consistency", "speed_hands", *fgd):
+            bound = {"smplx": 0.25, "npy": 0.5}[other] if metric.startswith("ma") else 0.1
+            assert rows[other][metric]["mean"] == pytest.approx(rows["bvh"][metric]["mean"], rel=bound), (other, metric)
+    assert any(note.startswith("smplx: Neck1, Spine3 are not known") for note in result["notes"])
+
+
+# ----------------------------------------------------------------------------------------- what a user runs into
+
+def asked(truth: Path, systems: list[str], **others: Any) -> Namespace:
+    told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "rate": None,
+                            "fps": [], "no_controls": False, "seed": 0, "split": "test"}
+    return Namespace(truth=truth, system=systems, **{**told, **others})
+
+
+def test_of_a_store_only_what_is_compared_is_read(tiny_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+                                                  ) -> None:
+    store = Store.open(tiny_store)
+    (info, *_) = store.of_split("test")
+    (learned, *_) = store.of_split("train")
+    ours = tmp_path / "ours"
+    ours.mkdir()
+    for name in (info.name, learned.name):
+        write_bvh(ours / f"{name}.bvh", store.load(name).motion.crop(0, 200))
+    read: list[str] = []
+    load = Store.load
+
+    def counted(store: Store, name: str) -> Any:
+        read.append(name)
+        return load(store, name)
+
+    monkeypatch.setattr(Store, "load", counted)
+    folders, notes = score.read_all(asked(tiny_store, [f"ours={ours}"]))
+    assert read == list(folders[TRUTH]) == list(folders["ours"]) == [info.name]
+    assert f"ours: {learned.name} is not compared, because truth has none of that name" in notes
+    folders, _ = score.read_all(asked(tiny_store, [f"ours={ours}"], split="all"))
+    assert set(folders["ours"]) == {info.name, learned.name}
+    with pytest.raises(InputError, match="no clip in common"):
+        score.read_all(asked(tiny_store, [f"ours={ours}"], split="val"))
+
+
+def test_a_speech_folder_without_the_sound_is_an_error(truth: dict[str, Clip], tmp_path: Path) -> None:
+    real = write_clips(tmp_path / "real", {"clip0": truth["clip0"]}, sound=False)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty: has no sound for clip0"):
+        score.run(asked(real, [f"ours={real}"], speech=tmp_path / "empty"))
+    with pytest.raises(InputError, match=r"name the folder of the Human3\.6M"):
+        score.run(asked(real, [f"ours={real}"], fgd=tmp_path / "none"))
+    (row,) = (row for name, row in score.run(asked(real, [f"ours={real}"]))["rows"].items() if name == "ours")
+    assert row["pmb_A"]["reason"] == "1 of 1 clips: its speech is not known"
+
+
+def test_advice_fits_the_command(truth: dict[str, Clip], tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", poses=np.zeros((5, 165)), trans=np.zeros((5, 3)))
+    with pytest.raises(InputError, match="--fps NAME=RATE"):
+        read_motion(tmp_path / "a.npz")
+    write_bvh(tmp_path / "odd.bvh", truth["clip0"].motion)
+    text = (tmp_path / "odd.bvh").read_text()
+    (tmp_path / "odd.bvh").write_text(text.replace("LeftHand", "Paw"))
+    with pytest.raises(InputError, match=r"odd\.bvh: has no joint known as LeftHand"):
+        read_motion(tmp_path / "odd.bvh")
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 10])
+def test_the_shortest_clips_are_scored_or_say_why_not(truth: dict[str, Clip], frames: int) -> None:
+    short = {"a": replace(truth["clip0"], motion=truth["clip0"].motion.crop(0, frames))}
+    result = score.score(common_ground({TRUTH: short, "ours": short}), NETWORKS)
+    row = result["rows"]["ours"]
+    assert row["maje"]["mean"] == 0.0
+    assert row["raw, 20 frames"]["verdict"].startswith("no: ") and np.isnan(row["raw, 20 frames"]["mean"])
+    assert "0 windows in a set: a covariance needs two" in markdown(result)
+
+
+@pytest.mark.parametrize(("name", "spoil", "says"), [
+    ("a.npz", b"not a zip", "is not an .npz of plain arrays"), ("a.bvh", b"HIERARCHY\nROOT", "a.bvh"),
+    ("a.npy", b"\x93NUMPY", "is not an .npy of plain numbers"), ("a.wav", b"RIFF", "a.wav")])
+def test_spoilt_files_are_one_line_and_leave_nothing(truth: dict[str, Clip], name: str, spoil: bytes, says: str,
+                                                     tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    real = write_clips(tmp_path / "real", {"a": replace(truth["clip0"], name="a")})
+    ours = tmp_path / "ours"
+    ours.mkdir()
+    if name == "a.wav":
+        write_bvh(ours / "a.bvh", truth["clip0"].motion)
+    (ours / "a.json").write_text('{"joints": ["Hips"], "fps": 20}')
+    (ours / name).write_bytes(spoil)
+    with pytest.raises(SystemExit) as stop:
+        door(["score", "--truth", str(real), "--system", f"ours={ours}", "--out", str(tmp_path / "out" / "s.json")])
+    told = capsys.readouterr().err
+    assert stop.value.code == 2 and says in told and len(told.splitlines()) == 1 and not (tmp_path / "out").exists()
+
+
+def test_a_system_that_equals_a_control_is_told_of(truth: dict[str, Clip]) -> None:
+    for control, metric in ((STILL, "maje"), ("reversed", "mad"), ("jitter", "raw, 12 frames")):
+        made, _ = score.control_rows(common_ground({TRUTH: truth}), 0)
+        ours = {name: Clip(name, motion, None) for name, motion in zip(truth, made[control], strict=True)}
+        networks = {"raw, 12 frames": NETWORKS["raw, 12 frames"]}
+        flagged = score.score(common_ground({TRUTH: truth, "ours": ours}), networks)["flags"]
+        assert any(flag["metric"] == metric and flag["control"] == control and "is as good as ours" in flag["says"]
+                   for flag in flagged), control
+
+
+def test_the_table_says_whether_the_sample_suffices() -> None:
+    def verdict(distance: float, bias: float, windows: tuple[int, int], needed: int = 160) -> str:
+        return score.fgd_verdict(fgd.Figure(distance, Interval(distance, 0.0, 1.0, 3), bias, windows, needed, "own", 34,
+                                            15.0, "00", "too little"))
+
+    assert verdict(9.0, 0.5, (200, 300)) == "yes"
+    assert verdict(9.0, 0.5, (100, 300)) == "no: 100 windows, and 160 are needed"
+    assert verdict(0.4, 0.5, (200, 300)).startswith("no: not told from 0")
+    assert verdict(2.0, 0.5, (200, 300)) == "roughly: chance is 25 % of it, and a tenth from 600 windows on"
+    assert verdict(float("nan"), float("nan"), (1, 300)) == "no: too little"
+
+
+def test_the_reader_is_told_what_rows_and_marks_mean(result: dict[str, Any]) -> None:
+    text = markdown(result)
+    for words in ("Fewer than 10 clips: the intervals are too narrow", "- jitter: the truth with every joint 2 cm off",
+                  "- judged: same, still", "(?): a distance of a set too small for it", "PMB: share of motion beats",
+                  "| FGD of | network (SHA-256) | window | windows of it / of the truth | needed"):
+        assert words in text, words
+    far = next(line for line in text.splitlines() if line.startswith("| still | ") and "(?)" in line)
+    assert "(?) [" in far or "(?) |" in far
+
+
+def test_networks_of_one_name_and_length_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = RawFeatures(34), RawFeatures(60)
+    monkeypatch.setattr(score, "published", lambda folder: replace_name(first, "own 34 frames"))
+    monkeypatch.setattr(score, "as_features", lambda folder: replace_name(second, "own 34 frames"))
+    monkeypatch.setattr(score, "load", lambda folder: folder)
+    (tmp_path / "fgd-a").mkdir()
+    (tmp_path / "fgd-a" / "gesture_features.json").write_text("{}")
+    assert list(score.networks_of(tmp_path, tmp_path, tmp_path))[:2] == ["own 34 frames", "own 34 frames (abababab)"]
+
+
+def replace_name(features: RawFeatures, name: str) -> Any:
+    return SimpleNamespace(name=name, frames=34, fps=features.fps, sha256="ab" * 32)
+
+
+# -------------------------------------------------------------------------------------------- as a bundle reads it
+
+def test_lexeme_sums_give_the_figures_of_all_blocks() -> None:
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(size=(7, 3))
+    read: list[Told | None] = [Told(rng.normal(size=(n, 3)), rng.integers(7, size=n), 0.0) for n in (30, 5, 12)]
+    read.insert(1, None)
+    moments = score.lexeme_moments(read, vectors)
+    for chosen in ([0, 2, 3], [3, 3, 2, 1], [2, 2, 2], [1, 1]):
+        some = [own for k in chosen if (own := read[k]) is not None]
+        counts, sums, squares = (part[chosen].sum(axis=0) for part in moments)
+        if not some:
+            assert np.isnan(score.entropy(counts)) and np.isnan(score.mean_variance(counts, sums, squares))
+            continue
+        labels = np.concatenate([own.labels for own in some])
+        assert score.entropy(counts) == pytest.approx(diversity(labels, 7).nats)
+        assert score.mean_variance(counts, sums, squares) == pytest.approx(
+            motion_variance(np.concatenate([own.latents for own in some]), labels, vectors).mean)
+
+
+def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    bundle, store = bundles.load(tiny_bundle), Store.open(tiny_store)
+    clips, _ = foreign.read_folder(tiny_store, split="all")
+    some = dict(list(clips.items())[:3])
+    ground = common_ground({TRUTH: some, "same": some})
+    table = score.score(ground, {}, bundle)
+    own, same = table["rows"][TRUTH], table["rows"]["same"]
+    assert own["lexeme_accuracy"]["mean"] == 100.0 and same["reward"] == own["reward"]
+    assert -1.0 <= own["reward"]["mean"] <= 1.0 and table["rows"]["shuffled"]["lexeme_accuracy"]["mean"] < 100.0
+    deaf = score.score(ground, {}, replace(bundle, reward_judge=None), with_controls=False)["rows"]["same"]
+    assert "the bundle has no judging reward model" in deaf["reward"]["reason"]
+    assert deaf["lexeme_accuracy"]["mean"] == 100.0
+    # By another way: the corpus as the stages train on it.
+    assert bundle.reward_judge is not None
+    corpus = prepare(store, bundle.config, tmp_path, bundle.encoder, progress=False)
+    asks = Asked.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
+    name = next(iter(some))
+    blocks = corpus.blocks_of(corpus.names.index(name))
+    values = []
+    for end in range(len(blocks)):
+        window = blocks[max(0, end - bundle.reward_judge.config.window + 1):end + 1]
+        if not corpus.silent[window].all():
+            values.append(asks.score("captured", window[None], window[None])[0])
+    speech = ground.speeches[0]
+    assert speech is not None
+    got = told(bundle, ground.motions[TRUTH][0], Spoken.of(bundle, speech))
+    assert got.reward == pytest.approx(np.mean(values), abs=2e-3)
+    assert (got.labels == token_labels(bundle.lexicon, corpus)[blocks]).mean() > 0.98

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import jensenshannon
+from scipy.stats import norm
 
 from data_module import rotation
 from data_module.skeletons import CHARACTER
@@ -103,3 +104,26 @@ def test_nonsense_is_refused() -> None:
     for speeds in ([-0.1], [np.inf]):
         with pytest.raises(ValueError):
             speed_histogram(np.array(speeds))
+    for masks in ((np.ones(2, bool), np.ones(3, bool)), (np.array([1, 0]), np.ones(2, bool))):
+        with pytest.raises(ValueError):
+            smoothness.smoothness(np.zeros((5, 2, 3)), 30.0, *masks)
+    with pytest.raises(ValueError):
+        smoothness.smoothness(np.zeros((5, 3)), 30.0, np.ones(3, bool), np.ones(3, bool))
+    for counts in ([1.0, np.nan], [1.0, np.inf], [1.0, -1.0]):
+        with pytest.raises(ValueError):
+            hellinger(np.array(counts), np.ones(2))
+
+
+def test_no_joint_is_nan_with_a_reason() -> None:
+    nobody = smoothness.smoothness(np.zeros((9, 2, 3)), 30.0, np.zeros(2, bool), np.ones(2, bool))
+    assert np.isnan(nobody.jerk_hands) and np.isnan(nobody.speed_hands) and nobody.reason == "no joint is known"
+
+
+@pytest.mark.parametrize(("middle", "deviation"), [(0.5, 1.0), (2.0, 1.0), (0.0, 3.0)])
+def test_hellinger_of_two_normal_distributions_is_the_closed_form(middle: float, deviation: float) -> None:
+    """H^2 = 1 - sqrt(2 s t / (s^2 + t^2)) exp(-(m - n)^2 / (4 (s^2 + t^2))), of shares in narrow bins."""
+    edges = np.linspace(-20, 20, 4001)
+    p, q = np.diff(norm.cdf(edges)), np.diff(norm.cdf(edges, middle, deviation))
+    both = 1 + deviation ** 2
+    closed = 1 - np.sqrt(2 * deviation / both) * np.exp(-middle ** 2 / (4 * both))
+    assert hellinger(1000 * p, 70 * q) == pytest.approx(np.sqrt(closed), abs=1e-4)

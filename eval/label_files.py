@@ -1,0 +1,294 @@
+"""Files in which people mark moments by hand: which moments, in seconds, whatever program wrote them.
+
+The layout is chosen by what the file holds, not by its name:
+
+- a TextGrid of Praat or ELAN (long or short form), point tier or interval tier: the entries that have a text;
+- a label track of Audacity: START tab END tab LABEL, or two numbers with a tab between;
+- JSON: a list of numbers, of [time, label] or of objects with "time" (or "start"), bare or below "beats", "labels",
+  "onsets", "strokes" or "times";
+- plain text: one number a line, with an optional label behind it; `#` begins a remark;
+- a table with a head (comma, semicolon or tab): the column that the caller names, else one of `COLUMNS`. With a column
+  of `FILES` it is a table of many recordings, one mark a row.
+
+Anything else is refused with the line. A mark that lasts has three moments; `at` chooses.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.transcript_formats import SILENCES
+from data_module.types import Array
+
+COLUMNS = ("time", "seconds", "second", "sec", "t", "timestamp", "beat", "beats", "onset", "emphasis", "start")
+"""Heads of a column of moments, the first that is there."""
+FILES = ("file", "recording", "clip", "name")
+"""Heads of a column that tells which recording a row belongs to."""
+AT = ("start", "middle", "end")
+OTHERS = frozenset({".bvh", ".npz", ".npy", ".fbx", ".wav", ".flac", ".ogg", ".mp3", ".mp4", ".avi", ".mov", ".srt",
+                    ".vtt", ".pdf", ".md"})
+"""Endings of what lies beside labels and is none."""
+
+_LISTS = ("beats", "labels", "onsets", "strokes", "times")
+_WANTED = re.compile(r"beat|emphas|stroke|gesture|onset|apex", re.IGNORECASE)
+_ADVICE = ("give seconds, one a line; a table with a head (time,label); an Audacity label track; a Praat TextGrid "
+           "(ELAN exports one); or a JSON list")
+_LARGEST = 1 << 26
+_MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_LINE = re.compile(rf"\s*(?P<time>{_NUMBER.pattern})(?:(?P<between>\s*[;,]\s*|\s+)(?P<rest>.*)|)")
+# Of a TextGrid quoted text, numbers that stand alone and the flag count; the rest is there for people.
+_TOKEN = re.compile(rf'"(?P<text>(?:[^"]|"")*)"|(?<![^\s=])(?P<number>{_NUMBER.pattern})(?!\S)|(?P<flag><\w+>)')
+
+Mark = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Moments that somebody marked in one recording. times: [n] seconds, rising; layout: what the file was read as."""
+
+    times: Array
+    layout: str
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What to take of a file that holds more than moments.
+
+    at: of a mark that lasts its "start", "middle" or "end". tier: of a TextGrid. column: of a table. rate: marks a
+    second, where the file counts frames (20) or milliseconds (1000) and not seconds.
+    """
+
+    at: str = "start"
+    tier: str | None = None
+    column: str | None = None
+    rate: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.at not in AT:
+            raise InputError("--at", f"is {self.at!r}", f"choose among {', '.join(AT)}")
+        if not (np.isfinite(self.rate) and self.rate > 0):
+            raise InputError("--label-fps", f"is {self.rate:g}", "give a positive number of frames a second")
+
+
+def read_labels(path: Path, choice: Choice | None = None) -> Labels:
+    """The moments of one recording. InputError for a file of another kind, one without marks, or marks before 0."""
+    choice = choice or Choice()
+    text = _text_of(path)
+    if text.lstrip()[:1] in ("[", "{"):
+        return _labels(path, _of_json(path, text), choice, "JSON")
+    if "ooTextFile" in text[:200] or re.match(r'\s*"?Praat', text):
+        return _labels(path, _of_textgrid(path, text, choice.tier), choice, "TextGrid")
+    if "-->" in text:
+        raise InputError(path, "holds subtitles, which time what is said and no gestures", _ADVICE)
+    rows = _rows(text)
+    if not rows:
+        raise InputError(path, "holds no labels", _ADVICE)
+    if _LINE.fullmatch(rows[0][1]) is None:
+        told = list(_of_table(path, text, choice.column))
+        if len({name for name, _ in told}) > 1:
+            raise InputError(path, "holds the labels of several recordings", "name all of them (--motion DIR, --store)")
+        return _labels(path, [mark for _, mark in told], choice, "table")
+    marks, layout = _of_numbers(path, rows)
+    return _labels(path, marks, choice, layout)
+
+
+def is_table_of_recordings(path: Path) -> bool:
+    """Whether a file is a table whose rows tell the recording that they belong to."""
+    try:
+        head = _text_of(path).lstrip().splitlines()[:1]
+    except InputError:
+        return False
+    return bool(head) and any(cell.strip().lower() in FILES for cell in re.split(r"[,;\t]", head[0]))
+
+
+def read_table(path: Path, choice: Choice | None = None) -> dict[str, Labels]:
+    """The moments of many recordings, by what the table calls each: a column of `FILES`, one mark a row."""
+    choice = choice or Choice()
+    marks: dict[str, list[Mark]] = {}
+    for name, mark in _of_table(path, _text_of(path), choice.column):
+        marks.setdefault(name, []).append(mark)
+    if not marks:
+        raise InputError(path, "holds no labels", _ADVICE)
+    return {name: _labels(path, own, choice, "table of recordings") for name, own in marks.items()}
+
+
+def find_labels(folder: Path, name: str) -> Path | None:
+    """The label file of a recording below a folder: NAME.*, or NAME and something after it (NAME_beats.txt).
+
+    None where there is none; InputError where there are several. Motion, sound, films and subtitles are no labels.
+    """
+    found = [file for file in sorted(folder.rglob("*")) if file.is_file() and file.suffix.lower() not in OTHERS
+             and re.fullmatch(rf"{re.escape(name)}(?![0-9A-Za-z]).*", file.name)]
+    if len(found) > 1:
+        raise InputError(folder, f"holds several files for {name} ({', '.join(file.name for file in found)[:200]})",
+                         "name the one that holds the labels")
+    return found[0] if found else None
+
+
+# ---------------------------------------------------------------------------------------------------- what all share
+
+def _text_of(path: Path) -> str:
+    if not path.is_file():
+        raise InputError(path, "is no file" if path.exists() else "does not exist", "check the path")
+    if path.stat().st_size > _LARGEST:
+        raise InputError(path, f"is larger than {_LARGEST >> 20} MiB", _ADVICE)
+    data = path.read_bytes()
+    encoding = next((name for mark, name in _MARKED if data.startswith(mark)), "utf-8")
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise InputError(path, "is not text", _ADVICE)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _number(cell: str) -> float | None:
+    value = float(cell) if _NUMBER.fullmatch(cell.strip()) else None
+    return value if value is not None and np.isfinite(value) else None
+
+
+def _labels(path: Path, marks: Sequence[Mark], choice: Choice, layout: str) -> Labels:
+    if not marks:
+        raise InputError(path, "holds no labels", _ADVICE)
+    start, end = np.array(marks, dtype=np.float64).T
+    if (end < start).any():
+        first = marks[int(np.flatnonzero(end < start)[0])]
+        raise InputError(path, f"has a label that ends before it starts ({first[0]:g} to {first[1]:g})", "repair it")
+    times = {"start": start, "middle": (start + end) / 2, "end": end}[choice.at] / choice.rate
+    if times.min() < 0:
+        raise InputError(path, f"has a label before the recording, at {times.min():g} s", "labels are seconds from 0")
+    return Labels(np.unique(times), layout)
+
+
+# ---------------------------------------------------------------------------------------------------- numbers in lines
+
+def _rows(text: str) -> list[tuple[int, str]]:
+    """Lines that say something, with their number; `#` begins a remark, and a backslash Audacity's range of pitch."""
+    rows = [(number, line.split("#", 1)[0].strip(" ")) for number, line in enumerate(text.split("\n"), 1)]
+    return [(number, line) for number, line in rows if line.strip() and not line.startswith("\\")]
+
+
+def _of_numbers(path: Path, rows: Sequence[tuple[int, str]]) -> tuple[list[Mark], str]:
+    """Lines that begin with a number: an Audacity track (two numbers and a tab) or seconds with an optional label."""
+    marks: list[Mark] = []
+    lasting = 0
+    for number, line in rows:
+        match = _LINE.fullmatch(line)
+        if match is None:
+            raise InputError(path, f"line {number}: {line.strip()[:30]!r} begins with no time", _ADVICE)
+        second = _number(re.split(r"[\t;, ]", (match["rest"] or "").strip(), maxsplit=1)[0])
+        if second is not None and "\t" not in (match["between"] or ""):
+            # Start and end, or a number for each beat, or a count before the time: only a head can tell.
+            raise InputError(path, f"line {number}: what the second number means is not told", _ADVICE)
+        marks.append((float(match["time"]), float(match["time"]) if second is None else second))
+        lasting += second is not None
+    if lasting not in (0, len(rows)):
+        raise InputError(path, "has lines with one number and lines with two", _ADVICE)
+    return marks, "Audacity label track" if lasting else "seconds, one a line"
+
+
+# ---------------------------------------------------------------------------------------------------- tables
+
+def _of_table(path: Path, text: str, column: str | None) -> Iterator[tuple[str, Mark]]:
+    """(recording or "", mark) of each row; a row without a time carries no mark."""
+    first = text.lstrip().split("\n", 1)[0]
+    delimiter = max(",;\t", key=first.count)
+    table = csv.DictReader(text.lstrip().split("\n"), delimiter=delimiter)
+    heads = {(head or "").strip().lower(): head for head in table.fieldnames or ()}
+    wanted = (column.strip().lower(),) if column else COLUMNS
+    key = next((heads[name] for name in wanted if name in heads), None)
+    if key is None:
+        raise InputError(path, f"line 1: {first.strip()[:60]!r} names no column of times"
+                         + (f" called {column!r}" if column else ""), _ADVICE)
+    end = heads.get("end") if key.strip().lower() == "start" else None
+    who = next((heads[name] for name in FILES if name in heads), None)
+    for row in table:
+        if not (row.get(key) or "").strip():
+            continue
+        times = [_number(row.get(head) or "") for head in (key, end or key)]
+        if times[0] is None or times[1] is None:
+            raise InputError(path, f"line {table.line_num}: {(row[key] or '')[:30]!r} is no time", "give seconds")
+        yield (row[who] or "").strip() if who else "", (times[0], times[1])
+
+
+# ---------------------------------------------------------------------------------------------------- JSON
+
+def _of_json(path: Path, text: str) -> list[Mark]:
+    try:
+        told = json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError(path, "begins as JSON and is none", "write it again") from None
+    if isinstance(told, Mapping):
+        told = next((told[name] for name in _LISTS if isinstance(told.get(name), list)), None)
+    if not isinstance(told, list):
+        raise InputError(path, "holds no list of times", f"write a list, bare or below one of {', '.join(_LISTS)}")
+    return [_json_mark(path, item, place) for place, item in enumerate(told)]
+
+
+def _json_mark(path: Path, item: Any, place: int) -> Mark:
+    if isinstance(item, Mapping):
+        start = item.get("time", item.get("start"))
+        times = [start, item.get("end", start)]
+    else:
+        times = [item[0] if isinstance(item, list) and item else item] * 2
+    if not all(isinstance(time, int | float) and not isinstance(time, bool) and np.isfinite(time) for time in times):
+        raise InputError(path, f"[{place}]: {str(item)[:40]} tells no time", 'write 1.25 or {"time": 1.25}')
+    return float(times[0]), float(times[1])
+
+
+# ---------------------------------------------------------------------------------------------------- TextGrid
+
+def _of_textgrid(path: Path, text: str, tier: str | None) -> list[Mark]:
+    """The entries with a text of the tier that is named, the only one, or the only one named like a gesture."""
+    tiers = _tiers(path, text)
+    names = [name for name in tiers if name == tier] if tier is not None else (
+        list(tiers) if len(tiers) == 1 else [name for name in tiers if _WANTED.search(name)])
+    if len(names) != 1:
+        raise InputError(path, f"has the tiers {', '.join(tiers)[:200] or '(none)'}", "choose with --tier")
+    marks = tiers[names[0]]
+    if not marks:
+        raise InputError(path, f"has no entry with a text in the tier {names[0]!r}", "label them, or take another tier")
+    return marks
+
+
+def _tiers(path: Path, text: str) -> dict[str, list[Mark]]:
+    """The labelled entries of each tier."""
+    words = _TOKEN.finditer(text)
+
+    def take(kind: str) -> str:
+        match = next(words, None)
+        if match is None:
+            raise InputError(path, "ends before all that it announces", "it is cut off: copy it again")
+        if match[kind] is None:
+            line = text.count("\n", 0, match.start()) + 1
+            raise InputError(path, f"line {line}: a {kind} was expected, not {match[0][:30]}", "save it again")
+        return match[kind]
+
+    if "ooTextFile" not in take("text") or take("text") != "TextGrid":
+        raise InputError(path, "is a file of Praat, but no TextGrid", "save it as a text file")
+    take("number"), take("number"), take("flag")
+    tiers: dict[str, list[Mark]] = {}
+    for _ in range(int(float(take("number")))):
+        kind, name = take("text"), take("text")
+        if kind not in ("IntervalTier", "TextTier"):
+            raise InputError(path, f"has a tier of an unknown kind, {kind[:30]!r}", "save it again")
+        take("number"), take("number")
+        own = tiers.setdefault(name, [])
+        for _ in range(int(float(take("number")))):
+            start = float(take("number"))
+            end = float(take("number")) if kind == "IntervalTier" else start
+            if take("text").strip().lower() not in SILENCES:
+                own.append((start, end))
+    return tiers

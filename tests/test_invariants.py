@@ -1,0 +1,256 @@
+"""Invariants of the whole that no test of a single module would see fail."""
+
+from __future__ import annotations
+
+import copy
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from untrained import PLAIN, untrained
+
+from data_module import rotation
+from data_module.beats import BeatSettings, find_beats, place_beats
+from data_module.layers import freeze
+from data_module.types import Array, Speech
+from eval.figures import measure
+from generator.model import Generator, GeneratorConfig, GumbelCodes
+from generator.position import positional_block
+from gesticulator.pipeline import Gesticulator
+from gesticulator.prepare import Sequence, Windows, with_silence
+from interpreters import BlockFeatures
+from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
+from lexicon.autoencoder import Lexicon, LexiconConfig
+from lexicon.inventory import count
+from lexicon.quantizer import perplexity
+
+RATE = 16000
+FRAMES, WIDTH, AUDIO, CODE = 6, 5, 4, 12
+SMALL = GeneratorConfig(motion_features=8, audio_features=6, style_width=4, position_width=4, hidden=24, groups=4,
+                        classes=8, lstm_width=24, lstm_layers=1)
+
+
+def voice(seconds: float, seed: int = 0) -> np.ndarray:
+    """Syllables over faint noise, with a pause in every four seconds."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * RATE)) / RATE
+    sound = np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
+    sound[t % 4.0 > 3.0] = 0
+    return (0.2 * sound + 0.001 * rng.normal(size=len(t))).astype(np.float32)
+
+
+# ---- beats
+
+
+@given(onsets=st.lists(st.floats(0, 0.2), max_size=6), duration=st.floats(0.01, 0.199))
+def test_a_recording_shorter_than_the_shortest_interval_is_one_block(onsets: list[float], duration: float) -> None:
+    beats = place_beats(np.unique(onsets), np.zeros(0), duration, BeatSettings(0.2, 0.5))
+    assert beats.times.tolist() == [0.0, duration]
+
+
+@pytest.mark.parametrize("rule", ["bounded", "paper", "even"])
+def test_and_so_it_is_whatever_sounds_in_it(rule: str) -> None:
+    rng = np.random.default_rng(0)
+    for sound in (np.zeros(1600), 0.2 * rng.standard_normal(1600), np.ones(1600), np.eye(1, 1600, 700)[0]):
+        beats = find_beats(Speech(sound.astype(np.float32), RATE), BeatSettings(0.2, 0.5, rule=rule))
+        assert beats.times.tolist() == [0.0, 0.1], rule
+
+
+# ---- rotations
+
+
+ANGLES = st.tuples(*[st.floats(-np.pi, np.pi)] * 3).map(np.array)
+TURNS = st.tuples(*[st.integers(-2, 2)] * 3).map(np.array)
+
+
+@given(angles=ANGLES, turns=TURNS, order=st.sampled_from(["XYZ", "ZXY", "YXZ"]))
+def test_whole_turns_change_no_rotation(angles: Array, turns: Array, order: str) -> None:
+    q = rotation.from_euler(angles, order)
+    assert rotation.angle_between(rotation.from_euler(angles + 2 * np.pi * turns, order), q) < 1e-6
+    v = rotation.to_exponential_map(q)
+    length = np.linalg.norm(v)
+    if length > 1e-3:
+        assert rotation.angle_between(rotation.from_exponential_map(v * (1 + 2 * np.pi * turns[0] / length)), q) < 1e-6
+    back = rotation.from_euler(rotation.to_euler(rotation.from_exponential_map(v), order), order)
+    assert rotation.angle_between(back, q) < 1e-5
+
+
+# ---- the generator's inputs, codes and losses
+
+
+def small_generator(blocks: int = 0) -> Generator:
+    torch.manual_seed(0)
+    return Generator(SMALL, FRAMES, WIDTH, AUDIO, CODE, blocks)
+
+
+def test_every_block_of_every_row_is_given_the_same_positions_one_row_a_frame() -> None:
+    model, seen = small_generator().eval(), []
+    model.mlp[0].register_forward_pre_hook(lambda _, arguments: seen.append(arguments[0].detach()))
+    model.roll_out(torch.randn(3, FRAMES, WIDTH), None, torch.randn(3, 4, 3 * FRAMES, AUDIO), torch.randn(3, 4, CODE),
+                   torch.randn(3, 4, SMALL.style_width))
+    assert len(seen) == 4
+    for rows in seen:
+        positions = rows[..., -SMALL.position_width:]
+        assert torch.equal(positions, positional_block(FRAMES, SMALL.position_width).expand(3, -1, -1))
+
+
+@given(frames=st.integers(1, 40), more=st.integers(0, 20), pairs=st.integers(1, 16))
+def test_a_row_of_positions_depends_on_its_frame_alone(frames: int, more: int, pairs: int) -> None:
+    block = positional_block(frames, 2 * pairs)
+    assert torch.equal(positional_block(frames + more, 2 * pairs)[:frames], block)
+    assert len(torch.unique(block, dim=0)) == frames
+
+
+@given(seed=st.integers(0, 99), sharpness=st.floats(0, 30))
+def test_the_perplexity_of_chosen_codes_lies_between_1_and_their_number(seed: int, sharpness: float) -> None:
+    torch.manual_seed(seed)
+    codes = GumbelCodes(4, groups=2, classes=128, group_width=2)
+    with torch.no_grad():
+        codes.logits.weight.mul_(sharpness)
+        chosen = codes(torch.randn(300, 4), 1.0)[1].argmax(-1)
+    for group in range(2):
+        assert 1 - 1e-5 <= perplexity(chosen[:, group], 128) <= 128 + 1e-3
+
+
+def test_lexeme_and_perceptual_losses_reach_neither_encoder_nor_codebook() -> None:
+    torch.manual_seed(0)
+    lexicon = Lexicon(LexiconConfig(size=8, code_width=CODE, widths=(8, 12, 12, 16)), FRAMES, WIDTH)
+    frozen = freeze(copy.deepcopy(lexicon))
+    assert isinstance(frozen, Lexicon)
+    before = {key: value.clone() for key, value in frozen.state_dict().items()}
+    model = small_generator(blocks=20).train()
+    batch = {"motion": torch.randn(3, 5, FRAMES, WIDTH), "audio": torch.randn(3, 5, 3 * FRAMES, AUDIO),
+             "lexeme": frozen.vectors[torch.randint(8, (3, 5))], "style": torch.randint(1, 21, (3, 5)),
+             "mask": torch.ones(3, WIDTH), "valid": torch.ones(3, 5)}
+    for name in ("lexeme", "perceptual"):
+        model.zero_grad()
+        model.losses(batch, 0.5, frozen.encode)[name].backward()
+        assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in model.to_motion.parameters())
+        assert all(p.grad is None for p in (*lexicon.parameters(), *frozen.parameters())), name
+    after = frozen.state_dict()
+    assert all(torch.equal(value, after[key]) for key, value in before.items()), "no batch statistics move either"
+
+
+# ---- what training reads
+
+
+def small_corpus(blocks: int = 30) -> SimpleNamespace:
+    """As much of a corpus as windows read: block i's motion is i everywhere, every third block is silent."""
+    motion = torch.arange(float(blocks))[:, None, None].expand(-1, FRAMES, WIDTH)
+    low = torch.zeros(blocks, 3 * FRAMES, AUDIO)
+    return SimpleNamespace(motion=motion, low=low, high=low, silent=np.arange(blocks) % 3 == 0,
+                           mask=torch.ones(1, WIDTH), speaker_of=np.zeros(1, np.int64),
+                           statistics=SimpleNamespace(speakers=("ann",)))
+
+
+def small_part(blocks: int = 30) -> Sequence:
+    own = np.arange(blocks)
+    return Sequence(0, own, np.zeros(blocks, bool), own, own % 7, own + 1)
+
+
+def test_a_block_has_the_same_style_code_in_every_window_that_holds_it() -> None:
+    corpus = small_corpus()
+    windows = Windows(corpus, [small_part()], 8)  # type: ignore[arg-type]
+    batch = windows.batch(windows.starts)
+    table, rows = small_generator(blocks=30).styles, {}
+    assert table is not None
+    for block, number, code in zip(batch["motion"][..., 0, 0].flatten(), batch["style"].flatten(),
+                                   table(batch["style"]).flatten(0, 1), strict=True):
+        rows.setdefault(int(block), []).append((int(number), tuple(code.tolist())))
+    assert len(rows) == 30 and max(map(len, rows.values())) >= 9, "windows overlap"
+    assert all(len(set(row)) == 1 for row in rows.values()), "one block, one code"
+    assert len({row[0] for row in rows.values()}) == 30, "and another's is another"
+
+
+@given(share=st.floats(0.01, 0.3), longest=st.integers(3, 12), seed=st.integers(0, 99))
+def test_inserted_silence_is_its_share_to_the_block(share: float, longest: int, seed: int) -> None:
+    parts = [small_part(), small_part()]
+    longer = with_silence(parts, small_corpus(), np.full(30, 3), share, longest,  # type: ignore[arg-type]
+                          np.random.default_rng(seed))
+    inserted = sum(int(part.held.sum()) for part in longer)
+    budget = share * 60 / (1 - share)
+    runs = [run for part in longer for run in np.diff(np.flatnonzero(~part.held)) - 1]
+    # Twenty places: enough for all but the largest shares in the shortest runs.
+    assert inserted == round(budget) or (inserted < budget and np.count_nonzero(runs) >= 18)
+    assert sum(len(part.motion) for part in longer) == 60 + inserted
+    assert max(runs, default=0) <= longest
+
+
+# ---- interpreters
+
+
+@given(labels=st.lists(st.integers(0, 3), max_size=30), speaker=st.integers(0, 3),
+       follow=st.booleans(), gain=st.floats(0.5, 50))
+def test_a_lexeme_that_was_never_seen_keeps_a_chance(labels: list[int], speaker: int, follow: bool, gain: float
+                                                     ) -> None:
+    inventory = count([("ann", np.array(labels, dtype=np.int64))], size=6)  # 4 and 5 never occur
+    np.testing.assert_allclose(inventory.transitions.sum(1), 1.0)
+    system = StatisticalInterpreter(inventory.frequencies["ann"][None], inventory.transitions,
+                                    StatisticalConfig(gain, follow))
+    nothing = torch.zeros(1, 1)
+    scores, _ = system.step(system.start(0, speaker), BlockFeatures(nothing, nothing), speaker)
+    assert np.exp(scores).sum() == pytest.approx(1.0)
+    assert scores.min() > -120.0, "far from the floor of the logarithm"
+
+
+@pytest.fixture(scope="module", params=["mel", "vqwav2vec"])
+def system(request: pytest.FixtureRequest) -> Gesticulator:
+    """A bundle that was never trained, by either front end."""
+    return Gesticulator(untrained(*(PLAIN if request.param == "mel" else ())))
+
+
+@pytest.fixture(scope="module")
+def even() -> Gesticulator:
+    """One with beats that do not listen, so that blocks stay where they are."""
+    return Gesticulator(untrained(*PLAIN, "rhythm.beats.rule=even"))
+
+
+@pytest.mark.parametrize("block", [1, 4, 7])
+def test_a_choice_hears_the_next_block_and_not_the_one_after(even: Gesticulator, block: int) -> None:
+    sound = voice(6.0)
+    whole = even(Speech(sound, RATE), fps=20)
+    for first, heard in ((block + 1, True), (block + 2, False)):
+        other = sound.copy()
+        start, end = (round(edge * RATE) for edge in whole.blocks.edges[first:first + 2])
+        other[start:end] = 0.3 * np.sin(np.arange(end - start))
+        told = even(Speech(other, RATE), fps=20)
+        assert np.array_equal(told.blocks.edges, whole.blocks.edges)
+        assert np.array_equal(told.scores[:block], whole.scores[:block])
+        assert np.array_equal(told.scores[block], whole.scores[block]) != heard
+
+
+# ---- streaming and silence
+
+
+@pytest.mark.parametrize("name", ["lstm", "cql", "statistical"])
+def test_what_has_come_in_so_far_decides_what_is_played_so_far(system: Gesticulator, name: str) -> None:
+    """The offline result of every beginning is the beginning of the offline result, past the Q-network's window too."""
+    if name not in system.bundle.interpreters:
+        pytest.skip("this bundle has no such interpreter")
+    sound, options = voice(7.3), {"interpreter": name, "seed": 3, "temperature": 1.0, "fps": 20}
+    whole = system(Speech(sound, RATE), **options)  # type: ignore[arg-type]
+    beats = system.bundle.config.rhythm.beats
+    for seconds in (3.31, 5.9):
+        part = system(Speech(sound[:round(seconds * RATE)], RATE), **options)  # type: ignore[arg-type]
+        # A block is sure when the one after it is: no beat looks further than d_max + d_min, no onset than 0.3 s.
+        sure = int(np.searchsorted(part.blocks.edges, seconds - beats.d_max - beats.d_min - 0.3)) - 2
+        assert sure > (system.bundle.config.cql.decisions if seconds > 5 else 3)
+        np.testing.assert_allclose(part.blocks.edges[:sure + 1], whole.blocks.edges[:sure + 1], atol=1e-9)
+        np.testing.assert_array_equal(part.lexemes[:sure], whole.lexemes[:sure])
+        np.testing.assert_allclose(part.scores[:sure], whole.scores[:sure], atol=1e-4)
+        np.testing.assert_allclose(part.codes[:sure], whole.codes[:sure], atol=1e-4)
+        frames = int((part.blocks.edges[sure] - 0.2) * 20)
+        np.testing.assert_allclose(part.motion.rotations[:frames], whole.motion.rotations[:frames], atol=1e-4)
+
+
+def test_a_minute_of_room_noise_is_a_minute_of_rest() -> None:
+    shipped = Gesticulator.from_pretrained()
+    noise = 10 ** (-60 / 20) * np.random.default_rng(0).standard_normal(60 * RATE)
+    made = shipped(Speech(noise.astype(np.float32), RATE), fps=20)
+    assert made.blocks.silent.all()
+    assert set(made.lexemes.tolist()) <= set(shipped.bundle.silent.tolist())
+    speed = measure(made.motion, made.speech, made.blocks.edges).hand_speed[40:]
+    assert speed.mean() < 0.03 and speed.max() < 0.1, "m/s, from two seconds on"

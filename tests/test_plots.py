@@ -1,0 +1,380 @@
+"""The papers' figures: what is drawn are the numbers that were given."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_module.beats import merged
+from data_module.errors import InputError
+from data_module.motion_beats import beats_of_speed
+from data_module.types import BeatFlag, Beats, Speech, Word
+from eval import claims as judging
+from eval import plots, pmb
+from eval.audio_clusters import association
+from eval.lexicon_map import colours
+from eval.strips import BEAT_COLOURS
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+from matplotlib.colors import to_hex
+
+DELTAS = (0.05, 0.1, 0.2)
+
+
+def lines_of(axis: Any) -> dict[str, Any]:
+    return {line.get_label(): line for line in axis.get_lines()}
+
+
+def collections_of(axis: Any, label: str) -> list[Any]:
+    return [own for own in axis.collections if own.get_label() == label]
+
+
+def places_of(axis: Any, label: str) -> np.ndarray:
+    """The x of the vertical lines of a collection."""
+    return np.array([segment[0, 0] for own in collections_of(axis, label) for segment in own.get_segments()])
+
+
+def spans_of(axis: Any, label: str, along: int) -> list[list[float]]:
+    """The two ends of each line of a collection, along x (0) or y (1)."""
+    return [segment[:, along].tolist() for own in collections_of(axis, label) for segment in own.get_segments()]
+
+
+def legend_of(figure: Any) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+# --------------------------------------------------------------------------------------------------------- Fig. 11
+
+def test_delta_curves_are_the_curves_given() -> None:
+    curves = {"ours": [20.0, 60.0, 90.0], "no-style": [10.0, math.nan, 80.0], "performer": [30.0, 70.0, 95.0]}
+    chance = {"ours": [15.0, 40.0, 85.0]}
+    figure = plots.delta_curves(curves, DELTAS, chance, dashed=["performer"])
+    drawn = lines_of(figure.axes[0])
+    for name, values in curves.items():
+        np.testing.assert_array_equal(drawn[name].get_ydata(), values)
+        np.testing.assert_array_equal(drawn[name].get_xdata(), DELTAS)
+        assert drawn[name].is_dashed() == (name == "performer")
+    own = drawn["_chance of ours"]
+    np.testing.assert_array_equal(own.get_ydata(), chance["ours"])
+    assert own.get_color() == drawn["ours"].get_color() and own.get_linestyle() == ":"
+    assert {*curves} <= {*legend_of(figure)} and not any(name.startswith("_") for name in legend_of(figure))
+
+
+def test_many_curves_are_told_apart() -> None:
+    figure = plots.delta_curves({str(i): [1.0, 2.0, 3.0] for i in range(36)}, DELTAS)
+    assert len({(line.get_color(), line.get_marker()) for line in figure.axes[0].get_lines()}) == 36
+
+
+@pytest.mark.parametrize(("curves", "deltas", "more"), [
+    ({"a": [1.0, 2.0]}, DELTAS, {}), ({"a": [1.0, 2.0, 101.0]}, DELTAS, {}), ({"a": [1.0, 2.0, math.inf]}, DELTAS, {}),
+    ({"a": [1.0, 2.0, 3.0]}, (0.1, 0.1, 0.2), {}), ({}, DELTAS, {}), ({"a": [1.0] * 3}, DELTAS, {"dashed": ["b"]}),
+    ({"a": [1.0] * 3}, DELTAS, {"chance": {"b": [1.0] * 3}}), ({"a": [1.0] * 3}, DELTAS, {"chance": {"a": [1.0]}}),
+])
+def test_delta_curves_refuse_what_is_none(curves: Any, deltas: Any, more: Any) -> None:
+    with pytest.raises(ValueError):
+        plots.delta_curves(curves, deltas, **more)
+
+
+# ---------------------------------------------------------------------------------------------------- Figs. 15, 17
+
+def test_joint_embedding_takes_rows_evenly_and_keeps_neighbours() -> None:
+    rng = np.random.default_rng(0)
+    # Two heaps, one of which both rows have: their points must lie together in one plane.
+    near, far = rng.standard_normal((61, 6)), rng.standard_normal((40, 6)) + 40.0
+    found = plots.joint_embedding({"a": near, "b": np.concatenate([rng.standard_normal((40, 6)), far])}, most=40)
+    (first, taken), (second, others) = found["a"], found["b"]
+    np.testing.assert_array_equal(taken, np.arange(40) * 61 // 40)
+    np.testing.assert_array_equal(others, np.arange(40) * 2)
+    assert len(set(taken.tolist())) == 40 and first.shape == second.shape == (40, 2)
+    middle = [np.median(part, axis=0) for part in (first, second[others < 40], second[others >= 40])]
+    assert np.linalg.norm(middle[0] - middle[1]) < 0.25 * np.linalg.norm(middle[0] - middle[2])
+    all_of = plots.joint_embedding({"a": near[:12]}, most=100)["a"]
+    np.testing.assert_array_equal(all_of[1], np.arange(12))
+    again = plots.joint_embedding({"a": near[:12]}, most=100)["a"]
+    np.testing.assert_array_equal(all_of[0], again[0])
+    for bad in ({"a": near, "b": near[:, :3]}, {"a": near[:4]}, {"a": near * np.nan}, {"a": near[0]}, {}):
+        with pytest.raises(ValueError):
+            plots.joint_embedding(bad)
+
+
+def test_panels_hold_every_point_in_its_lexemes_colour() -> None:
+    rng = np.random.default_rng(1)
+    panels = {"performer": (rng.standard_normal((50, 2)), rng.integers(0, 5, 50)),
+              "ours": (3 * rng.standard_normal((30, 2)), rng.integers(2, 6, 30))}
+    behind = 9 * rng.standard_normal((7, 2))
+    figure = plots.embedding_panels(panels, 6, silent=[3], behind=behind)
+    assert len(figure.axes) == 2
+    for axis, (name, (points, labels)) in zip(figure.axes, panels.items(), strict=True):
+        assert axis.get_title().startswith(f"{name}\n{len(points)} blocks, {len(np.unique(labels))} lexemes")
+        np.testing.assert_array_equal(collections_of(axis, "behind")[0].get_offsets(), behind)
+        for lexeme in range(6):
+            mine = collections_of(axis, str(lexeme))
+            assert len(mine) == (lexeme in labels)
+            for own in mine:
+                np.testing.assert_array_equal(own.get_offsets(), points[labels == lexeme])
+                assert to_hex(own.get_facecolor()[0] if lexeme != 3 else own.get_edgecolor()[0]) == colours(6)[lexeme]
+    first, second = figure.axes
+    assert first.get_xlim() == second.get_xlim() and first.get_ylim() == second.get_ylim()
+    low, high = np.array([first.get_xlim(), first.get_ylim()]).T
+    everything = np.concatenate([behind, *(points for points, _ in panels.values())])
+    assert (everything > low).all() and (everything < high).all()
+
+
+def test_numbers_stand_on_points_of_their_lexeme_and_apart() -> None:
+    rng = np.random.default_rng(2)
+    points = rng.standard_normal((200, 2))
+    labels = np.repeat(np.arange(10), 20)
+    axis = plots.embedding_panels({"a": (points, labels)}, 10).axes[0]
+    told = {int(text.get_text()): text.get_position() for text in axis.texts}
+    assert told
+    for lexeme, place in told.items():
+        assert np.abs(points[labels == lexeme] - place).sum(axis=1).min() == 0
+    at = np.array(list(told.values()))
+    assert len(np.unique(at, axis=0)) == len(at)
+
+
+@pytest.mark.parametrize(("points", "labels"), [
+    (np.zeros((3, 3)), np.zeros(3, int)), (np.zeros((3, 2)), np.zeros(2, int)), (np.zeros((3, 2)), np.array([0, 1, 4])),
+    (np.zeros((3, 2)), np.array([0, 1, -1])), (np.zeros((3, 2)), np.zeros(3)),
+    (np.full((3, 2), np.nan), np.zeros(3, int)),
+    (np.zeros((0, 2)), np.zeros(0, int)),
+])
+def test_panels_refuse_what_is_none(points: Any, labels: Any) -> None:
+    with pytest.raises(ValueError):
+        plots.embedding_panels({"a": (points, labels)}, 4)
+
+
+# --------------------------------------------------------------------------------------------------------- Fig. 16
+
+def test_strips_join_the_pairs_that_the_metric_counts() -> None:
+    rng = np.random.default_rng(3)
+    onsets = np.sort(rng.uniform(0, 20, 60))
+    beats = np.sort(rng.uniform(0, 20, 40))
+    edges = np.arange(0, 20, 0.4)
+    start, seconds, delta = 5.0, 8.0, 0.1
+    axis = plots.beat_strips({"0.2-0.5": (beats, onsets, edges)}, start, seconds, delta).axes[0]
+    heard = merged(onsets, pmb.MERGE)
+    pairs = pmb.matched(beats, heard, delta)
+    seen = (beats >= start) & (beats <= start + seconds)
+    told = {(round(top[0], 9), round(foot[0], 9)) for own in collections_of(axis, "_pairs")
+            for top, foot in own.get_segments()}
+    assert told == {(round(heard[k], 9), round(b, 9)) for b, k in zip(beats[seen], pairs[seen], strict=True) if k >= 0}
+    assert told and (seen & (pairs < 0)).any()
+    full, hollow = (collections_of(axis, f"motion beat, {how}")[0] for how in ("matched", "not matched"))
+    np.testing.assert_array_equal(full.get_offsets()[:, 0], beats[seen & (pairs >= 0)])
+    np.testing.assert_array_equal(hollow.get_offsets()[:, 0], beats[seen & (pairs < 0)])
+    assert to_hex(hollow.get_facecolor()[0]) == "#ffffff" != to_hex(full.get_facecolor()[0])
+    np.testing.assert_array_equal(places_of(axis, "onset"), heard[(heard >= 5) & (heard <= 13)])
+    np.testing.assert_array_equal(places_of(axis, "block edge"), edges[(edges >= 5) & (edges <= 13)])
+    count = int((pairs[seen] >= 0).sum())
+    assert axis.texts[0].get_text() == f"PMB {100 * count / seen.sum():.0f} %\n{count} of {seen.sum()}"
+
+
+def test_strips_of_everything_tell_pmb_itself() -> None:
+    rng = np.random.default_rng(4)
+    rows = {str(i): (rng.uniform(0, 9, 25), rng.uniform(0, 9, 30), np.array([0.0, 9.0])) for i in range(3)}
+    figure = plots.beat_strips({**rows, "still": (np.zeros(0), np.zeros(0), np.zeros(0))}, 0.0, 9.0, 0.07)
+    for axis, (beats, onsets, _) in zip(figure.axes, rows.values(), strict=False):
+        assert axis.texts[0].get_text().startswith(f"PMB {pmb.pmb(beats, onsets, 0.07):.0f} %")
+    assert figure.axes[-1].texts[0].get_text() == "no motion\nbeat"
+    assert [axis.get_ylabel() for axis in figure.axes] == [*rows, "still"]
+
+
+def test_strips_refuse_what_is_none() -> None:
+    row = (np.array([1.0]), np.array([1.0]), np.array([0.0, 2.0]))
+    for rows, start, seconds, delta in (({}, 0, 1, 0.1), ({"a": row}, -1, 1, 0.1), ({"a": row}, 0, 0, 0.1),
+                                        ({"a": row}, 0, 1, 0.0), ({"a": row[:2]}, 0, 1, 0.1),
+                                        ({"a": (np.array([np.nan]), *row[1:])}, 0, 1, 0.1)):
+        with pytest.raises(ValueError):
+            plots.beat_strips(rows, start, seconds, delta)  # type: ignore[arg-type]
+
+
+# --------------------------------------------------------------------------------------------------------- Fig. 18
+
+def test_sweep_shows_means_intervals_and_sizes() -> None:
+    nan = math.nan
+    figures = {"FGD": [(9.0, 8.0, 10.0), (7.0, 6.5, 9.0), (nan, nan, nan)],
+               "PMB": [(80.0, 81.0, 82.0), (81.0, 80.0, 82.0), (82.0, 80.0, 84.0)]}
+    figure = plots.size_sweep((10, 100, 400), figures, {"PMB": 95.0}, chosen=100)
+    for axis, (title, own) in zip(figure.axes, figures.items(), strict=True):
+        drawn = lines_of(axis)
+        mean = drawn["mean and 95 % interval"]
+        np.testing.assert_array_equal(mean.get_xdata(), [10, 100, 400])
+        np.testing.assert_array_equal(mean.get_ydata(), [value[0] for value in own])
+        spans = spans_of(axis, "_interval", 1)
+        assert spans == [list(v[1:]) for v in own if math.isfinite(v[0])]
+        assert axis.get_title() == title and axis.get_xscale() == "log"
+        assert [label.get_text() for label in axis.get_xticklabels()] == ["10", "100", "400"]
+        assert set(drawn["size in use"].get_xdata()) == {100}
+        assert ("performer" in drawn) == (title == "PMB")
+    assert set(lines_of(figure.axes[1])["performer"].get_ydata()) == {95.0}
+    one = [(1.0, 0.0, 2.0)]
+    for sizes, bad in (((), {"a": []}), ((10, 5), {"a": one * 2}), ((0,), {"a": one}), ((5,), {}), ((5, 6), {"a": one}),
+                       ((5,), {"a": [(1.0, 2.0, 0.0)]}), ((5,), {"a": [(1.0, 0.0, math.inf)]})):
+        with pytest.raises(ValueError):
+            plots.size_sweep(sizes, bad)  # type: ignore[arg-type]
+
+
+# ---------------------------------------------------------------------------------------------------------- claims
+
+def claim(metric: str, low: float, high: float, says: str = "above", needs: str = "") -> dict[str, Any]:
+    found = None if needs else {"mean": (low + high) / 2, "low": low, "high": high, "clips": 9}
+    verdict = judging.UNDECIDED if needs else judging.decided(judging.Interval((low + high) / 2, low, high, 9), says)
+    return {"where": "RG Table 9", "first": "ours", "second": f"row {low:g}", "metric": metric, "says": says,
+            "verdict": verdict, "difference": found}
+
+
+def test_differences_group_by_metric_and_show_each_verdict() -> None:
+    told = [claim("fgd", 1, 2), claim("pmb", -2, -1), claim("fgd", -4, 2), claim("fgd", -9, -8, "below"),
+            claim("pmb", -3, 4, "alike"), claim("fgd", 0, 0, needs="people")]
+    figure = plots.differences(told, {"fgd": "FGD"})
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["FGD", "pmb"]
+    shapes: dict[str, set[Any]] = {}
+    for axis, group in zip(figure.axes, ([told[0], told[2], told[3]], [told[1], told[4]]), strict=True):
+        spans = spans_of(axis, "_interval", 0)
+        assert spans == [[own["difference"]["low"], own["difference"]["high"]] for own in group]
+        points = [line for line in axis.get_lines() if line.get_label() in (judging.HOLDS, judging.FAILS,
+                                                                            judging.UNDECIDED)]
+        assert [float(line.get_xdata()[0]) for line in points] == [own["difference"]["mean"] for own in group]
+        assert [line.get_label() for line in points] == [own["verdict"] for own in group]
+        for line in points:
+            shapes.setdefault(line.get_label(), set()).add((line.get_color(), line.get_marker(),
+                                                            line.get_markerfacecolor()))
+        names = [label.get_text() for label in axis.get_yticklabels()]
+        assert all(own["second"] in name for own, name in zip(group, names, strict=True))
+    assert len(shapes) == 3 and all(len(own) == 1 for own in shapes.values())
+    assert len(set.union(*shapes.values())) == 3
+    assert "ours < row -9" in figure.axes[0].get_yticklabels()[2].get_text()
+    bounds = places_of(figure.axes[1], f"alike within {judging.ALIKE:g}")
+    assert sorted(bounds) == [-judging.ALIKE, judging.ALIKE]
+
+
+def test_differences_draw_the_rows_of_the_claims_command_and_refuse_none() -> None:
+    rows = judging.claims({}, {})["claims"]
+    with pytest.raises(ValueError, match="no claim"):
+        plots.differences(rows)
+    for wrong in ({"verdict": "perhaps"}, {"says": "near"}, {"difference": {"mean": 0.0, "low": 1.0, "high": -1.0}}):
+        with pytest.raises(ValueError):
+            plots.differences([{**claim("fgd", 1, 2), **wrong}])
+    unsure = {**claim("fgd", 1, 2), "difference": {"mean": 1.0, "low": None, "high": None}}
+    assert not collections_of(plots.differences([unsure]).axes[0], "_interval")
+
+
+# --------------------------------------------------------------------------------------------------------- Fig. 14
+
+def test_bars_are_entropies_and_gains_of_the_association() -> None:
+    rng = np.random.default_rng(5)
+    lexemes, recording = rng.integers(0, 6, 240), np.repeat(np.arange(4), 60)
+    levels = {"low, level 2": rng.integers(0, 5, 240), "high, level 8": lexemes // 2}
+    own = association(levels, lexemes, recording, recording, draws=20, turns=12)
+    figure = plots.cluster_bars({"performer": own, "generated": own})
+    bars, gains = figure.axes
+    heights = {bar.get_label(): [patch.get_height() for patch in bar] for bar in bars.containers}
+    for name in levels:
+        assert heights[name] == [own[name]["entropy"]]
+        assert heights[f"{name}, by chance"] == heights[f"_{name}, by chance"] == [own[name]["by_chance"]]
+        spans = spans_of(gains, f"_{name}", 1)
+        assert spans == [[own[name]["gain"]["low"], own[name]["gain"]["high"]]] * 2
+        assert [float(line.get_ydata()[0]) for line in gains.get_lines() if line.get_label() == f"_{name}"] == [
+            own[name]["gain"]["mean"]] * 2
+    alone = [segment[0, 1] for part in bars.collections for segment in part.get_segments()]
+    assert alone == [own["lexeme_entropy"]] * 2
+    assert set(legend_of(figure)) == {"lexeme alone", *levels, *(f"{name}, by chance" for name in levels)}
+    for bad in ({}, {"performer": {"blocks": 3}}, {"a": own, "b": {"blocks": 3, "lexeme_entropy": 1.0}}):
+        with pytest.raises(ValueError):
+            plots.cluster_bars(bad)
+
+
+# ---------------------------------------------------------------------------------------------------------- Fig. 2
+
+def performance(seconds: float = 8.0, rate: int = 16000) -> dict[str, Any]:
+    rng = np.random.default_rng(6)
+    samples = (0.4 * np.sin(np.arange(round(seconds * rate)) * 0.06) * rng.uniform(0, 1, round(seconds * rate)))
+    times = np.array([0.0, 0.5, 1.1, 1.9, 2.4, 3.3, 4.0, 5.2, 6.0, 7.0, seconds])
+    flags = np.array([0, 1, 1, 2, 3, 1, 1, 3, 2, 1, 0], np.int8)
+    speed = 1 + np.sin(np.arange(round(seconds * 60)) / 60 * 7) ** 3
+    return {"speech": Speech(samples.astype(np.float32), rate), "beats": Beats(times, flags), "edges": times,
+            "lexemes": np.array([1, 4, 4, 2, 0, 3, 1, 2, 2, 0]), "hand_speed": speed, "fps": 60.0}
+
+
+def test_overview_shows_its_stretch() -> None:
+    own = performance()
+    words = (Word("before", 0.1, 0.4), Word("well", 1.2, 1.6), Word("", 1.6, 2.0), Word("yes", 4.0, 4.4))
+    figure = plots.overview(**own, start=1.0, seconds=4.0, words=words, silent=[2])
+    spoken, sound, cells, hands = figure.axes
+    assert [text.get_text() for text in spoken.texts] == ["well", "yes"]
+    assert [text.get_position()[0] for text in spoken.texts] == pytest.approx([1.4, 4.2])
+    times, flags = own["beats"].times, own["beats"].flags
+    drawn = {line.get_label(): line for line in sound.get_lines()}
+    for flag in BeatFlag:
+        mine = times[(flags == flag) & (times >= 1) & (times <= 5)]
+        name = f"beat: {plots.BEAT_NAMES[flag]}"
+        assert (name in drawn) == bool(len(mine))
+        if len(mine):
+            np.testing.assert_array_equal(drawn[name].get_xdata(), mine)
+            assert drawn[name].get_color() == BEAT_COLOURS[flag]
+    shown = [(float(patch.get_x()), float(patch.get_width()), patch.get_hatch()) for patch in cells.patches]
+    blocks = [i for i in range(10) if times[i] < 5 and times[i + 1] > 1]
+    assert shown == [(times[i], pytest.approx(times[i + 1] - times[i]), "////" if own["lexemes"][i] == 2 else None)
+                     for i in blocks]
+    assert [text.get_text() for text in cells.texts] == [
+        str(own["lexemes"][i]) for i in blocks if min(times[i + 1], 5) - max(times[i], 1) > 0.08]
+    line = lines_of(hands)["_speed"]
+    np.testing.assert_array_equal(line.get_ydata(), own["hand_speed"][np.round(line.get_xdata() * 60).astype(int)])
+    found = beats_of_speed(own["hand_speed"], 60.0)
+    expected = found[(found >= 1) & (found <= 5)]
+    assert len(expected) > 2
+    np.testing.assert_array_equal(lines_of(hands)["motion beat"].get_xdata(), expected)
+    assert hands.get_xlim() == (1.0, 5.0)
+
+
+def test_overview_draws_the_sounds_extremes_and_the_beats_it_is_given() -> None:
+    own = performance()
+    own["speech"].samples[32000] = 0.9
+    figure = plots.overview(**own, start=1.0, seconds=60.0, motion_beats=np.array([1.5, 2.5]))
+    sound, cells, hands = figure.axes
+    # Nine blocks, one of them a sliver of 0.1 s that no number fits in.
+    assert len(cells.patches) == 9 and len(cells.texts) == 8
+    outline = collections_of(sound, "_sound")[0].get_paths()[0].vertices
+    assert outline[:, 1].max() == pytest.approx(0.9) and outline[:, 1].min() == pytest.approx(
+        float(own["speech"].samples[16000:].min()))
+    assert outline[np.argmax(outline[:, 1]), 0] == pytest.approx(2.0, abs=0.01)
+    np.testing.assert_array_equal(lines_of(hands)["motion beat"].get_xdata(), [1.5, 2.5])
+    assert hands.get_xlim() == (1.0, 8.0)
+
+
+@pytest.mark.parametrize("wrong", [
+    {"start": 9.0}, {"start": -1.0}, {"seconds": 0.0}, {"seconds": math.nan}, {"lexemes": np.zeros(3, int)},
+    {"lexemes": np.full(10, -1)}, {"lexemes": np.zeros(10)}, {"fps": 0.0}, {"edges": np.zeros(11)},
+    {"hand_speed": np.array([1.0, math.inf])},
+])
+def test_overview_refuses_what_is_none(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError):
+        plots.overview(**{**performance(), "start": 1.0, "seconds": 4.0, **wrong})
+
+
+# ---------------------------------------------------------------------------------------------------------- saving
+
+def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    points, labels = rng.standard_normal((40, 2)), rng.integers(0, 4, 40)
+    made = {"curves": lambda: plots.delta_curves({"ours": [1.0, 2.0, 3.0]}, DELTAS),
+            "panels": lambda: plots.embedding_panels({"a": (points, labels)}, 4),
+            "overview": lambda: plots.overview(**performance(), start=0.0, seconds=8.0, silent=[2])}
+    for name, draw in made.items():
+        for suffix in ("svg", "png"):
+            files = [tmp_path / f"{name}{i}.{suffix}" for i in range(2)]
+            for file in files:
+                plots.save(draw(), file)
+            first, second = (file.read_bytes() for file in files)
+            assert first == second and len(first) > 1000
+            assert b"matplotlib.org" not in first and b"<dc:date>" not in first
+    plots.save(made["curves"](), tmp_path / "a.pdf")
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+    with pytest.raises(InputError, match="picture"):
+        plots.save(made["curves"](), tmp_path / "a.doc")
+    assert not (tmp_path / "a.doc").exists()
