@@ -176,27 +176,25 @@ def curves(ground: Ground) -> Drawn:
 
 def clusters(ground: Ground) -> Drawn:
     """RG Fig. 14."""
-    bench, corpus = ground.bench, ground.bench.first.corpus
-    numbers, seen = bench.recordings("test"), ground.seen(OURS)
-    groups = bench.groups("test")
-    place, blocks, lexemes = [], [], []
-    for k, (number, own) in enumerate(zip(numbers, seen, strict=True)):
-        ours = np.asarray(corpus.blocks_of(number))
-        spoken = ~np.asarray(corpus.silent)[ours].astype(bool)
-        place += [k] * int(spoken.sum())
-        blocks.append(ours[spoken])
-        lexemes.append(ground.labels(own["latents"])[spoken])
-    every, frames = np.concatenate(blocks), bench.first.config.rhythm.frames
+    bench, corpus, frames = ground.bench, ground.bench.first.corpus, ground.bench.first.config.rhythm.frames
+    groups = np.unique(bench.groups("test"), return_inverse=True)[1]
+    own = [np.asarray(corpus.blocks_of(number)) for number in bench.recordings("test")]
+    spoken = [~np.asarray(corpus.silent)[blocks].astype(bool) for blocks in own]
+    every = np.concatenate([blocks[kept] for blocks, kept in zip(own, spoken, strict=True)])
+    place = np.repeat(np.arange(len(own)), [int(kept.sum()) for kept in spoken])
     found = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}
-    of = np.unique(groups, return_inverse=True)[1][place]
-    told = audio_clusters.association(found, np.concatenate(lexemes), np.asarray(place), of)
+    told = {}
+    for name in (PERFORMER, OURS):
+        lexemes = [ground.labels(clip["latents"])[kept] for clip, kept in zip(ground.seen(name), spoken, strict=True)]
+        told[name] = audio_clusters.association(found, np.concatenate(lexemes), place, groups[place])
     return cluster_bars(told), (
         "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
         "lexeme. The paper's claim is that the high level says more than the low one."), {
-        **{f"{name}, gain in nats": told[name]["gain"]["mean"] for name in found},
-        **{f"{name}, difference of gains": one["mean"] for name, one in told["gain_differences"].items()}}
+        f"{name}, {what}": value for name, own_told in told.items() for what, value in (
+            *((f"{level}, gain in nats", own_told[level]["gain"]["mean"]) for level in found),
+            *((f"{pair}, difference of gains", one["mean"]) for pair, one in own_told["gain_differences"].items()))}
 
 
 def panels(title: str, *names: str) -> Callable[[Ground], Drawn]:
@@ -267,7 +265,8 @@ FIGURES: dict[str, PaperFigure] = {
     "figure-9-ours": PaperFigure("RG Fig. 9", "ours", strip(OURS), (OURS,), dots=True),
     "figure-10": PaperFigure("RG Fig. 10", "style editing", edited, ("style-editing",), dots=True),
     "figure-11": PaperFigure("RG Fig. 11", "PMB over delta", curves),
-    "figure-14": PaperFigure("RG Fig. 14", "what two levels of the audio say of the lexeme", clusters, (OURS,)),
+    "figure-14": PaperFigure("RG Fig. 14", "what two levels of the audio say of the lexeme", clusters,
+                             (PERFORMER, OURS)),
     "figure-15": PaperFigure("RG Fig. 15", "what style codes add", panels(
         "Latents of the motion in one t-SNE, coloured by the lexeme that it was made of (the performer: nearest).",
         PERFORMER, *_STEPS), (PERFORMER, *_STEPS), dots=True),

@@ -199,15 +199,18 @@ def test_costs_are_counted_before_they_are_paid(bench: Bench, work: Path, tmp_pa
 
 def test_the_command_goes_on_where_it_was_stopped(bench: Bench, work: Path, tmp_path: Path,
                                                   monkeypatch: pytest.MonkeyPatch) -> None:
-    names = ["ours", "no-audio-no-style", "no-lexemes", "random-style"]
-    result = ablate.ablate(bench, tmp_path, only=[*names, "figure-11", "figure-17"], seeds=1)
+    names = ["ours", "no-audio-no-style", "no-lexemes", "random-style", "style-editing"]
+    drawn_from_these = {"figure-2": "svg", "figure-6": "png", "figure-9-ours": "png", "figure-9-performer": "png",
+                        "figure-10": "png", "figure-11": "svg", "figure-14": "svg", "figure-17": "png"}
+    result = ablate.ablate(bench, tmp_path, only=[*names, *drawn_from_these, "figure-16"], seeds=1)
     assert {f"{name}-1.json" for name in names} <= {file.name for file in tmp_path.iterdir()}
     assert (tmp_path / "performer-0.json").exists() and set(names) <= set(result["rows"])
-    assert not set(result["refused"]), result["refused"]
+    assert result["refused"] == {"figure-16": "not run: range-0.5-1.0, range-0.2-1.0"}
     assert read_bvh(work / "played" / "ours-1" / f"{bench.loaded(bench.recordings('test')[0]).info.name}.bvh").fps > 10
-    for name, kind in (("figure-11", "svg"), ("figure-17", "png")):
+    for name, kind in drawn_from_these.items():
         told = json.loads((tmp_path / f"{name}.json").read_text())
-        assert told["caption"] and told["numbers"] and (tmp_path / f"{name}.{kind}").stat().st_size > 1000
+        assert told["figure"].startswith("RG Fig.") and told["caption"]
+        assert (tmp_path / f"{name}.{kind}").stat().st_size > 1000
     drawn = (tmp_path / "figure-17.png").stat().st_mtime_ns
     before = (tmp_path / "ours-1.json").read_bytes()
     one, random = (json.loads((tmp_path / f"{name}-1.json").read_text()) for name in ("ours", "random-style"))
@@ -253,6 +256,21 @@ def test_controls_and_references_stand_beside_the_rows(bench: Bench, tmp_path: P
     assert "MAJE, mm (!)" in lines[0] and "jitter (" in "\n".join(lines)
 
 
+def test_beats_and_sizes_are_drawn_from_what_was_kept(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    beats, onsets, edges = np.arange(0.5, 20, 0.5), np.arange(0.55, 20, 0.5), np.arange(0, 20, 0.4)
+    ground = ablation_figures.Ground(bench, {})
+    monkeypatch.setattr(ablation_figures.Ground, "seen", lambda self, name: [
+        {"beats": beats if name == OURS else beats + 0.25, "onsets": onsets, "edges": edges}])
+    _, caption, numbers = ablation_figures.FIGURES["figure-16"].draw(ground)
+    assert "chance" in caption and numbers[OURS] == 100.0 and numbers["range-0.2-1.0"] < 100
+    cells = {f"size-{size}": {"figures": {key: {"mean": size / 7, "low": 0.0, "high": 99.0} for key in COLUMNS}}
+             for size in ablations.SIZES[:3]}
+    _, _, numbers = ablation_figures.FIGURES["figure-18"].draw(ablation_figures.Ground(bench, cells))
+    assert numbers["25 lexemes, FGD"] == pytest.approx(25 / 7)
+    with pytest.raises(InputError, match="needs two sizes"):
+        ablation_figures.FIGURES["figure-18"].draw(ground)
+
+
 def test_a_control_beats_a_column_by_its_direction() -> None:
     def rows(**means: float) -> dict[str, object]:
         return {name: {"figures": {key: {"mean": value} for key in COLUMNS}} for name, value in means.items()}
@@ -283,7 +301,10 @@ def test_another_systems_motion_is_a_row(bench: Bench, tmp_path: Path, capsys: p
     assert (out / "figure-5.svg").stat().st_size > 1000
 
 
-def test_racers_rows_stand_on_what_is_trained_here(bench: Bench, tmp_path: Path) -> None:
+def test_racers_rows_stand_on_what_is_trained_here(bench: Bench, tmp_path: Path,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    short = ("schedules.reward.steps=10", "schedules.cql.steps=6")
+    monkeypatch.setitem(ROWS, "q-network", dataclasses.replace(ROWS["q-network"], settings=short))
     ablate.run_racer(bench, tmp_path, ["racer-supervised"], 1, None)
     told = json.loads((tmp_path / "table.json").read_text())
     assert set(told["rows"]) == {"supervised"} and (tmp_path / "supervised-1.json").exists()
