@@ -1,12 +1,14 @@
 """What the papers say, and whether it is so here: every claim of both, each a paired test over seeds and clips.
 
-    python -m eval.claims [--ablation docs/results/ablation] [--racer docs/results/racer] [--out FILE.json]
+    python -m eval.claims [--results docs/results] [--out FILE.json]
 
 A claim says that one row's figure lies above (or below) another's, or that both are alike. The rows' values on the same
 seeds and clips are subtracted; the mean difference has a 95 % interval by the bootstrap, seeds and clips both drawn
 anew. The claim holds when the whole interval lies on its side, does not hold when it lies on the other, and is
 undecided between. One that says "alike" holds when the interval lies within `ALIKE` of zero. Fewer than three seeds
-decide nothing, whatever the interval. The figures are those that `eval.ablate` and `eval.racer_ablation` have kept.
+decide nothing, whatever the interval. The figures are those that `eval.ablate` and `eval.racer_ablation` have kept in
+the folders ablation and racer of the results. Three claims are read from other commands' files there (`ELSEWHERE`);
+they are of one bundle, with intervals over clips alone, and hold when all of several intervals lie on their side.
 
 What fools it: no correction is made for the number of claims (one in forty that is false will seem to hold); three
 seeds are few, and their bootstrap is narrow; a part that does nothing on this corpus may matter on another.
@@ -17,7 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -116,11 +118,10 @@ NOT_HERE = [
     Claim("RG Fig. 11", "ours has the highest PMB of all systems at every delta", "", "", needs=_SYSTEMS),
     Claim("RG Fig. 12", "people prefer ours", "", "", needs=_PEOPLE),
     Claim("RG Fig. 10", "motion follows what is asked of height, speed and radius", "", "",
-          needs="tested by eval.style_editing"),
-    Claim("RG Fig. 13", "a model of one language gestures in time with another", "", "",
-          needs="tested by eval.languages"),
-    Claim("RG Fig. 14", "the high level tells lexemes better than the low one", "", "",
-          needs="tested by eval.speech_levels"),
+          needs="run eval.style_editing"),
+    Claim("RG Fig. 13", "a model of one language gestures in time with others, for each above chance", "", "",
+          needs="run eval.languages"),
+    Claim("RG Fig. 14", "the high level tells lexemes better than the low one", "", "", needs="run eval.speech_levels"),
     Claim("RACER Table 1", "RACER beats SG, Ges, S2AG and Bailando in MAJE, MAD, FGD and PMB", "", "", needs=_SYSTEMS),
     Claim("RACER Fig. 4", "people prefer RACER", "", "", needs=_PEOPLE),
 ]
@@ -170,6 +171,54 @@ def judged(claim: Claim, cells: Cells) -> Verdict:
     return Verdict(decided(found, claim.says), "", found, seeds, clips)
 
 
+def _style_editing(told: Mapping[str, Any]) -> list[Interval]:
+    """Each feature's two steps, over the spread of the feature in the data."""
+    out = []
+    for feature, own in told["editing"].items():
+        for step in (own["low_to_mid"], own["mid_to_high"]):
+            mean, low, high = (step[key] / told["spread"][feature] for key in ("mean", "low", "high"))
+            out.append(Interval(mean, low, high, step["clips"]))
+    return out
+
+
+def _languages(told: Mapping[str, Any]) -> list[Interval]:
+    """PMB above chance of the shipped model on each language but its own."""
+    groups = next(iter(told["systems"].values()))["groups"]
+    return [Interval(**own["above_chance"]) for name, own in groups.items() if not name.startswith("English")]
+
+
+def _speech_levels(told: Mapping[str, Any]) -> list[Interval]:
+    """How much more the high level's clusters say of the lexemes that were made."""
+    return [Interval(**own) for own in told["figure_14"]["generated"]["gain_differences"].values()]
+
+
+ELSEWHERE: dict[str, tuple[str, Callable[[Mapping[str, Any]], list[Interval]]]] = {
+    "RG Fig. 10": ("style_editing", _style_editing), "RG Fig. 13": ("languages", _languages),
+    "RG Fig. 14": ("speech_levels", _speech_levels)}
+"""By a claim's place: the file of the results that it is read from, and the intervals that must lie above 0 there."""
+LEAST_CLIPS = 3
+"""An interval over fewer decides nothing."""
+
+
+def measured_elsewhere(results: Path) -> dict[str, Verdict]:
+    """Verdicts on the claims of `ELSEWHERE` whose file is there; the difference is that of the worst interval."""
+    out = {}
+    for where, (name, read) in ELSEWHERE.items():
+        try:
+            found = read(json.loads((results / f"{name}.json").read_text()))
+        except (FileNotFoundError, ValueError, KeyError):
+            continue
+        worst, few = min(found, key=lambda own: own.low), sum(own.clips < LEAST_CLIPS for own in found)
+        verdicts = {decided(own, "above") for own in found}
+        verdict = next((one for one in (FAILS, UNDECIDED) if one in verdicts), HOLDS)
+        if few and verdict == HOLDS:
+            verdict = UNDECIDED
+        told = f"{len(found)} intervals, the lowest shown" + (f"; {few} are over less than {LEAST_CLIPS} clips"
+                                                             if few else "")
+        out[where] = Verdict(verdict, told, worst, 1, worst.clips)
+    return out
+
+
 def decided(difference: Interval, says: str) -> str:
     """What an interval of the difference says of a claim."""
     low, high = difference.low, difference.high
@@ -213,11 +262,12 @@ def racer_cells(folder: Path) -> Cells:
     return cells
 
 
-def claims(ablation: Cells, racer: Cells) -> dict[str, Any]:
-    """Every claim and what became of it, as plain values."""
+def claims(ablation: Cells, racer: Cells, elsewhere: Mapping[str, Verdict] | None = None) -> dict[str, Any]:
+    """Every claim and what became of it, as plain values. elsewhere: see `measured_elsewhere`."""
     rows = []
     for claim in CLAIMS:
-        found = judged(claim, racer if claim.where == RACER_TABLE else ablation)
+        known = (elsewhere or {}).get(claim.where) if claim.needs else None
+        found = known or judged(claim, racer if claim.where == RACER_TABLE else ablation)
         rows.append({**asdict(claim), "sentence": claim.sentence, "paper": papers_numbers(claim),
                      **asdict(found)})
     return {"claims": rows, "count": {name: sum(row["verdict"] == name for row in rows)
@@ -245,12 +295,12 @@ def markdown(result: dict[str, Any]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point."""
     p = argparse.ArgumentParser("eval.claims", description="Which claims of the papers hold here?")
-    p.add_argument("--ablation", default="docs/results/ablation", metavar="DIR", help="what eval.ablate has kept")
-    p.add_argument("--racer", default="docs/results/racer", metavar="DIR", help="what eval.racer_ablation has kept")
+    p.add_argument("--results", default="docs/results", metavar="DIR", help="what the other commands have kept")
     p.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
     arguments = p.parse_args(argv)
     with one_line_errors("eval.claims"):
-        result = claims(read_cells(Path(arguments.ablation)), racer_cells(Path(arguments.racer)))
+        results = Path(arguments.results)
+        result = claims(read_cells(results / "ablation"), racer_cells(results / "racer"), measured_elsewhere(results))
         publish(result, markdown(result), arguments.out)
     return 0
 

@@ -329,7 +329,8 @@ def _runs(kept: Kept) -> list[list[str]]:
     out = []
     if kept.ablation is not None:
         rows = kept.ablation["rows"]
-        clips = max((cell.get("clips") or 0 for row in rows.values() for cell in row["figures"].values()), default=0)
+        clips = max((cell.get("clips") or 0 for row in rows.values() if row.get("kind", "row") == "row"
+                     for cell in row["figures"].values()), default=0)
         preset = kept.ablation.get("preset")
         out.append(["ablation", _store(kept.ablation.get("store")), f"{len(rows)} rows, "
                     + (f"preset `{preset}`" if preset else "of cells alone: the command has not finished"),
@@ -570,7 +571,7 @@ def _metric_lines() -> list[str]:
 
 def document(kept: Kept, out: Path, title: str = TITLE) -> str:
     """The whole report as Markdown, for a file in `out`."""
-    found = claims.claims(kept.cells, kept.racer_cells)
+    found = claims.claims(kept.cells, kept.racer_cells, claims.measured_elsewhere(kept.folder))
     sections = {
         "What this is": _about(kept, found, out), "Claims": _claims(found), "Tables": _tables(kept, out),
         "Figures": _figure_lines(kept, out), "Metrics and their controls": _score_lines(kept, out),

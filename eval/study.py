@@ -1,12 +1,15 @@
 """A user study: the page that raters see, and what their answers say (RG 7.3.3, Figure 12; RACER 5.4, Figure 4).
 
     python -m eval.study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
+                              [--videos mp4|webm]
     python -m eval.study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
 
 `make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
 that works from a disk without a server or a network (FOLDER/page/index.html), and FOLDER/key.json, which raters must
 not get. No video encoder is needed: the page draws the figure itself, the same body in the same place for every system,
-at one frame rate, so that neither the skeleton nor the file tells whose motion it is. Its ids are opaque.
+at one frame rate, so that neither the skeleton nor the file tells whose motion it is. Its ids are opaque. With
+`--videos` each item is a file beside the page instead (FOLDER/page/ID.mp4), of the same figure, for those who must show
+videos or need them elsewhere: all are equally long, and equally large, since a still figure takes fewer bytes.
 
 Theory: each rater sees every clip by every system, one clip's versions in a row. The order is a Williams design
 (Williams 1949): over its rows each system comes in each place equally often, and after each other equally often, so
@@ -35,10 +38,10 @@ from numpy.typing import NDArray
 from data_module.audio import load_speech
 from data_module.bvh import read_bvh
 from data_module.errors import InputError, one_line_errors
-from data_module.files import write_text
+from data_module.files import write_bytes, write_text
 from data_module.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
-from eval import anova
+from eval import anova, video
 from eval.results import keep
 from eval.strips import figure_points
 from gesticulator.export import sound
@@ -197,13 +200,17 @@ def orders(systems: int, clips: int, raters: int, seed: int) -> list[list[tuple[
 # ---------------------------------------------------------------- the page
 
 def make(systems: dict[str, Path], out: Path, *, clips: int = 10, seconds: float = 30.0, seed: int = 0,
-         raters: int = 30, aspects: Sequence[str] = DEFAULT_ASPECTS) -> Path:
+         raters: int = 30, aspects: Sequence[str] = DEFAULT_ASPECTS, videos: str | None = None) -> Path:
     """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same bytes.
 
-    raters: how many orders the page holds; rater raters + 1 gets that of rater 1.
+    raters: how many orders the page holds; rater raters + 1 gets that of rater 1. videos: "mp4" or "webm" writes each
+    item as a video beside the page, which then draws nothing.
     """
     if raters < 1:
         raise InputError("--raters", f"must be 1 or more, not {raters}")
+    if videos is not None:
+        # What cannot be written is said before minutes of drawing.
+        video.format_of(f".{videos}")
     takes = read_takes(systems)
     chosen = choose_clips(takes, clips, seconds, seed)
     # Ids are hashes of the whole sources, which no rater has: knowing the seed and the names would not undo them.
@@ -218,18 +225,33 @@ def make(systems: dict[str, Path], out: Path, *, clips: int = 10, seconds: float
     items = sorted(ids, key=lambda pair: ids[pair])
     sounds = sorted(range(clips), key=lambda c: _opaque(source, f"sound {c}"))
     shown = {(c, k): _places(takes[chosen[c].take].motions[k], chosen[c].start, seconds) for c, k in items}
-    data = {
-        "study": study, "fps": FPS, "seconds": float(seconds), "scale": SCALE, "stepsPerMetre": STEPS_PER_METRE,
-        "questions": [[name, ASPECTS[name]] for name in aspects], "points": list(shown[items[0]]),
-        "soundType": sound.MEDIA_TYPE,
-        "sounds": [_base64(_sound(takes[chosen[c].take].speech, chosen[c].start, seconds)) for c in sounds],
-        "items": [{"id": ids[c, k], "sound": sounds.index(c), "motion": _encode(shown[c, k])} for c, k in items],
-        "orders": [[items.index(pair) for pair in row] for row in orders(len(systems), clips, raters, seed)],
-    }
+    heard = {c: _stretch(takes[chosen[c].take].speech, chosen[c].start, seconds) for c in sounds}
+    data = {"study": study, "fps": FPS, "seconds": float(seconds), "scale": SCALE,
+            "questions": [[name, ASPECTS[name]] for name in aspects]}
+    if videos is None:
+        data |= {"stepsPerMetre": STEPS_PER_METRE, "points": list(shown[items[0]]), "soundType": sound.MEDIA_TYPE,
+                 "sounds": [_base64(sound.compress(heard[c])) for c in sounds],
+                 "items": [{"id": ids[c, k], "sound": sounds.index(c), "motion": _encode(shown[c, k])}
+                           for c, k in items]}
+    else:
+        data |= {"videos": videos, "items": [{"id": ids[pair]} for pair in items]}
+    data["orders"] = [[items.index(pair) for pair in row] for row in orders(len(systems), clips, raters, seed)]
     (out / "page").mkdir(parents=True, exist_ok=True)
     write_text(out / "key.json", json.dumps(key, indent=1) + "\n")
+    if videos is not None:
+        _film({ids[c, k]: (shown[c, k], heard[c]) for c, k in items}, out / "page", f".{videos}")
     write_text(out / "page" / "index.html", _page(data))
     return out / "page" / "index.html"
+
+
+def _film(items: dict[str, tuple[dict[str, NDArray[np.float64]], Speech]], folder: Path, suffix: str) -> None:
+    """Each item as `folder`/ID`suffix`, all of one size in bytes, written in the order of their ids."""
+    # The page's last place is the end of its last frame; a video's last frame begins one before.
+    films = {name: video.encode({joint: places[:-1] for joint, places in shown.items()}, heard, suffix, fps=FPS)
+             for name, (shown, heard) in items.items()}
+    size = max(map(len, films.values())) + video.LEAST_FILLING
+    for name, film in films.items():
+        write_bytes(folder / f"{name}{suffix}", video.filled(film, size, suffix))
 
 
 def _opaque(source: str, what: str) -> str:
@@ -256,19 +278,20 @@ def _encode(points: dict[str, NDArray[np.float64]]) -> str:
     return _base64(np.clip(steps, -32768, 32767).astype("<i2").tobytes())
 
 
-def _sound(speech: Speech, start: float, seconds: float) -> bytes:
-    """The stretch as Ogg Vorbis, its ends faded so that a cut word does not click."""
+def _stretch(speech: Speech, start: float, seconds: float) -> Speech:
+    """The sound of a stretch, its ends faded so that a cut word does not click."""
     first = round(start * speech.sample_rate)
     samples = speech.samples[first:first + round(seconds * speech.sample_rate)].copy()
     ramp = np.linspace(0.0, 1.0, round(_FADE * speech.sample_rate), dtype=np.float32)
     samples[:len(ramp)] *= ramp
     samples[len(samples) - len(ramp):] *= ramp[::-1]
-    return sound.compress(Speech(samples, speech.sample_rate))
+    return Speech(samples, speech.sample_rate)
 
 
 def _page(data: dict[str, Any]) -> str:
     told = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\u002f")
-    parts = {"data": told, "study": data["study"]}
+    # Videos lie beside the page, on a disk or a server; without them nothing but the page itself is ever read.
+    parts = {"data": told, "study": data["study"], "media": "'self' file:" if "videos" in data else "blob:"}
     text = (resources.files("eval") / "assets" / "study.html").read_text(encoding="utf-8")
     return _SLOT.sub(lambda found: parts[found.group(1)], text)
 
@@ -290,6 +313,8 @@ def _parser() -> argparse.ArgumentParser:
     m.add_argument("--seed", type=int, default=0, metavar="K", help="which stretches, and the order (0)")
     m.add_argument("--raters", type=int, default=30, metavar="N", help="how many different orders (30)")
     m.add_argument("--aspects", nargs="+", choices=ASPECTS, default=list(DEFAULT_ASPECTS), help="what is asked")
+    m.add_argument("--videos", choices=[suffix[1:] for suffix in video.FORMATS],
+                   help="write each item as a video beside the page, which else draws the figure itself")
     a = commands.add_parser("analyse", help="means, intervals, ANOVA and Tukey HSD, ranks")
     a.add_argument("--key", type=Path, required=True, metavar="FILE.json")
     a.add_argument("ratings", nargs="+", type=Path, metavar="RATINGS", help="what the raters saved, .json or .csv")
@@ -305,7 +330,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with one_line_errors("eval.study"):
         if told.command == "make":
             page = make(parse_systems(told.systems), told.out, clips=told.clips, seconds=told.seconds, seed=told.seed,
-                        raters=told.raters, aspects=list(dict.fromkeys(told.aspects)))
+                        raters=told.raters, aspects=list(dict.fromkeys(told.aspects)), videos=told.videos)
             print(f"{page} is for the raters (1 to {told.raters}: page?rater=7 fills in the number); "
                   f"keep {told.out / 'key.json'} to yourself")
             return 0

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import struct
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -65,6 +66,9 @@ FORMATS = {
                      "auto-alt-ref": "0"}, "libopus", 96_000),
 }
 """Suffix -> how it is written."""
+
+LEAST_FILLING = 9
+"""Bytes that `filled` needs at least."""
 
 _OVER = 2
 """Drawn this many times as large and scaled down, which smooths the edges."""
@@ -124,7 +128,7 @@ class _Part:
 
     limbs: tuple[_Limb, ...]
     lift: float
-    shown: Array | None = None
+    shown: NDArray[np.bool_] | None = None
 
 
 def _legs() -> list[_Part]:
@@ -187,12 +191,14 @@ class _Sheet(NamedTuple):
     """A part ready to draw: how near [T], in which frames, and per polygon its corners [T, K, 2] and its colour."""
 
     near: Array
-    shown: Array | None
+    shown: NDArray[np.bool_] | None
     polygons: list[tuple[NDArray[np.int64], str]]
 
 
 def _sheet(part: _Part, camera: Camera, size: tuple[int, int]) -> _Sheet:
-    halos, fills, depths = [], [], []
+    halos: list[tuple[NDArray[np.int64], str]] = []
+    fills: list[tuple[NDArray[np.int64], str]] = []
+    depths = []
     for limb in part.limbs:
         p, p_scale, _ = camera.project(limb.start, size)
         q, q_scale, _ = camera.project(limb.end, size)
@@ -292,6 +298,23 @@ def format_of(suffix: str) -> Format:
     return FORMATS[suffix.lower()]
 
 
+def filled(data: bytes, size: int, suffix: str) -> bytes:
+    """The file made `size` bytes long by an element at its end that players skip ("free" or Void, full of zeros).
+
+    Lengths tell how much a figure moves, and so which of two is the still one. `size` must be `LEAST_FILLING` more
+    than the file, or equal to it.
+    """
+    gap = size - len(data)
+    if gap == 0:
+        return data
+    if gap < LEAST_FILLING:
+        raise ValueError(f"{gap} bytes are too few to fill")
+    if FORMATS[suffix.lower()].container == "mp4":
+        return data + struct.pack(">I", gap) + b"free" + bytes(gap - 8)
+    # EBML: Void's id, and its length as a number of eight bytes, whose first bit says that it has eight.
+    return data + b"\xec" + struct.pack(">Q", (gap - 9) | 1 << 56) + bytes(gap - 9)
+
+
 def _missing(what: str) -> InputError:
     return InputError("videos", f"need {what}, which is not installed", "pip install 'gesticulator[video]'")
 
@@ -326,7 +349,7 @@ def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, s
             stream.codec_context.flags |= av.codec.context.Flags.bitexact
         colours = VideoReformatter()
         for number, picture in enumerate(drawn):
-            frame = colours.reformat(av.VideoFrame.from_image(picture), format="yuv420p", dst_colorspace="ITU709")
+            frame = colours.reformat(av.VideoFrame.from_image(picture), format="yuv420p", dst_colorspace=_BT709)
             frame.pts, frame.time_base = number, Fraction(1, fps)
             container.mux(video.encode(frame))
             first, last = (round(k * SOUND_RATE / fps) for k in (number, number + 1))
@@ -371,11 +394,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, help="the video, .mp4 or .webm (.mp4 beside the motion when not told)")
     parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
     parser.add_argument("--seconds", type=float, help="how long a stretch (all of it)")
+    parser.add_argument("--fps", type=float, help="the motion's frame rate, where the file's own is wrong")
     told = parser.parse_args(arguments)
     with one_line_errors("video"):
         out = told.out or told.motion.with_suffix(".mp4")
         format_of(out.suffix)
-        write_video(out, bvh.read_bvh(told.motion), load_speech(told.sound), start=told.start, seconds=told.seconds)
+        motion = bvh.read_bvh(told.motion, fps=told.fps)
+        write_video(out, motion, load_speech(told.sound), start=told.start, seconds=told.seconds)
         print(out)
 
 

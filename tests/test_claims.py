@@ -125,7 +125,16 @@ def test_the_command_reads_what_the_other_two_have_kept(tmp_path: Path, capsys: 
                                                          for k in range(5)],
                 **({"motion": {"recordings": [{"pmb_above_chance": value}]}} if seed == 1 else {})}))
     (racer / "distance-1.json").write_text("{")
-    told = ["--ablation", str(ablation), "--racer", str(racer), "--out", str(tmp_path / "claims.json")]
+    step, flat = ({"mean": mean, "low": mean - 1, "high": mean + 1, "clips": 5} for mean in (2.0, 0.5))
+    (tmp_path / "style_editing.json").write_text(json.dumps({
+        "spread": {"height": 1.0, "speed": 0.5},
+        "editing": {"height": {"low_to_mid": step, "mid_to_high": step},
+                    "speed": {"low_to_mid": step, "mid_to_high": {**step, "low": 0.2}}}}))
+    (tmp_path / "languages.json").write_text(json.dumps({"systems": {"shipped": {"groups": {
+        "English, real": {"above_chance": flat}, "German, real": {"above_chance": {**step, "clips": 2}}}}}}))
+    (tmp_path / "speech_levels.json").write_text(json.dumps({"figure_14": {"generated": {"gain_differences": {
+        "high - low": {**step, "low": -9.0, "mean": -8.0, "high": -7.0}}}}}))
+    told = ["--results", str(tmp_path), "--out", str(tmp_path / "claims.json")]
     assert claims.main(told) == 0
     found = {(row["where"], row["metric"], row["first"], row["second"]): row
              for row in json.loads((tmp_path / "claims.json").read_text())["claims"]}
@@ -136,6 +145,10 @@ def test_the_command_reads_what_the_other_two_have_kept(tmp_path: Path, capsys: 
     assert found["RACER Table 2", "judge_return", "cql", "dqn"]["verdict"] == FAILS
     motion = found["RACER Table 2", "pmb_above_chance", "cql", "dqn"]
     assert (motion["verdict"], motion["reason"], motion["seeds"]) == (UNDECIDED, "1 of 3 seeds", 1)
+    by_place = {row["where"]: row for row in found.values()}
+    assert by_place["RG Fig. 10"]["verdict"] == HOLDS and by_place["RG Fig. 10"]["difference"]["low"] == 0.4
+    assert by_place["RG Fig. 13"]["verdict"] == UNDECIDED and "less than 3 clips" in by_place["RG Fig. 13"]["reason"]
+    assert by_place["RG Fig. 14"]["verdict"] == FAILS
     text = (tmp_path / "claims.md").read_text()
     assert "| FGD: ours lower than no-style | Trinity 10.78 and 12.53; TED 2.04 and 2.47 | -1.00 [-1.00, " in text
     assert text in capsys.readouterr().out
