@@ -9,8 +9,8 @@ compared. Figures of a set (FGD, diversity, motion variance) have no value for a
 n times the figure of all less n - 1 times the figure without it. So one paired test serves all (`eval.claims`), and
 small sets are freed of the greater part of their bias.
 
-The motion itself stays in WORK/played/ROW-SEED: its beats, onsets, block edges, latents and lexemes (seen.npz) for the
-figures, and for the first seed a BVH of each clip, to be looked at or given to `eval.score`.
+The motion itself stays in the work folder: its beats, onsets, block edges, latents and lexemes in played/ROW-SEED.npz,
+for the figures, and for the first seed a BVH of each clip in played/ROW-SEED, to be looked at or given to `eval.score`.
 """
 
 from __future__ import annotations
@@ -249,8 +249,8 @@ class Kept:
 
     @property
     def file(self) -> Path:
-        """What was seen of the motion."""
-        return self.folder / "seen.npz"
+        """What was seen of the motion; beside the folder, in which all files are motion."""
+        return self.folder.with_name(f"{self.folder.name}.npz")
 
     def begin(self) -> None:
         """An empty folder."""

@@ -17,7 +17,7 @@ import argparse
 import math
 import struct
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -75,8 +75,12 @@ _OVER = 2
 _ROUND = 18
 """Corners of each half of a limb's outline."""
 _HALO = 0.009
+# The numbers of ITU-T H.273 and of FFmpeg for BT.709 and the narrow range.
 _BT709 = 1
-_LIMITED = 1
+_NARROW = 1
+
+_Colour = tuple[int, int, int]
+_Ink = Callable[[str], _Colour]
 
 
 # ---------------------------------------------------------------- the picture
@@ -192,12 +196,12 @@ class _Sheet(NamedTuple):
 
     near: Array
     shown: NDArray[np.bool_] | None
-    polygons: list[tuple[NDArray[np.int64], str]]
+    polygons: list[tuple[NDArray[np.int64], _Colour]]
 
 
-def _sheet(part: _Part, camera: Camera, size: tuple[int, int]) -> _Sheet:
-    halos: list[tuple[NDArray[np.int64], str]] = []
-    fills: list[tuple[NDArray[np.int64], str]] = []
+def _sheet(part: _Part, camera: Camera, size: tuple[int, int], ink: _Ink) -> _Sheet:
+    halos: list[tuple[NDArray[np.int64], _Colour]] = []
+    fills: list[tuple[NDArray[np.int64], _Colour]] = []
     depths = []
     for limb in part.limbs:
         p, p_scale, _ = camera.project(limb.start, size)
@@ -206,39 +210,54 @@ def _sheet(part: _Part, camera: Camera, size: tuple[int, int]) -> _Sheet:
         for where, extra, colour in ((halos, _HALO, PAPER), (fills, 0.0, limb.colour)):
             # Whole pixels: Pillow would cut the fractions off.
             corners = np.rint(outlines(p, q, r0 + extra * p_scale, r1 + extra * q_scale)).astype(np.int64)
-            where.append((corners, colour))
+            where.append((corners, ink(colour)))
         depths.append(camera.project((limb.start + limb.end) / 2, size)[2])
     return _Sheet(np.mean(depths, axis=0) + part.lift, part.shown, halos + fills)
 
 
-def _background(camera: Camera, size: tuple[int, int]) -> Image:
+def _background(camera: Camera, size: tuple[int, int], ink: _Ink) -> Image:
     """Paper, a soft shadow on the floor, and the legs: what no frame changes."""
     from PIL import Image, ImageDraw, ImageFilter
 
-    picture = Image.new("RGB", size, PAPER)
+    picture = Image.new("RGB", size, ink(PAPER))
     pen = ImageDraw.Draw(picture)
     place, scale, _ = camera.project(np.zeros(3), size)
     for across, deep, colour in ((0.5, 0.07, FLOOR), (0.26, 0.036, SHADOW)):
         reach = np.array([across, deep]) * scale
-        pen.ellipse([*(place - reach), *(place + reach)], fill=colour)
+        pen.ellipse([*(place - reach), *(place + reach)], fill=ink(colour))
     picture = picture.filter(ImageFilter.GaussianBlur(0.012 * float(scale)))
     pen = ImageDraw.Draw(picture)
     for part in _legs():
-        for polygon, colour in _sheet(part, camera, size).polygons:
-            pen.polygon(polygon[0].ravel().tolist(), fill=colour)
+        for polygon, code in _sheet(part, camera, size, ink).polygons:
+            pen.polygon(polygon[0].ravel().tolist(), fill=code)
     return picture
 
 
-def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE) -> Iterator[Image]:
-    """One picture (RGB, `size` pixels) for each of the T moments of `points`: name -> [T, 3], of `figure_points`."""
+def rgb(colour: str) -> _Colour:
+    """"#rrggbb" as three numbers from 0 to 255."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def bt709(colour: str) -> _Colour:
+    """"#rrggbb" as Y', Cb, Cr of eight bits in the narrow range (ITU-R BT.709): Y' in 16..235, Cb and Cr in 16..240."""
+    r, g, b = (value / 255 for value in rgb(colour))
+    y = 0.2126 * r + 0.7152 * g + 0.0722 * b
+    return round(16 + 219 * y), round(128 + 224 * (b - y) / 1.8556), round(128 + 224 * (r - y) / 1.5748)
+
+
+def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink = rgb) -> Iterator[Image]:
+    """One picture of `size` pixels for each of the T moments of `points`: name -> [T, 3], of `figure_points`.
+
+    ink: what stands in the three channels for a colour. Edges are means, which any linear code of colours allows.
+    """
     try:
         from PIL import ImageDraw
     except ImportError:
         raise _missing("Pillow") from None
     camera, large = Camera(), (size[0] * _OVER, size[1] * _OVER)
-    background = _background(camera, large)
+    background = _background(camera, large, ink)
     parts = [*_trunk(points), *_arm(points, "Left"), *_arm(points, "Right"), *_head(points, camera)]
-    sheets = [_sheet(part, camera, large) for part in parts]
+    sheets = [_sheet(part, camera, large, ink) for part in parts]
     # Only the box that the figure ever touches is drawn anew: the rest, most of the picture, stays.
     every = np.concatenate([corners.reshape(-1, 2) for sheet in sheets for corners, _ in sheet.polygons])
     low, high = (np.clip([every.min(0) // _OVER, every.max(0) // _OVER + 1], 0, size)).tolist()
@@ -282,7 +301,7 @@ def encode(points: dict[str, Array], speech: Speech, suffix: str, *, size: tuple
     with tempfile.TemporaryDirectory() as folder:
         # A file, not memory: moving the index to the front needs to read back what was written.
         target = Path(folder) / f"clip{suffix.lower()}"
-        _write(target, kind, pictures(points, size), sound, size, fps)
+        _write(target, kind, pictures(points, size, bt709), sound, size, fps)
         return target.read_bytes()
 
 
@@ -332,7 +351,6 @@ def _resampled(speech: Speech, frames: int, fps: int) -> Samples:
 def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, size: tuple[int, int], fps: int) -> None:
     """Picture and sound in turn, so that a player finds what belongs together in one place."""
     import av
-    from av.video.reformatter import VideoReformatter
 
     options = kind.container_options | {"fflags": "+bitexact"}
     with av.open(str(target), "w", format=kind.container, options=options) as container:
@@ -340,22 +358,38 @@ def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, s
         video.width, video.height, video.pix_fmt = *size, "yuv420p"
         # Said in the file, lest a player guess from the height and show other colours.
         own = video.codec_context
-        own.colorspace, own.color_primaries, own.color_trc, own.color_range = _BT709, _BT709, _BT709, _LIMITED
+        own.colorspace, own.color_primaries, own.color_trc, own.color_range = _BT709, _BT709, _BT709, _NARROW
         own.gop_size = 2 * fps
         voice: Any = container.add_stream(kind.audio, rate=SOUND_RATE, layout="mono")
         voice.bit_rate = kind.bit_rate
         for stream in (video, voice):
             stream.codec_context.thread_count = 1
             stream.codec_context.flags |= av.codec.context.Flags.bitexact
-        colours = VideoReformatter()
         for number, picture in enumerate(drawn):
-            frame = colours.reformat(av.VideoFrame.from_image(picture), format="yuv420p", dst_colorspace=_BT709)
-            frame.pts, frame.time_base = number, Fraction(1, fps)
-            container.mux(video.encode(frame))
+            container.mux(video.encode(_seen(picture, number, fps)))
             first, last = (round(k * SOUND_RATE / fps) for k in (number, number + 1))
             container.mux(voice.encode(_heard(sound[first:last], first)))
         for stream in (video, voice):
             container.mux(stream.encode(None))
+
+
+def _seen(picture: Image, number: int, fps: int) -> Any:
+    """A picture in the colours of `bt709` as frame `number`.
+
+    Drawn in these colours, since FFmpeg's conversion from RGB is slow and differs in the last row from run to run.
+    """
+    import av
+
+    light, blue, red = picture.split()
+    frame = av.VideoFrame(*picture.size, "yuv420p")
+    for plane, channel in zip(frame.planes, (light, blue.reduce(2), red.reduce(2)), strict=True):
+        rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
+        rows[:, :channel.width] = np.asarray(channel)
+        # A row has room behind its end, which an encoder may read.
+        rows[:, channel.width:] = rows[:, channel.width - 1:channel.width]
+    frame.pts, frame.time_base = number, Fraction(1, fps)
+    frame.colorspace, frame.color_range = _BT709, _NARROW
+    return frame
 
 
 def _heard(samples: Samples, first: int) -> Any:

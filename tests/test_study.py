@@ -347,6 +347,77 @@ def test_other_bad_input_is_one_line_and_exit_2(made: Path, systems: dict[str, P
     assert not (tmp_path / "out").exists()
 
 
+# ---------------------------------------------------------------- as videos
+
+@pytest.fixture(scope="module")
+def films(systems: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The folders of a study of 2 clips of 1 s, as videos of both kinds."""
+    pytest.importorskip("av")
+    pytest.importorskip("PIL")
+    out = {}
+    for kind in ("mp4", "webm"):
+        out[kind] = tmp_path_factory.mktemp(f"films{kind}")
+        assert study.main(["make", "--out", str(out[kind]), "--clips", "2", "--seconds", "1", "--raters", "12",
+                           "--videos", kind, "--systems",
+                           *(f"{name}={folder}" for name, folder in systems.items())]) == 0
+    return out
+
+
+@pytest.mark.parametrize("kind", ["mp4", "webm"])
+def test_nothing_in_the_videos_names_a_system(films: dict[str, Path], systems: dict[str, Path], kind: str) -> None:
+    import av
+
+    folder, key = films[kind] / "page", json.loads((films[kind] / "key.json").read_text())
+    told = _data(folder / "index.html")
+    assert {file.name for file in folder.iterdir()} == {"index.html", *(f"{name}.{kind}" for name in key["items"])}
+    assert told["videos"] == kind and all(set(item) == {"id"} for item in told["items"])
+    assert [item["id"] for item in told["items"]] == sorted(key["items"]) and len(key["items"]) == 6
+    files = [folder / f"{name}.{kind}" for name in key["items"]]
+    assert len({file.stat().st_size for file in files}) == 1, "a still figure would be a smaller file"
+    seen = set()
+    for file in (*files, folder / "index.html"):
+        for word in (*NAMES, "walrus", *map(str, systems.values())):
+            assert word.lower().encode() not in file.read_bytes().lower()
+        if file.suffix != ".html":
+            with av.open(str(file)) as container:
+                seen.add(repr((container.metadata, container.duration, [
+                    (own.metadata, own.codec_context.name, own.time_base) for own in container.streams])))
+    assert len(seen) == 1, "all have the same tags, codecs and length"
+
+
+def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str, Path]) -> None:
+    import av
+
+    from eval import video
+
+    key = json.loads((films["webm"] / "key.json").read_text())
+    for name, own in key["items"].items():
+        clip = key["clips"][own["clip"]]
+        with av.open(str(films["webm"] / "page" / f"{name}.webm")) as container:
+            shown = [frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(video=0)]
+        assert len(shown) == 30
+        # Some way in: the furthest from the others' poses.
+        far = {}
+        for system, folder in systems.items():
+            motion = bvh.read_bvh(folder / f"{clip['recording']}.bvh")
+            points = strips.figure_points(motion, clip["start"] + np.array([20]) / 30)
+            far[system] = np.abs(np.array(next(video.pictures(points))).astype(int) - shown[20]).mean()
+        assert min(far, key=lambda system: far[system]) == own["system"]
+        with av.open(str(films["webm"] / "page" / f"{name}.webm")) as container:
+            heard = np.concatenate([part.to_ndarray().reshape(-1) for part in container.decode(audio=0)])
+        said = _voice(9.0, int(clip["recording"][-1]))[round(clip["start"] * RATE):][:RATE]
+        assert len(heard) == 3 * RATE and np.corrcoef(heard[::3], said)[0, 1] > 0.6
+
+
+def test_videos_keep_ids_and_orders(films: dict[str, Path], systems: dict[str, Path], tmp_path: Path) -> None:
+    """Ratings of the drawn figures and of the videos may be put together."""
+    drawn = study.make(systems, tmp_path / "drawn", clips=2, seconds=1, raters=12)
+    told, keys = _data(drawn), (tmp_path / "drawn" / "key.json", films["webm"] / "key.json")
+    own = _data(films["webm"] / "page" / "index.html")
+    assert keys[0].read_text() == keys[1].read_text()
+    assert own["orders"] == told["orders"] and own["study"] == told["study"]
+
+
 # ---------------------------------------------------------------- in a browser
 
 def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path) -> None:  # noqa: F811
@@ -395,3 +466,42 @@ def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path)
     assert ratings[0].notes == () and ratings[0].raters == ("26",)
     for place, item in enumerate(order):
         assert ratings[0].values[0, *key.items[told["items"][item]["id"]], 1] == 1 + (place + 1) % 5
+
+
+@pytest.mark.parametrize("kind", ["mp4", "webm"])
+def test_a_rater_goes_through_the_videos(browser: Any, films: dict[str, Path], tmp_path: Path,  # noqa: F811
+                                         kind: str) -> None:
+    path, complaints = films[kind] / "page" / "index.html", []
+    told = _data(path)
+    page = browser.new_page(viewport={"width": 1100, "height": 800})
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(path.as_uri() + "?rater=2")
+    codecs = {"mp4": "avc1.64001e, mp4a.40.2", "webm": "vp9, opus"}[kind]
+    if not page.evaluate(f"document.createElement('video').canPlayType('video/{kind}; codecs=\"{codecs}\"')"):
+        page.close()
+        pytest.skip(f"this Chromium plays no {kind}")
+    page.click("#begin button")
+    order = told["orders"][1]
+    for place, item in enumerate(order):
+        assert page.inner_text("#place") == f"Clip {place + 1} of 6"
+        assert page.is_visible("#film") and page.is_hidden("#figure")
+        assert page.evaluate("$('film').currentSrc").endswith(f"/page/{told['items'][item]['id']}.{kind}")
+        assert page.is_disabled("#next") and page.is_disabled("#questions input >> nth=0")
+        page.click("#play")
+        page.wait_for_function("() => trial.seen", timeout=20_000)
+        film = page.evaluate("[$('film').videoWidth, $('film').videoHeight, $('film').duration]")
+        assert film == [540, 720, pytest.approx(1.0, abs=0.03)]
+        for number, (name, _) in enumerate(told["questions"]):
+            page.check(f"input[name={name}][value='{1 + (place + number) % 5}']")
+        page.click("#next")
+    with page.expect_download() as saved:
+        page.click("#save-json")
+    saved.value.save_as(tmp_path / "ratings.json")
+    page.close()
+    assert complaints == []
+    key = anova.read_key(films[kind] / "key.json")
+    ratings = anova.gather(anova.read_answers([tmp_path / "ratings.json"], key), key)
+    assert ratings.notes == ()
+    for place, item in enumerate(order):
+        assert ratings.values[0, *key.items[told["items"][item]["id"]], 0] == 1 + place % 5
