@@ -201,7 +201,7 @@ def orders(systems: int, clips: int, raters: int, seed: int) -> list[list[tuple[
 
 def make(systems: dict[str, Path], out: Path, *, clips: int = 10, seconds: float = 30.0, seed: int = 0,
          raters: int = 30, aspects: Sequence[str] = DEFAULT_ASPECTS, videos: str | None = None) -> Path:
-    """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same bytes.
+    """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same page and key.
 
     raters: how many orders the page holds; rater raters + 1 gets that of rater 1. videos: "mp4" or "webm" writes each
     item as a video beside the page, which then draws nothing.

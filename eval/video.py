@@ -4,8 +4,9 @@
 
 The suffix picks the format: .mp4 (H.264 and AAC) or .webm (VP9 and Opus). Every motion is drawn as the user study's
 page draws it: one body, one place to stand, one camera, no text, so that a picture tells nothing but the movement.
-Frame k shows the motion at start + k / fps; picture and sound begin at 0 and are equally long. The same input gives the
-same bytes as long as the encoders stay the same: one thread, no date, no version in the file's tags.
+Frame k shows the motion at start + k / fps; picture and sound begin at 0 and are equally long. The same input gives
+the same pictures and samples as long as the encoders stay the same: one thread, no date, no version of the muxer. WebM
+gives the same bytes too; an H.264 stream was seen to differ by a byte now and then, though not in what it shows.
 
 What it cannot show: fingers, face, and a body's walk; legs stand still. Outlines lie on half pixels, and colours are
 stored at half the resolution (4:2:0), as in most videos.
@@ -376,7 +377,7 @@ def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, s
 def _seen(picture: Image, number: int, fps: int) -> Any:
     """A picture in the colours of `bt709` as frame `number`.
 
-    Drawn in these colours, since FFmpeg's conversion from RGB is slow and differs in the last row from run to run.
+    Drawn in these colours from the start, which saves a slow conversion of every frame.
     """
     import av
 
