@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -45,6 +44,7 @@ from eval.accuracy import lexeme_accuracy
 from eval.diversity import diversity, motion_variance
 from eval.figures import Clip, likeliest, measure, real_take
 from eval.foreign import find_motions, read_folder
+from eval.results import dumped
 from eval.score import mean_pose
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
@@ -263,7 +263,7 @@ class Kept:
 
     def write(self, clips: Sequence[Seen]) -> None:
         """The plain arrays of what was seen."""
-        memory, arrays = io.BytesIO(), dict[str, NDArray[Any]]()
+        memory, arrays = io.BytesIO(), dict[str, Any]()
         for k, clip in enumerate(clips):
             arrays |= {f"{what}_{k}": np.asarray(getattr(clip, what)) for what in SEEN}
         np.savez_compressed(memory, key=np.array(self.key), names=np.array([clip.name for clip in clips]), **arrays)
@@ -323,7 +323,7 @@ def cell(bench: Bench, name: str, seed: int, out: Path) -> dict[str, Any]:
               "stages": run.seconds, "seconds": {"lexicon": run.seconds["lexicon"], "training": round(trained, 1),
                                                  "in_all": round(time.monotonic() - began, 1)},
               **summary(bench, clips, bench.real(row.split))}
-    write_text(file_of(out, name, seed), json.dumps(result) + "\n")
+    write_text(file_of(out, name, seed), dumped(result))
     return result
 
 
@@ -362,7 +362,7 @@ def _write_cell(bench: Bench, name: str, kind: str, about: str, split: str, key:
                 out: Path) -> dict[str, Any]:
     result = {"row": name, "seed": 0, "kind": kind, "key": key, "shared": bench.shared, "question": about,
               "settings": [], "split": split, **found}
-    write_text(file_of(out, name, 0), json.dumps(result) + "\n")
+    write_text(file_of(out, name, 0), dumped(result))
     return result
 
 

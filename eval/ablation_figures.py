@@ -7,7 +7,6 @@ motion is of the first seed and, where one clip is shown, of the first test reco
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +41,7 @@ from eval.plots import (
     save,
     size_sweep,
 )
+from eval.results import dumped
 from eval.strips import draw_strip, frame_times
 from gesticulator import config as configs
 from gesticulator.pipeline import Gesticulator
@@ -300,6 +300,6 @@ def draw(bench: Bench, name: str, rows: Mapping[str, Any], out: Path) -> str:
     except InputError as error:
         return str(error)
     save(picture, out / f"{name}.{'png' if own.dots else 'svg'}")
-    write_text(place, json.dumps({"figure": own.paper, "title": own.title, "caption": caption, "numbers": numbers,
-                                  "key": key, "shared": bench.shared}) + "\n")
+    told = {"figure": own.paper, "title": own.title, "caption": caption, "numbers": numbers}
+    write_text(place, dumped({**told, "key": key, "shared": bench.shared}))
     return ""

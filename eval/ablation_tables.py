@@ -8,7 +8,6 @@ from bad in that respect.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from data_module.types import Array
 from eval import pmb
 from eval.ablations import CONTROLS, FLOOR, OURS, PERFORMER, REFERENCES, ROWS, SYSTEMS, TABLES, Paper
 from eval.racer_ablation import interval_over
+from eval.results import loaded
 
 DECIDED = 3
 """Fewer seeds decide nothing."""
@@ -60,7 +60,7 @@ def file_of(out: Path, name: str, seed: int) -> Path:
 def finished(file: Path, key: str | None = None) -> dict[str, Any] | None:
     """What a file holds; None where it is missing, cut short, or of other settings than `key`."""
     try:
-        known: dict[str, Any] = json.loads(file.read_text())
+        known: dict[str, Any] = loaded(file.read_text())
     except (FileNotFoundError, ValueError):
         return None
     return known if key in (None, known.get("key")) else None

@@ -17,7 +17,6 @@ seeds are few, and their bootstrap is narrow; a part that does nothing on this c
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -33,7 +32,7 @@ from eval.ablation_tables import COLUMNS, DECIDED, Cells, read_cells
 from eval.ablations import OURS, PERFORMER, TABLES, Paper
 from eval.bootstrap import Interval
 from eval.racer_ablation import interval_over
-from eval.results import publish
+from eval.results import loaded, publish
 
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 ALIKE = 5.0
@@ -205,7 +204,7 @@ def measured_elsewhere(results: Path) -> dict[str, Verdict]:
     out = {}
     for where, (name, read) in ELSEWHERE.items():
         try:
-            found = read(json.loads((results / f"{name}.json").read_text()))
+            found = read(loaded((results / f"{name}.json").read_text()))
         except (FileNotFoundError, ValueError, KeyError):
             continue
         worst, few = min(found, key=lambda own: own.low), sum(own.clips < LEAST_CLIPS for own in found)
@@ -253,7 +252,7 @@ def racer_cells(folder: Path) -> Cells:
     for name in racer_ablation.ROWS:
         for file in sorted(folder.glob(f"{name}-*.json")):
             try:
-                known = json.loads(file.read_text())
+                known = loaded(file.read_text())
                 played = known.get("motion", {}).get("recordings", [])
                 clips = [{**own, **(played[k] if k < len(played) else {})} for k, own in enumerate(known["recordings"])]
                 cells.setdefault(name, {})[int(known["seed"])] = {"clips": clips}

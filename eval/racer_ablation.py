@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 import sys
 import tempfile
@@ -53,7 +52,7 @@ from eval.bootstrap import DRAWS, Interval
 from eval.figures import measure
 from eval.parts import hinted_labels
 from eval.policies import Chosen, Column, Ground, Lexemes, Policy, Rewards, walk
-from eval.results import keep
+from eval.results import dumped, keep, loaded
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
@@ -455,13 +454,13 @@ def cell(bench: Bench, name: str, seed: int, out: Path) -> dict[str, Any]:
         "recordings": [{"name": who, "decisions": len(take.blocks) - 1, **figures}
                        for who, take, figures in zip(names, bench.ground.takes, rows, strict=True)],
         "lexemes": [lexemes.tolist() for lexemes in chosen.free[:MOTION]]}
-    write_text(file, json.dumps(result) + "\n")
+    write_text(file, dumped(result))
     return result
 
 
 def _finished(file: Path, key: str) -> dict[str, Any] | None:
     try:
-        known: dict[str, Any] = json.loads(file.read_text())
+        known: dict[str, Any] = loaded(file.read_text())
     except (FileNotFoundError, ValueError):
         return None
     return known if known.get("key") == key else None
@@ -489,7 +488,7 @@ def with_motion(bench: Bench, found: dict[str, Any], by: Sequence[gesture_featur
         gesture_features.pooled(motions, one), gesture_features.pooled(real, one), one, paired=True).to_dict()
         for one in by}
     result = {**found, "motion": {"key": key, "recordings": rows, "fgd": distances}}
-    write_text(out / f"{found['row']}-{found['seed']}.json", json.dumps(result) + "\n")
+    write_text(out / f"{found['row']}-{found['seed']}.json", dumped(result))
     return result
 
 

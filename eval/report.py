@@ -19,7 +19,6 @@ import base64
 import html
 import importlib
 import importlib.util
-import json
 import math
 import os
 import re
@@ -37,6 +36,7 @@ from eval import ablation_figures, ablation_tables, claims, pmb, racer_ablation
 from eval.ablation_tables import COLUMNS, Cells
 from eval.ablations import CONTROLS, ELSEWHERE, FLOOR, REAL_TAKE, REFERENCES, SYSTEMS, TABLES
 from eval.claims import FAILS, HOLDS, UNDECIDED
+from eval.results import loaded
 
 if TYPE_CHECKING:
     from markdown_it.token import Token
@@ -148,7 +148,7 @@ def _json(results: Path, name: str, unreadable: list[str]) -> dict[str, Any] | N
     if not file.is_file():
         return None
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        found = loaded(file.read_text(encoding="utf-8"))
     except ValueError:
         found = None
     if isinstance(found, dict):

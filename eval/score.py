@@ -547,15 +547,6 @@ def _mean(curves: Array) -> list[float]:
     return known.mean(axis=0).tolist() if len(known) else [float("nan")] * curves.shape[1]
 
 
-def plain(value: Any) -> Any:
-    """For JSON, which has no NaN: null."""
-    if isinstance(value, dict):
-        return {key: plain(own) for key, own in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(own) for own in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
 # ------------------------------------------------------------------------------------------------------ for readers
 
 _GOOD = {"low": "less is better", "high": "more is better", "near": "near the truth's is good", "": "no judgement"}
@@ -785,7 +776,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         result = run(arguments)
         tables = markdown(result)
         if arguments.out:
-            keep(plain(result), tables, arguments.out)
+            keep(result, tables, arguments.out)
         print(tables, end="")
     return 0
 

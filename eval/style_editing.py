@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import io
 import itertools
-import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -31,11 +30,12 @@ import numpy as np
 
 from data_module.controls import FEATURES, LEVELS, UNITS, Controls, Levels, measure, per_frame
 from data_module.errors import InputError, one_line_errors
-from data_module.files import write_bytes, write_text
+from data_module.files import write_bytes
 from data_module.motion_beats import ACTING, acting_positions, acting_speed
 from data_module.store import Recording, RecordingInfo, Store
 from data_module.types import Array, Motion, Speech, Word
 from eval.bootstrap import Interval, interval
+from eval.results import keep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -317,15 +317,6 @@ def picture(result: Mapping[str, Any]) -> bytes:
     return memory.getvalue()
 
 
-def _plain(value: Any) -> Any:
-    """The same with null for NaN, which JSON does not know."""
-    if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_plain(one) for one in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point."""
     p = argparse.ArgumentParser("eval.style_editing", description="Does the motion do what is asked of its style?")
@@ -355,10 +346,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                              "use a bundle trained with style editing")
         result = figures(played_by(system, arguments.seed), clips, system.bundle.levels, rhythm=arguments.rhythm,
                          progress=not arguments.quiet)
-        out = Path(arguments.out)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_text(out, json.dumps(_plain(result), indent=1, allow_nan=False) + "\n")
-        write_text(out.with_suffix(".md"), markdown(result))
+        keep(result, markdown(result), arguments.out)
         if arguments.picture:
             write_bytes(arguments.picture, picture(result))
         print(markdown(result))

@@ -218,7 +218,7 @@ def test_the_command_goes_on_where_it_was_stopped(bench: Bench, work: Path, tmp_
     assert 0 <= one["clips"][0]["accuracy"] <= 100 and one["sets"]["fgd"][0]["distance"] > 0
     assert one["stages"]["generator"] > 0 and set(random["stages"].values()) == {0.0}, "the same weights, played anew"
     alone = json.loads((tmp_path / "no-lexemes-1.json").read_text())
-    assert math.isnan(alone["clips"][0]["accuracy"]), "it has no lexemes that could be right"
+    assert alone["clips"][0]["accuracy"] is None, "it has no lexemes that could be right"
     assert alone["clips"][0]["diversity"] > 0, "its motion is read by the lexicon of ours"
     performer = json.loads((tmp_path / "performer-0.json").read_text())
     assert performer["clips"][0]["maje"] == 0 and performer["clips"][0]["fgd"] == pytest.approx(0, abs=1e-9)

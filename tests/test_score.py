@@ -31,8 +31,9 @@ from eval.controls import jittered
 from eval.diversity import diversity, motion_variance
 from eval.foreign import Clip, read_motion
 from eval.gesture_features import RawFeatures
+from eval.results import plain
 from eval.rewards import Asked
-from eval.score import FLOOR, STILL, TRUTH, common_ground, flags, markdown, mean_pose, plain
+from eval.score import FLOOR, STILL, TRUTH, common_ground, flags, markdown, mean_pose
 from gesticulator import bundle as bundles
 from gesticulator.prepare import prepare
 from gesticulator.racer import token_labels
