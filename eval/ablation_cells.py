@@ -41,6 +41,7 @@ from eval.ablation_bench import Bench, RowRun, Said, features_of, fitted
 from eval.ablation_tables import COLUMNS, PAPERS_DELTA, file_of, finished
 from eval.ablations import CONTROLS, FLOOR, REAL_TAKE, REFERENCES, ROWS, STILL
 from eval.accuracy import lexeme_accuracy
+from eval.bootstrap import pseudo_values
 from eval.diversity import diversity, motion_variance
 from eval.figures import Clip, likeliest, measure, real_take
 from eval.foreign import find_motions, read_folder
@@ -97,19 +98,6 @@ class Seen:
     beats: Array
     onsets: Array
     edges: Array
-
-
-def pseudo_values(of: Callable[[list[int]], float], count: int) -> Array:
-    """[n] n f(all) - (n - 1) f(all but k): what clip k adds to a figure of a set (Tukey's jackknife).
-
-    of: the figure of the clips with these numbers. Their mean is the figure less the greater part of its bias, and
-    their spread is the figure's, as if it were a mean.
-    """
-    every = list(range(count))
-    whole = of(every)
-    if count < 2:
-        return np.full(count, whole)
-    return np.array([count * whole - (count - 1) * of([k for k in every if k != left]) for left in every])
 
 
 def rhythm_values(clip: Clip) -> Values:

@@ -11,10 +11,13 @@ It tells of other clips only: another seed of training moves a figure too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from data_module.types import Array
 
 DRAWS = 2000
 
@@ -53,3 +56,16 @@ def interval(values: ArrayLike, weights: ArrayLike | None = None, *, seed: int =
     means = (own[index] * weight[index]).sum(1) / weight[index].sum(1)
     low, high = np.percentile(means, [2.5, 97.5])
     return Interval(float((own * weight).sum() / weight.sum()), float(low), float(high), len(own))
+
+
+def pseudo_values(of: Callable[[list[int]], float], count: int) -> Array:
+    """[n] n f(all) - (n - 1) f(all but k): what clip k adds to a figure of a set (Tukey's jackknife).
+
+    of: the figure of the clips with these numbers. Their mean is the figure less the greater part of its bias, and
+    their spread is the figure's, as if it were a mean.
+    """
+    every = list(range(count))
+    whole = of(every)
+    if count < 2:
+        return np.full(count, whole)
+    return np.array([count * whole - (count - 1) * of([k for k in every if k != left]) for left in every])

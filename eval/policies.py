@@ -43,6 +43,7 @@ from eval.joint_error import motion_error
 from eval.parts import hinted_labels, table
 from eval.results import publish
 from gesticulator import bundle as bundles
+from gesticulator.hear import Heard
 from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import Corpus, prepare
 from gesticulator.racer import features_of, reward_table, takes_of, taught_reward
@@ -332,12 +333,13 @@ def motion_values(clip: Clip, generated: Motion, truth: Motion, seed: int) -> di
 
 
 def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequence[Lexemes], label: str,
-            progress: bool) -> list[Motion]:
-    """What the generator makes of these lexemes [M] for the speech of these recordings, the gate open."""
+            progress: bool, heard: Sequence[Heard] | None = None) -> list[Motion]:
+    """What the generator makes of these lexemes [M] for the speech of these recordings, the gate open. heard: what the
+    system has heard of each before."""
     told = Told(lexemes, len(system.bundle.lexicon.vectors))
     return [system(replace(recording.speech, words=None), speaker=recording.info.speaker, interpreter=told,
-                   temperature=0.0, activity=1.0).motion
-            for recording in tqdm(recordings, desc=label, disable=not progress)]
+                   temperature=0.0, activity=1.0, heard=heard[place] if heard else None).motion
+            for place, recording in enumerate(tqdm(recordings, desc=label, disable=not progress))]
 
 
 def q_values(policy: Policy, ground: Ground, take: Take, rewards: Rewards, gamma: float) -> dict[str, float]:

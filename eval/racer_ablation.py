@@ -32,6 +32,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +43,14 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from data_module.audio import SAMPLE_RATE, resample
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
 from data_module.layers import freeze
-from data_module.store import Store
+from data_module.store import Recording, Store
 from data_module.types import Array
 from eval import fgd, gesture_features, pmb, policies
-from eval.bootstrap import DRAWS, Interval
+from eval.bootstrap import DRAWS, Interval, pseudo_values
 from eval.figures import measure
 from eval.parts import hinted_labels
 from eval.policies import Chosen, Column, Ground, Lexemes, Policy, Rewards, walk
@@ -57,6 +59,7 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator.config import Config
+from gesticulator.hear import Heard
 from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import Corpus, prepare, weights_hash
 from gesticulator.racer import (
@@ -134,6 +137,7 @@ COLUMNS: dict[str, Column] = {
     **{key: column for key, column in policies.COLUMNS.items() if column.part != "motion"},
     **{key: Column(title, 2, "values", False) for key, title in policies.Q_COLUMNS.items()}}
 MOTION_COLUMNS: dict[str, Column] = {"pmb": Column("PMB, %", 1, "motion", False),
+                                     "fgd": Column("FGD, by the jackknife", 2, "motion", False),
                                      **{key: column for key, column in policies.COLUMNS.items()
                                         if column.part == "motion"}}
 
@@ -200,6 +204,13 @@ class Bench:
     def config(self, name: str) -> Config:
         """The settings of a row."""
         return configs.with_settings(self.run.config, ROWS[name].settings)
+
+    @cached_property
+    def played(self) -> tuple[list[Recording], list[Heard]]:
+        """The recordings that are played, and what the system hears of them."""
+        recordings = [self.run.store.load(self.corpus.names[take.recording]) for take in self.ground.takes[:MOTION]]
+        system = Gesticulator(self.bundle)
+        return recordings, [system.hear(resample(replace(one.speech, words=None), SAMPLE_RATE)) for one in recordings]
 
     def key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes the network of a row."""
@@ -470,20 +481,32 @@ def _finished(file: Path, key: str) -> dict[str, Any] | None:
 
 def with_motion(bench: Bench, found: dict[str, Any], by: Sequence[gesture_features.Features], out: Path
                 ) -> dict[str, Any]:
-    """A finished cell with the figures of its motion on the first `MOTION` test recordings, kept in its file."""
+    """A finished cell with the figures of its motion on the first `MOTION` test recordings, kept in its file.
+
+    The distance in the first network has a value for each recording by the jackknife.
+    """
     key = configs.digest(found["key"], weights_hash(bench.bundle.drawn.generator),
-                         weights_hash(bench.bundle.drawn.style), [one.sha256 for one in by], MOTION)
+                         weights_hash(bench.bundle.drawn.style), [one.sha256 for one in by], MOTION, "jackknife")
     if found.get("motion", {}).get("key") == key:
         return found
-    recordings = [bench.run.store.load(bench.corpus.names[take.recording]) for take in bench.ground.takes[:MOTION]]
+    recordings, heard = bench.played
     motions = policies.perform(Gesticulator(bench.bundle), recordings, [np.array(own) for own in found["lexemes"]],
-                               found["row"], bench.run.progress)
+                               found["row"], bench.run.progress, heard)
     rows = []
     for place, (motion, recording) in enumerate(zip(motions, recordings, strict=True)):
         clip = measure(motion, recording.speech)
         rows.append({"pmb": pmb.pmb(clip.beats, clip.onsets),
                      **policies.motion_values(clip, motion, recording.motion, seed=place)})
     real = [recording.motion for recording in recordings]
+    if by:
+        both = [gesture_features.pooled(clips, by[0]) for clips in (motions, real)]
+
+        def distance(chosen: list[int]) -> float:
+            ours, theirs = (np.concatenate([features[k] for k in chosen]) for features in both)
+            return fgd.distance(ours, theirs) if min(len(ours), len(theirs)) > 1 else float("nan")
+
+        for row, value in zip(rows, pseudo_values(distance, len(rows)), strict=True):
+            row["fgd"] = float(value)
     distances = {f"{one.name}, {one.frames} at {one.fps:g} fps": fgd.measure(
         gesture_features.pooled(motions, one), gesture_features.pooled(real, one), one, paired=True).to_dict()
         for one in by}
@@ -540,14 +563,15 @@ def tabled(cells: dict[str, dict[int, dict[str, Any]]]) -> dict[str, Any]:
 
 
 def motion_table(cells: dict[str, dict[int, dict[str, Any]]]) -> dict[str, Any]:
-    """Rows of motion, of the first seed: intervals over the few recordings, and the Frechet distances."""
+    """Rows of motion: intervals over seeds and the few recordings; Frechet distances of the first seed's set."""
     out = {}
     for name, by_seed in cells.items():
-        own = by_seed.get(1, {}).get("motion")
-        if own is not None:
-            out[name] = {"paper": PAPER.get(name, {}), "fgd": own["fgd"], "figures": {
-                key: interval_over([row[key] for row in own["recordings"]], [1] * len(own["recordings"])).to_dict()
-                for key in MOTION_COLUMNS}}
+        own = [one["motion"] for _, one in sorted(by_seed.items()) if "motion" in one]
+        if own:
+            count = len(own[0]["recordings"])
+            out[name] = {"paper": PAPER.get(name, {}), "seeds": len(own), "fgd": own[0]["fgd"], "figures": {
+                key: interval_over([[row.get(key, np.nan) for row in one["recordings"]] for one in own],
+                                   [1] * count).to_dict() for key in MOTION_COLUMNS}}
     return out
 
 
@@ -566,7 +590,7 @@ def ablation(store: Store, bundle: bundles.Bundle, work: Path, out: Path, *, onl
     jobs = [(name, seed) for seed in range(1, seeds + 1) for name in asked]
     for name, seed in tqdm(jobs, desc="rows", disable=not progress):
         found = cell(bench, name, seed, out)
-        if by is not None and seed == 1:
+        if by is not None:
             with_motion(bench, found, by, out)
     cells: dict[str, dict[int, dict[str, Any]]] = {}
     for name, twin in same.items():
@@ -633,10 +657,11 @@ def markdown(result: dict[str, Any]) -> str:
 
 def _motion_lines(rows: dict[str, Any]) -> list[str]:
     papers = [key for key in MOTION_COLUMNS if any(key in row["paper"] for row in rows.values())]
-    lines = _head(f"motion, seed 1, {MOTION} recordings at most", MOTION_COLUMNS, papers)
-    lines += [_line(name, row, MOTION_COLUMNS, papers) for name, row in rows.items()]
+    lines = _head(f"motion, {MOTION} recordings at most", MOTION_COLUMNS, papers)
+    lines += [_line(f"{name} ({row['seeds']} seeds)" if row["seeds"] > 1 else f"{name} (1 seed)", row, MOTION_COLUMNS,
+                    papers) for name, row in rows.items()]
     networks = list(next(iter(rows.values()))["fgd"])
-    lines += ["", "| FGD | " + " | ".join([*networks, "the paper's, on other data"]) + " |",
+    lines += ["", "| FGD of the first seed's set | " + " | ".join([*networks, "the paper's, on other data"]) + " |",
               "|---" * (len(networks) + 2) + "|"]
     for name, row in rows.items():
         own = [_cell({**one["interval"], "mean": one["distance"]}, 2) + ("*" if one["reason"] else "")
@@ -661,7 +686,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=f"seeds 1 to N ({SEEDS})")
     p.add_argument("--steps", type=int, metavar="N", help="training steps of every row")
     p.add_argument("--limit", type=int, metavar="N", help="the first N test recordings only")
-    p.add_argument("--motion", action="store_true", help="play seed 1 through the generator on a few recordings")
+    p.add_argument("--motion", action="store_true", help="play each row through the generator on a few recordings")
     p.add_argument("--out", default="docs/results/racer", metavar="DIR", help="for ROW-SEED.json and table.json, .md")
     p.add_argument("--list", action="store_true", help="show the rows and stop")
     return p

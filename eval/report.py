@@ -486,7 +486,7 @@ def _racer_lines(kept: Kept, out: Path) -> list[str]:
         heads = ["RACER Table 2", "return of 15 steps", "by the judge", "the paper's, Trinity"]
         heads += [head for title in ("MAJE, mm", "MAD, mm/s^2", "PMB, %", "FGD")
                   for head in (title, "the paper's, Trinity")]
-        lines += [f"By `{command}`; the motion is of one seed and few recordings.", ""]
+        lines += [f"By `{command}`; the motion is of few recordings, its FGD by the jackknife.", ""]
         lines += table(heads, [_racer_row(name, rows.get(name), motion.get(name, {}), paper)
                                for name, paper in racer_ablation.PAPER.items()])
     file = kept.folder / "racer" / "table.md"
@@ -501,9 +501,7 @@ def _racer_row(name: str, row: Mapping[str, Any] | None, motion: Mapping[str, An
              shown(figures.get("judge_return"), 2), f"{paper['return']:g}" if "return" in paper else ""]
     for key, digits in (("maje", 1), ("mad", 0), ("pmb", 1)):
         cells += [shown(moved.get(key), digits), f"{paper[key]:g}" if key in paper else ""]
-    distance: dict[str, Any] = next(iter(motion.get("fgd", {}).values()), {})
-    told = {**distance.get("interval", {}), "mean": distance.get("distance")} if distance else None
-    return [*cells, shown(told, 2), f"{paper['fgd']:g}"]
+    return [*cells, shown(moved.get("fgd"), 2), f"{paper['fgd']:g}"]
 
 
 def _figure_lines(kept: Kept, out: Path) -> list[str]:
