@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Iterator
 
 EXIT_BAD_INPUT = 2
+EXIT_PIPE = 141
 
 
 class InputError(Exception):
@@ -33,6 +35,10 @@ def one_line_errors(program: str) -> Iterator[None]:
     except InputError as error:
         print(f"{program}: {error}", file=sys.stderr)
         raise SystemExit(EXIT_BAD_INPUT) from None
+    except BrokenPipeError:
+        # Whoever read the output has seen enough (`| head`); what is still to be flushed has nowhere to go.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(EXIT_PIPE) from None
     except OSError as error:
         where = error.filename or "output"
         print(f"{program}: {where}: {error.strerror or error}; check the path, its rights and the free space",

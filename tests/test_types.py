@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
-from data_module.errors import EXIT_BAD_INPUT, InputError, one_line_errors
+from data_module.errors import EXIT_BAD_INPUT, EXIT_PIPE, InputError, one_line_errors
 from data_module.types import Array, BeatFlag, Beats, Blocks, Motion, Skeleton, Speech, Word
 
 TWO = Skeleton(("root", "tip"), (-1, 0), np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
@@ -115,3 +118,15 @@ def test_an_error_of_the_user_is_one_line_and_exit_code_two(raised: Exception, s
     assert written.out == ""
     assert written.err.startswith(said)
     assert written.err.count("\n") == 1
+
+
+def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+    code = ("from data_module.errors import one_line_errors\n"
+            "with one_line_errors('prog'):\n"
+            "    for line in range(100_000):\n        print(line)\n")
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout is not None and running.stderr is not None
+        assert running.stdout.readline() == b"0\n"
+        running.stdout.close()
+        told = running.stderr.read()
+    assert told == b"" and running.returncode == EXIT_PIPE
