@@ -1,6 +1,6 @@
 """What the papers say, and whether it is so here: every claim of both, each a paired test over seeds and clips.
 
-    python -m eval.claims [--results docs/results] [--out FILE.json]
+    python -m eval.claims [--results docs/results] [--out FILE.json] [--differences]
 
 A claim says that one row's figure lies above (or below) another's, or that both are alike. The rows' values on the same
 seeds and clips are subtracted; the mean difference has a 95 % interval by the bootstrap, seeds and clips both drawn
@@ -29,7 +29,7 @@ from data_module.errors import one_line_errors
 from data_module.types import Array
 from eval import racer_ablation
 from eval.ablation_tables import COLUMNS, DECIDED, Cells, read_cells
-from eval.ablations import OURS, PERFORMER, TABLES, Paper
+from eval.ablations import OURS, PERFORMER, ROWS, TABLES, Paper
 from eval.bootstrap import Interval
 from eval.racer_ablation import interval_over
 from eval.results import loaded, publish
@@ -291,14 +291,41 @@ def markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def differences(cells: Cells, metrics: Sequence[str] = ("pmb_above_chance", "fgd", "diversity")) -> str:
+    """What `ours` is less each other row of the papers' tables, paired, as Markdown; beside it the paper's, Trinity."""
+    lines = TABLES["RG Table 1"].lines + TABLES["RG Table 2"].lines + TABLES["RG Table 4"].lines
+    lines += TABLES["RG Table 6"].lines + TABLES["RG Table 7"].lines
+    papers: dict[str, dict[str, float]] = {}
+    for line in lines:
+        known = {key: pair[0] for key, pair in line.paper.items() if pair[0] is not None}
+        papers.setdefault(line.row, {}).update(known)
+    out = [f"| ours less | {' | '.join(COLUMNS[key].title for key in metrics)} | the paper's PMB at 0.2 s; FGD |",
+           "|---" * (len(metrics) + 2) + "|"]
+    for row in dict.fromkeys(line.row for line in lines if line.row in ROWS and line.row != OURS):
+        if row not in cells or OURS not in cells:
+            continue
+        shown = []
+        for key in metrics:
+            apart = paired(cells[OURS], cells[row], key)
+            own, digits = interval_over(apart, np.ones(apart.shape[1])), COLUMNS[key].digits
+            shown.append(f"{own.mean:+.{digits}f} [{own.low:.{digits}f}, {own.high:.{digits}f}]")
+        theirs = [f"{papers[OURS][key] - papers[row][key]:+.1f}" for key in ("pmb", "fgd") if key in papers[row]]
+        out.append(f"| {row} | {' | '.join(shown)} | {'; '.join(theirs)} |")
+    return "\n".join(out) + "\n"
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point."""
     p = argparse.ArgumentParser("eval.claims", description="Which claims of the papers hold here?")
     p.add_argument("--results", default="docs/results", metavar="DIR", help="what the other commands have kept")
+    p.add_argument("--differences", action="store_true", help="show what ours is less each row instead")
     p.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
     arguments = p.parse_args(argv)
     with one_line_errors("eval.claims"):
         results = Path(arguments.results)
+        if arguments.differences:
+            print(differences(read_cells(results / "ablation")), end="")
+            return 0
         result = claims(read_cells(results / "ablation"), racer_cells(results / "racer"), measured_elsewhere(results))
         publish(result, markdown(result), arguments.out)
     return 0

@@ -145,10 +145,15 @@ def test_the_command_reads_what_the_other_two_have_kept(tmp_path: Path, capsys: 
     assert found["RACER Table 2", "judge_return", "cql", "dqn"]["verdict"] == FAILS
     motion = found["RACER Table 2", "pmb_above_chance", "cql", "dqn"]
     assert (motion["verdict"], motion["reason"], motion["seeds"]) == (UNDECIDED, "1 of 3 seeds", 1)
+    capsys.readouterr()
+    assert claims.main(["--results", str(tmp_path), "--differences"]) == 0
+    assert "| no-style | -1.0 [-1.0, -1.0] | -1.00 [-1.00, -1.00] | -1.00 [-1.00, -1.00] | +0.0; -1.8 |" in (
+        capsys.readouterr().out)
     by_place = {row["where"]: row for row in found.values()}
     assert by_place["RG Fig. 10"]["verdict"] == HOLDS and by_place["RG Fig. 10"]["difference"]["low"] == 0.4
     assert by_place["RG Fig. 13"]["verdict"] == UNDECIDED and "less than 3 clips" in by_place["RG Fig. 13"]["reason"]
     assert by_place["RG Fig. 14"]["verdict"] == FAILS
     text = (tmp_path / "claims.md").read_text()
     assert "| FGD: ours lower than no-style | Trinity 10.78 and 12.53; TED 2.04 and 2.47 | -1.00 [-1.00, " in text
+    assert claims.main(told) == 0
     assert text in capsys.readouterr().out
