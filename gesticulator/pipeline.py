@@ -105,7 +105,8 @@ class Gesticulator:
         by name ("lstm", "cql", "statistical"; the bundle's first when none is named) or as an object. temperature:
         how freely lexemes are drawn, 0 for always the likeliest. controls: what is asked of hand height, speed and
         radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to 1 (always). heard: what `hear` gave
-        for this speech, to gesture for it again without hearing it again. What is not told is the bundle's own. on_block(done, total) is called after each block. The same seed, bundle and speech give the same
+        for this speech, to gesture for it again without hearing it again. What is not told is the bundle's own.
+        on_block(done, total) is called after each block. The same seed, bundle and speech give the same
         result.
         """
         if not isinstance(speech, Speech):
