@@ -486,7 +486,9 @@ def test_a_rater_goes_through_the_videos(browser: Any, films: dict[str, Path], t
     for place, item in enumerate(order):
         assert page.inner_text("#place") == f"Clip {place + 1} of 6"
         assert page.is_visible("#film") and page.is_hidden("#figure")
-        assert page.evaluate("$('film').currentSrc").endswith(f"/page/{told['items'][item]['id']}.{kind}")
+        name = f"/page/{told['items'][item]['id']}.{kind}"
+        # A browser chooses a video's source after the script that sets it has ended.
+        page.wait_for_function(f"() => $('film').currentSrc.endsWith('{name}')", timeout=20_000)
         assert page.is_disabled("#next") and page.is_disabled("#questions input >> nth=0")
         page.click("#play")
         page.wait_for_function("() => trial.seen", timeout=20_000)
