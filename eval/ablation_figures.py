@@ -38,11 +38,10 @@ from eval.plots import (
     embedding_panels,
     joint_embedding,
     overview,
-    save,
     size_sweep,
 )
 from eval.results import dumped
-from eval.strips import draw_strip, frame_times
+from eval.strips import draw_strip, frame_times, save_strip
 from gesticulator import config as configs
 from gesticulator.pipeline import Gesticulator
 
@@ -299,7 +298,7 @@ def draw(bench: Bench, name: str, rows: Mapping[str, Any], out: Path) -> str:
         picture, caption, numbers = own.draw(Ground(bench, rows))
     except InputError as error:
         return str(error)
-    save(picture, out / f"{name}.{'png' if own.dots else 'svg'}")
+    save_strip(picture, out / f"{name}.{'png' if own.dots else 'svg'}")
     told = {"figure": own.paper, "title": own.title, "caption": caption, "numbers": numbers}
     write_text(place, dumped({**told, "key": key, "shared": bench.shared}))
     return ""

@@ -17,10 +17,8 @@ lexemes, of which there are too many for any palette, have numbers. The other fi
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +26,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from data_module.beats import merged
 from data_module.errors import InputError
-from data_module.files import write_bytes
 from data_module.motion_beats import beats_of_speed
 from data_module.types import Array, BeatFlag, Beats, Speech, Word
 from eval import pmb
@@ -50,10 +47,8 @@ BEAT_NAMES = {BeatFlag.ONSET: "onset", BeatFlag.LOUD_PSEUDO: "first loud frame",
 
 # Inches and points: 9 inches are 864 pixels of a page, and 9 points are 12.
 _WIDE, _TEXT, _TITLE = 9.0, 9.0, 10.0
-_DPI = 150
 _NUMBERED, _LEAST_NUMBERED = 12, 3
 _COLUMNS = 3
-_SIGNS = {"above": ">", "below": "<", "alike": "≈"}
 _LANES = 3
 
 Triple = tuple[float, float, float]
@@ -61,25 +56,6 @@ Triple = tuple[float, float, float]
 
 
 # -------------------------------------------------------------------------------------------------- what all share
-
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a picture whole or not at all, the same bytes for the same figure; the suffix picks png, svg or pdf.
-
-    Unlike `eval.strips.save_strip` it leaves out the date, the version and matplotlib's random names. The names within
-    an SVG are hashes of what they name, so several may stand in one page.
-    """
-    from matplotlib import rc_context
-
-    target, out = Path(path), io.BytesIO()
-    kind = target.suffix.lstrip(".").lower()
-    unsaid: dict[str, dict[str, Any]] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None},
-                                         "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
-    if kind not in unsaid:
-        raise InputError(target, f"'{target.suffix}' is no picture format", "use .png, .svg or .pdf")
-    with rc_context({"svg.hashsalt": "eval.plots", "svg.fonttype": "path"}):
-        figure.savefig(out, format=kind, dpi=_DPI, metadata=unsaid[kind])
-    write_bytes(target, out.getvalue())
-
 
 def _canvas(high: float) -> Figure:
     try:
@@ -394,68 +370,6 @@ def _legend_below(figure: Figure, axes: Iterable[Axes]) -> None:
     if named:
         figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=len(named), fontsize=_TEXT,
                       frameon=False, labelcolor=INK)
-
-
-# ----------------------------------------------------------------------------------------------------------- claims
-
-def differences(claims: Sequence[Mapping[str, Any]], titles: Mapping[str, str] | None = None) -> Figure:
-    """The difference of every claim with its 95 % interval, one panel for each metric.
-
-    claims: rows of `eval.claims.claims`, of which "where", "first", "second", "metric", "says", "verdict" and
-    "difference" are read; those without a difference (not tested here, not run) are left out, and ValueError is raised
-    when none is left. titles: what a metric is called. Right of zero the first is higher; the sign in a name is what
-    the paper says. Two faint ticks beside a claim of likeness are the bounds within which both count as alike.
-    """
-    told = [claim for claim in claims if claim.get("difference") and _known(claim["difference"]["mean"])]
-    if not told:
-        raise ValueError("no claim has a difference to draw")
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for claim in told:
-        groups.setdefault(claim["metric"], []).append(claim)
-    tall = [len(group) + 1.6 for group in groups.values()]
-    figure = _canvas(0.5 + sum(0.22 * high + 0.5 for high in tall))
-    axes = figure.subplots(len(groups), 1, squeeze=False, height_ratios=tall).ravel()
-    for axis, (metric, group) in zip(axes, groups.items(), strict=True):
-        for place, claim in enumerate(group):
-            _draw_claim(axis, place, claim)
-        axis.axvline(0.0, color=INK, linewidth=0.9, zorder=0)
-        axis.set_yticks(range(len(group)), [f"{claim['where']}: {claim['first']} {_SIGNS[claim['says']]} "
-                                            f"{claim['second']}" for claim in group])
-        axis.set_ylim(len(group) - 0.4, -0.6)
-        # Nearer to its own rows than to the numbers of the panel above.
-        axis.set_title((titles or {}).get(metric, metric.replace("_", " ")), fontsize=_TITLE, color=INK, loc="left",
-                       fontweight="bold", pad=3)
-        _bare(axis)
-        axis.tick_params(axis="y", length=0)
-        axis.spines["left"].set_visible(False)
-    axes[-1].set_xlabel("first less second")
-    _legend_below(figure, axes)
-    return figure
-
-
-def _known(value: float | None) -> bool:
-    return value is not None and math.isfinite(value)
-
-
-def _draw_claim(axis: Axes, place: int, claim: Mapping[str, Any]) -> None:
-    # Imported here: the ablation, which `eval.claims` reads, draws its figures with this file.
-    from eval.claims import ALIKE, FAILS, HOLDS, UNDECIDED
-
-    looks = {HOLDS: (BLUE, "o", BLUE), FAILS: (VERMILION, "D", VERMILION), UNDECIDED: (GREY, "o", "white")}
-    if claim["verdict"] not in looks or claim["says"] not in _SIGNS:
-        raise ValueError(f"{claim['verdict']!r} is no verdict, or {claim['says']!r} no claim")
-    colour, marker, face = looks[claim["verdict"]]
-    own = claim["difference"]
-    if _known(own["low"]) and _known(own["high"]):
-        mean, low, high = _triple((own["mean"], own["low"], own["high"]), str(claim["where"]))
-        axis.hlines(place, low, high, color=colour, linewidth=1.8, label="_interval")
-    else:
-        mean = float(own["mean"])
-    axis.plot([mean], [place], color=colour, marker=marker, markerfacecolor=face, markersize=6, markeredgewidth=1.4,
-              linestyle="none", label=claim["verdict"])
-    if claim["says"] == "alike":
-        axis.vlines([-ALIKE, ALIKE], place - 0.35, place + 0.35, color=SOFT, linewidth=1.4,
-                    label=f"alike within {ALIKE:g}")
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 14

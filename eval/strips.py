@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,6 +37,9 @@ VIEWS = {"front": (0, 2), "side": (2, 0)}
 """View -> (horizontal axis, axis towards the viewer). From the front the character's left is on the right; from the
 side she is seen from her left and faces left."""
 
+_UNSAID: dict[str, dict[str, Any]] = {
+    "png": {"Software": None}, "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
 _TRAIL_STEPS = 40
 _HALO = 0.009
 _Limb = tuple[Array, Array, tuple[float, float], str]
@@ -128,12 +131,19 @@ def draw_strip(motion: Motion, times: Array, views: Sequence[str] = ("front", "s
 
 
 def save_strip(figure: Figure, path: str | Path) -> None:
-    """Write the picture whole or not at all; the suffix picks the format (png, svg, pdf)."""
+    """Write a picture whole or not at all, the same bytes for the same figure; the suffix picks png, svg or pdf.
+
+    It leaves out the date, the version and matplotlib's random names. The names within an SVG are hashes of what they
+    name, so several may stand in one page.
+    """
+    from matplotlib import rc_context
+
     target, out = Path(path), io.BytesIO()
     kind = target.suffix.lstrip(".").lower()
-    if kind not in figure.canvas.get_supported_filetypes():
+    if kind not in _UNSAID:
         raise InputError(target, f"'{target.suffix}' is no picture format", "use .png, .svg or .pdf")
-    figure.savefig(out, format=kind, dpi=150)
+    with rc_context({"svg.hashsalt": "eval.plots", "svg.fonttype": "path"}):
+        figure.savefig(out, format=kind, dpi=150, metadata=_UNSAID[kind])
     write_bytes(target, out.getvalue())
 
 

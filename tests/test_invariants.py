@@ -225,11 +225,11 @@ def test_a_choice_hears_the_next_block_and_not_the_one_after(even: Gesticulator,
 # ---- streaming and silence
 
 
-@pytest.mark.parametrize("name", ["lstm", "cql", "statistical"])
+@pytest.mark.parametrize(("system", "name"), [
+    ("mel", "lstm"), ("mel", "statistical"), ("vqwav2vec", "lstm"), ("vqwav2vec", "cql"), ("vqwav2vec", "statistical")],
+    indirect=["system"])
 def test_what_has_come_in_so_far_decides_what_is_played_so_far(system: Gesticulator, name: str) -> None:
     """The offline result of every beginning is the beginning of the offline result, past the Q-network's window too."""
-    if name not in system.bundle.interpreters:
-        pytest.skip("this bundle has no such interpreter")
     sound, options = voice(7.3), {"interpreter": name, "seed": 3, "temperature": 1.0, "fps": 20}
     whole = system(Speech(sound, RATE), **options)  # type: ignore[arg-type]
     beats = system.bundle.config.rhythm.beats

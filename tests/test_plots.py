@@ -13,11 +13,10 @@ from data_module.beats import merged
 from data_module.errors import InputError
 from data_module.motion_beats import beats_of_speed
 from data_module.types import BeatFlag, Beats, Speech, Word
-from eval import claims as judging
 from eval import plots, pmb
 from eval.audio_clusters import association
 from eval.lexicon_map import colours
-from eval.strips import BEAT_COLOURS
+from eval.strips import BEAT_COLOURS, save_strip
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 from matplotlib.colors import to_hex
@@ -219,52 +218,7 @@ def test_sweep_shows_means_intervals_and_sizes() -> None:
             plots.size_sweep(sizes, bad)  # type: ignore[arg-type]
 
 
-# ---------------------------------------------------------------------------------------------------------- claims
-
-def claim(metric: str, low: float, high: float, says: str = "above", needs: str = "") -> dict[str, Any]:
-    found = None if needs else {"mean": (low + high) / 2, "low": low, "high": high, "clips": 9}
-    verdict = judging.UNDECIDED if needs else judging.decided(judging.Interval((low + high) / 2, low, high, 9), says)
-    return {"where": "RG Table 9", "first": "ours", "second": f"row {low:g}", "metric": metric, "says": says,
-            "verdict": verdict, "difference": found}
-
-
-def test_differences_group_by_metric_and_show_each_verdict() -> None:
-    told = [claim("fgd", 1, 2), claim("pmb", -2, -1), claim("fgd", -4, 2), claim("fgd", -9, -8, "below"),
-            claim("pmb", -3, 4, "alike"), claim("fgd", 0, 0, needs="people")]
-    figure = plots.differences(told, {"fgd": "FGD"})
-    assert [axis.get_title(loc="left") for axis in figure.axes] == ["FGD", "pmb"]
-    shapes: dict[str, set[Any]] = {}
-    for axis, group in zip(figure.axes, ([told[0], told[2], told[3]], [told[1], told[4]]), strict=True):
-        spans = spans_of(axis, "_interval", 0)
-        assert spans == [[own["difference"]["low"], own["difference"]["high"]] for own in group]
-        points = [line for line in axis.get_lines() if line.get_label() in (judging.HOLDS, judging.FAILS,
-                                                                            judging.UNDECIDED)]
-        assert [float(line.get_xdata()[0]) for line in points] == [own["difference"]["mean"] for own in group]
-        assert [line.get_label() for line in points] == [own["verdict"] for own in group]
-        for line in points:
-            shapes.setdefault(line.get_label(), set()).add((line.get_color(), line.get_marker(),
-                                                            line.get_markerfacecolor()))
-        names = [label.get_text() for label in axis.get_yticklabels()]
-        assert all(own["second"] in name for own, name in zip(group, names, strict=True))
-    assert len(shapes) == 3 and all(len(own) == 1 for own in shapes.values())
-    assert len(set.union(*shapes.values())) == 3
-    assert "ours < row -9" in figure.axes[0].get_yticklabels()[2].get_text()
-    bounds = places_of(figure.axes[1], f"alike within {judging.ALIKE:g}")
-    assert sorted(bounds) == [-judging.ALIKE, judging.ALIKE]
-
-
-def test_differences_draw_the_rows_of_the_claims_command_and_refuse_none() -> None:
-    rows = judging.claims({}, {})["claims"]
-    with pytest.raises(ValueError, match="no claim"):
-        plots.differences(rows)
-    for wrong in ({"verdict": "perhaps"}, {"says": "near"}, {"difference": {"mean": 0.0, "low": 1.0, "high": -1.0}}):
-        with pytest.raises(ValueError):
-            plots.differences([{**claim("fgd", 1, 2), **wrong}])
-    unsure = {**claim("fgd", 1, 2), "difference": {"mean": 1.0, "low": None, "high": None}}
-    assert not collections_of(plots.differences([unsure]).axes[0], "_interval")
-
-
-# --------------------------------------------------------------------------------------------------------- Fig. 14
+# ---------------------------------------------------------------------------------------------------------- Fig. 14
 
 def test_bars_are_entropies_and_gains_of_the_association() -> None:
     rng = np.random.default_rng(5)
@@ -369,12 +323,12 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
         for suffix in ("svg", "png"):
             files = [tmp_path / f"{name}{i}.{suffix}" for i in range(2)]
             for file in files:
-                plots.save(draw(), file)
+                save_strip(draw(), file)
             first, second = (file.read_bytes() for file in files)
             assert first == second and len(first) > 1000
             assert b"matplotlib.org" not in first and b"<dc:date>" not in first
-    plots.save(made["curves"](), tmp_path / "a.pdf")
+    save_strip(made["curves"](), tmp_path / "a.pdf")
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
     with pytest.raises(InputError, match="picture"):
-        plots.save(made["curves"](), tmp_path / "a.doc")
+        save_strip(made["curves"](), tmp_path / "a.doc")
     assert not (tmp_path / "a.doc").exists()
