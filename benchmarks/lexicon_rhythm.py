@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from data_module.beats import detect_onsets
 from data_module.blocks import cut, denormalise
-from data_module.motion_beats import motion_beats
-from data_module.skeletons import from_vector
+from data_module.motion.motion_beats import motion_beats
+from data_module.motion.skeletons import from_vector
+from data_module.speech.beats import detect_onsets
 from data_module.store import Store
 from data_module.types import Array
 from eval import pmb

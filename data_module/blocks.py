@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data_module.beats import BeatSettings, find_beats
 from data_module.errors import InputError
-from data_module.representation import ROTATIONS, Representation
-from data_module.silence import silent_blocks
+from data_module.motion.representation import ROTATIONS, Representation
+from data_module.speech.beats import BeatSettings, find_beats
+from data_module.speech.silence import silent_blocks
 from data_module.types import Array, Blocks, Motion, Samples, Speech
 
 METHODS = ("wsola", "phase_vocoder")

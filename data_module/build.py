@@ -23,10 +23,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from data_module import report as reports
+from data_module import build_report as reports
+from data_module.build_report import Outcome, Report
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
-from data_module.report import Outcome, Report
 
 if TYPE_CHECKING:
     from data_module.corpora import Item, Options
@@ -51,8 +51,9 @@ class _Workshop:
         """Read one recording and write it into the data set and the store, the mark of completion last."""
         import warnings
 
-        from data_module import corpora, intervals, skeletons
+        from data_module import corpora, intervals
         from data_module.corpora.folder import write_recording
+        from data_module.motion import skeletons
 
         if self.reader is None:
             self.reader = corpora.open_corpus(self.corpus, self.source, self.options)

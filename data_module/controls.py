@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_module import skeletons
 from data_module.errors import InputError
-from data_module.kinematics import positions_of
+from data_module.motion import skeletons
+from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Blocks, Motion
 
 FEATURES = ("height", "speed", "radius")

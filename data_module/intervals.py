@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from data_module.beats import detect_onsets
 from data_module.blocks import BlockSettings, cut
 from data_module.errors import InputError
+from data_module.speech.beats import detect_onsets
 from data_module.types import Array, Speech
 
 if TYPE_CHECKING:

@@ -22,12 +22,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module import rotation
-from data_module.audio import load_speech, write_flac
 from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER, JOINTS
 from data_module.performer.types import Phrase, PlayedStroke, Syllable
-from data_module.skeletons import CHARACTER, JOINTS
+from data_module.speech.audio import load_speech, write_flac
 from data_module.types import Motion, Speech, Word
 
 FORMAT = 1

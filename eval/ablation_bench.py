@@ -21,12 +21,12 @@ import numpy as np
 import torch
 from torch import nn
 
-from data_module.audio import SAMPLE_RATE, resample
-from data_module.beats import detect_onsets
 from data_module.blocks import BlockSettings, cut
 from data_module.errors import InputError
 from data_module.layers import freeze
-from data_module.speech_encoder import SpeechEncoder
+from data_module.speech.audio import SAMPLE_RATE, resample
+from data_module.speech.beats import detect_onsets
+from data_module.speech.speech_encoder import SpeechEncoder
 from data_module.store import Recording, Store
 from data_module.types import Array, Blocks, Motion, Speech
 from eval import gesture_features
@@ -35,10 +35,10 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator.config import Config
-from gesticulator.hear import Heard
 from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import Corpus, prepare, weights_hash
 from gesticulator.racer import train_q_network, train_reward
+from gesticulator.speech_features import SpeechFeatures
 from gesticulator.train import (
     Labelled,
     Run,
@@ -181,7 +181,7 @@ class Bench:
     workers: int = 1
     _corpora: dict[str, Corpus] = field(default_factory=dict)
     _real: dict[str, list[list[Array]]] = field(default_factory=dict)
-    _heard: dict[str, dict[str, Heard]] = field(default_factory=dict)
+    _heard: dict[str, dict[str, SpeechFeatures]] = field(default_factory=dict)
     _said: dict[str, Said] = field(default_factory=dict)
 
     @classmethod
@@ -248,7 +248,7 @@ class Bench:
         """A recording with its sound and motion."""
         return self.first.store.load(self.first.corpus.names[number])
 
-    def heard(self, system: Gesticulator, recording: Recording) -> Heard:
+    def heard(self, system: Gesticulator, recording: Recording) -> SpeechFeatures:
         """What a system hears of a recording; kept for the preset's own way of hearing and for the last other one."""
         config = system.bundle.config
         key = configs.digest(config.rhythm, config.text, config.front_end, system.reads_text)
@@ -258,7 +258,7 @@ class Bench:
             self._heard[key] = {}
         known = self._heard[key]
         if recording.info.name not in known:
-            known[recording.info.name] = system.hear(resample(recording.speech, SAMPLE_RATE))
+            known[recording.info.name] = system.encode_speech(resample(recording.speech, SAMPLE_RATE))
         return known[recording.info.name]
 
     def said(self, recording: Recording) -> Said:

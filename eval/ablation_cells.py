@@ -2,7 +2,7 @@
 
 What is judged is motion on the split's recordings. A row plays the performer's speech in the performer's habits. Beside
 the rows stand cells without a seed, measured by the same code: the performer (whose motion is the truth), a real take,
-motion that is known to be wrong (`eval.controls`), and what other systems made of the same speech.
+motion that is known to be wrong (`eval.baselines`), and what other systems made of the same speech.
 
 Lexemes of the motion are those of one lexicon, that of `ours`, so that rows without a lexicon, or with another, can be
 compared. Figures of a set (FGD, diversity, motion variance) have no value for a clip; each clip gets the jackknife's:
@@ -31,12 +31,13 @@ from torch import Tensor
 from tqdm import tqdm
 
 from data_module.blocks import normalise_motion
-from data_module.bvh import write_bvh
 from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
-from data_module.kinematics import resample
+from data_module.motion.bvh import write_bvh
+from data_module.motion.kinematics import resample
 from data_module.types import Array, Blocks, Motion
-from eval import controls, fgd, pmb, policies
+from eval import baselines as controls
+from eval import fgd, pmb, policies
 from eval.ablation_bench import Bench, RowRun, Said, features_of, fitted
 from eval.ablation_tables import COLUMNS, PAPERS_DELTA, file_of, finished
 from eval.ablations import CONTROLS, FLOOR, REAL_TAKE, REFERENCES, ROWS, STILL
@@ -197,7 +198,7 @@ def played(bench: Bench, name: str, bundle: bundles.Bundle, over_judge: bool, se
                                     disable=not bench.first.progress)):
         recording = bench.loaded(number)
         made = system(recording.speech, speaker=recording.info.speaker, interpreter=row.interpreter, seed=seed,
-                      heard=bench.heard(system, recording),
+                      encoded=bench.heard(system, recording),
                       temperature=1.0 if row.interpreter == "statistical" else None)
         show(corpus.names[number], made.motion)
         right_ones = accuracy(bench, system, row.interpreter, number) if over_judge else {}

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import intervals
-from data_module.beats import find_beats
 from data_module.blocks import cut
-from data_module.bvh import read_bvh
 from data_module.errors import InputError
 from data_module.files import write_text
-from data_module.motion_beats import acting_positions, acting_speed
+from data_module.motion.bvh import read_bvh
+from data_module.motion.motion_beats import acting_positions, acting_speed
+from data_module.speech.beats import find_beats
 from data_module.store import Recording
 from data_module.types import Array
 from eval import audio_clusters, pmb, style_editing

@@ -29,8 +29,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.kinematics import positions_of, resample
-from data_module.skeletons import facing
+from data_module.motion.kinematics import positions_of, resample
+from data_module.motion.skeletons import facing
 from data_module.types import Array, Motion
 
 FPS = 30.0

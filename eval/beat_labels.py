@@ -50,10 +50,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.audio import load_speech
-from data_module.beats import detect_onsets, find_beats
 from data_module.errors import InputError, one_line_errors
-from data_module.motion_beats import MODES, motion_beats
+from data_module.motion.motion_beats import MODES, motion_beats
+from data_module.speech.audio import load_speech
+from data_module.speech.beats import detect_onsets, find_beats
 from data_module.store import Store
 from data_module.types import Array, BeatFlag, Motion, Speech
 from eval import label_files, pmb

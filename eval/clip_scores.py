@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module import blocks as block_module
-from data_module.beats import detect_onsets
-from data_module.motion_beats import MODES, motion_beats
+from data_module.motion.motion_beats import MODES, motion_beats
+from data_module.speech.beats import detect_onsets
 from data_module.types import Array, Blocks, Motion, Speech
 from eval import pmb
 from eval.beat_consistency import consistency, mean_score, motion_joint_beats
 from eval.joint_error import motion_error
 from eval.mismatch import wrapped
 from eval.smoothness import motion_smoothness
-from gesticulator.hear import front_end_for, hear
 from gesticulator.prepare import representation_of
+from gesticulator.speech_features import encode_speech, front_end_for
 
 if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
@@ -197,7 +197,7 @@ class Spoken:
         own = speech.speaker or ""
         if bundle.reward_judge is None:
             return cls(block_module.cut(speech, bundle.config.rhythm), None, own)
-        heard = hear(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
+        heard = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
         frames, statistics = bundle.config.rhythm.frames, bundle.statistics
         low = _middle(statistics.low.apply(heard.low), frames)
         if heard.high is heard.low:

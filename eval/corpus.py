@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from data_module import kinematics, rotation, skeletons
-from data_module.audio import load_speech
-from data_module.beats import detect_onsets
-from data_module.bvh import BvhWarning, read_bvh
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
-from data_module.motion_beats import acting_positions, acting_speed, beats_of_speed, motion_beats
+from data_module.motion import kinematics, rotation, skeletons
+from data_module.motion.bvh import BvhWarning, read_bvh
+from data_module.motion.motion_beats import acting_positions, acting_speed, beats_of_speed, motion_beats
+from data_module.speech.audio import load_speech
+from data_module.speech.beats import detect_onsets
 from data_module.types import Array, Motion, Speech
 from eval import pmb
 from eval.bootstrap import interval

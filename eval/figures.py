@@ -22,15 +22,15 @@ from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
 from tqdm import tqdm
 
-from data_module import bvh, skeletons
-from data_module.audio import load_speech
-from data_module.beats import detect_onsets
 from data_module.blocks import cut, normalise_motion
 from data_module.errors import InputError, one_line_errors
-from data_module.kinematics import positions_of, resample
-from data_module.motion_beats import motion_beats
-from data_module.silence import FRAME as SILENCE_FRAME
-from data_module.silence import pauses, silent_frames
+from data_module.motion import bvh, skeletons
+from data_module.motion.kinematics import positions_of, resample
+from data_module.motion.motion_beats import motion_beats
+from data_module.speech.audio import load_speech
+from data_module.speech.beats import detect_onsets
+from data_module.speech.silence import FRAME as SILENCE_FRAME
+from data_module.speech.silence import pauses, silent_frames
 from data_module.store import Recording, Store
 from data_module.types import Array, Motion, Speech
 from eval import pmb

@@ -3,7 +3,7 @@
 A folder holds one motion file for each clip, and, unless another folder is told, the speech under the same name:
 
 - `NAME.bvh`: any rig whose joints have known names (`skeletons.NAME_TABLES`);
-- `NAME.npz`: SMPL-X poses (`data_module.smplx`);
+- `NAME.npz`: SMPL-X poses (`data_module.motion.smplx`);
 - `NAME.npy`: positions [T, J, 3] of joints in space, with `NAME.json` beside it, or `joints.json` for all:
   {"joints": [J names], "fps": 15, "up": "+Y"}. The names are those of a known rig, or TED's ten; up is the axis that
   points up (+Y when not told, -Y for pictures, +Z). The unit does not count.
@@ -25,14 +25,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from data_module import rotation
-from data_module.audio import load_speech
-from data_module.bvh import BvhWarning, read_bvh
 from data_module.corpora.folder import SOUNDS
 from data_module.errors import InputError
-from data_module.representation import TED_JOINTS, rotations_from_positions, ted_positions
-from data_module.skeletons import CHARACTER, find_table, to_character
-from data_module.smplx import read_smplx
+from data_module.motion import rotation
+from data_module.motion.bvh import BvhWarning, read_bvh
+from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions
+from data_module.motion.skeletons import CHARACTER, find_table, to_character
+from data_module.motion.smplx import read_smplx
+from data_module.speech.audio import load_speech
 from data_module.store import RecordingInfo, Split, Store
 from data_module.types import Array, Motion, Speech
 

@@ -31,15 +31,15 @@ from sklearn.metrics import roc_auc_score
 from tqdm import tqdm
 
 from data_module.errors import InputError, one_line_errors
-from data_module.silence import FRAME, frame_levels
+from data_module.speech.silence import FRAME, frame_levels
 from data_module.store import SPLITS, Recording, Store
 from data_module.types import Array, Speech
 from eval.bootstrap import Interval, interval
 from eval.lexicon_map import block_of_frames, evenly, hand_speed, read_blocks
 from eval.results import publish
 from gesticulator.bundle import Bundle
-from gesticulator.hear import front_end_for, hear
 from gesticulator.pipeline import Gesticulator
+from gesticulator.speech_features import encode_speech, front_end_for
 from interpreters import BlockFeatures
 
 GATE, LOUDNESS, SILENCE, PERFORMER = "gate", "loudness alone", "detected silence alone", "performer alone"
@@ -167,7 +167,7 @@ def judge(system: Gesticulator, recording: Recording) -> Judged:
     """The gate and its controls on one recording, block by block as in use."""
     bundle, speech = system.bundle, recording.speech
     gate = gate_of(bundle, "--bundle")
-    heard = hear(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
+    heard = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
     read = read_blocks(bundle, recording, heard.blocks)
     known = recording.info.speaker in bundle.speakers
     who = system.speaker_index(recording.info.speaker if known else None)

@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
 from data_module.layers import SLOPE, freeze
-from data_module.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
+from data_module.motion.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
 from data_module.store import Split, Store
 from data_module.types import Array, Motion
 from gesticulator.fit import FitSettings, fit
@@ -45,7 +45,7 @@ PUBLISHED_JOINTS = (("spine", "Spine2"), ("neck", "Neck"), ("nose", "Head"), ("h
                     ("one shoulder", "LeftArm"), ("one elbow", "LeftForeArm"), ("one wrist", "LeftHand"),
                     ("other shoulder", "RightArm"), ("other elbow", "RightForeArm"), ("other wrist", "RightHand"))
 """Its ten joints, in order, and which joint of our character each is, or rides on: nose and crown are points on the
-head (`data_module.representation.ted_positions` puts all ten in space)."""
+head (`data_module.motion.representation.ted_positions` puts all ten in space)."""
 _REFERENCE = "h36m_reference.npz"
 _FORMAT = 1
 _LEAST_FRAMES = 12

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.transcript_formats import SILENCES
+from data_module.text.transcript_formats import SILENCES
 from data_module.types import Array
 
 COLUMNS = ("time", "seconds", "second", "sec", "t", "timestamp", "beat", "beats", "onset", "emphasis", "start")

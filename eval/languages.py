@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from tqdm import tqdm
 
-from data_module.audio import load_speech
 from data_module.corpora.performer import TEST_READINGS, tail_begins
 from data_module.errors import InputError, one_line_errors
 from data_module.performer import voices
 from data_module.performer.text import compose
+from data_module.speech.audio import load_speech
 from data_module.store import Store
 from data_module.types import Array, Motion, Speech
 from eval import pmb

@@ -36,8 +36,8 @@ from tqdm import tqdm
 from data_module import blocks as block_module
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
-from data_module.kinematics import positions_of
-from data_module.skeletons import facing
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import facing
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.types import Array, Blocks, Motion
 from eval.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip

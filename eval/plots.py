@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_module.beats import merged
 from data_module.errors import InputError
-from data_module.motion_beats import beats_of_speed
+from data_module.motion.motion_beats import beats_of_speed
+from data_module.speech.beats import merged
 from data_module.types import Array, BeatFlag, Beats, Speech, Word
 from eval import pmb
 from eval.lexicon_map import Labels, colours, embed
@@ -435,7 +435,7 @@ def overview(speech: Speech, beats: Beats, edges: Array, lexemes: Labels, hand_s
     """A stretch of one performance: words, sound and beats, blocks and lexemes, hands and motion beats (RG Fig. 2).
 
     edges: [N + 1] seconds and lexemes: [N] of the blocks, those in `silent` hatched; hand_speed: [T] m/s, frame t at
-    t / fps seconds, such as `data_module.motion_beats.acting_speed`; motion_beats: seconds, found on `hand_speed` where
+    t / fps seconds, such as `motion_beats.acting_speed`; motion_beats: seconds, found on `hand_speed` where
     they are not given. The stretch is clamped to the speech; ValueError when it lies outside, or lexemes and edges do
     not agree.
     """

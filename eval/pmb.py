@@ -2,7 +2,7 @@
 
 Theory: a motion beat counts when an onset lies within delta of it, one onset for one motion beat, in order, and the
 figure is the percentage of motion beats that count. As printed, the equation lets several onsets count for one motion
-beat, so it can pass 100 %; one-to-one it cannot. Motion beats are those of `data_module.motion_beats`: where the arms
+beat, so it can pass 100 %; one-to-one it cannot. Motion beats are those of `motion.motion_beats`: where the arms
 brake hardest (mode A, the default) or where they are slowest (mode B). The paper's words fit either, so name the mode.
 
 Unit: percent of motion beats; `above_chance` is a share. Good: high above chance, near the speaker's own. More is not
@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.beats import merged
+from data_module.speech.beats import merged
 from data_module.types import Array
 
 DELTA = 0.1

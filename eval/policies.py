@@ -31,22 +31,22 @@ from torch import Tensor
 from tqdm import tqdm
 
 from data_module.errors import InputError, one_line_errors
-from data_module.kinematics import resample
+from data_module.motion.kinematics import resample
 from data_module.store import Recording, Store
 from data_module.types import Array, Motion
 from eval import fgd, gesture_features, pmb
+from eval.baselines import to_common_length
 from eval.bootstrap import interval
-from eval.controls import to_common_length
 from eval.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.figures import Clip, Commonest, measure
 from eval.joint_error import motion_error
 from eval.parts import hinted_labels, table
 from eval.results import publish
 from gesticulator import bundle as bundles
-from gesticulator.hear import Heard
 from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import Corpus, prepare
 from gesticulator.racer import features_of, reward_table, takes_of, taught_reward
+from gesticulator.speech_features import SpeechFeatures
 from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter, select
 from interpreters.episodes import Take
 
@@ -251,12 +251,13 @@ def walk(policy: Policy, ground: Ground, take: Take, teacher: bool = False) -> t
 
     teacher: what it hears as its past is the performer's lexemes. Draws depend on the seed and the recording alone.
     """
-    rng, hear, allowed = np.random.default_rng([SEED, take.recording]), features_of(ground.corpus), ground.allowed(take)
+    rng, allowed = np.random.default_rng([SEED, take.recording]), ground.allowed(take)
+    features = features_of(ground.corpus)
     lexemes, scores = take.lexemes.copy(), np.empty((len(take.blocks) - 1, ground.size))
     state = policy.interpreter.start(take.speaker, int(lexemes[0]))
     for i in range(1, len(lexemes)):
         previous = int((take.lexemes if teacher else lexemes)[i - 1])
-        scores[i - 1], state = policy.interpreter.step(state, hear(int(take.blocks[i])), previous)
+        scores[i - 1], state = policy.interpreter.step(state, features(int(take.blocks[i])), previous)
         lexemes[i] = select(scores[i - 1], allowed=np.flatnonzero(allowed[i]), temperature=policy.temperature,
                             top=policy.top, rng=rng)
     return lexemes, scores
@@ -333,12 +334,12 @@ def motion_values(clip: Clip, generated: Motion, truth: Motion, seed: int) -> di
 
 
 def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequence[Lexemes], label: str,
-            progress: bool, heard: Sequence[Heard] | None = None) -> list[Motion]:
+            progress: bool, heard: Sequence[SpeechFeatures] | None = None) -> list[Motion]:
     """What the generator makes of these lexemes [M] for the speech of these recordings, the gate open. heard: what the
     system has heard of each before."""
     told = Told(lexemes, len(system.bundle.lexicon.vectors))
     return [system(replace(recording.speech, words=None), speaker=recording.info.speaker, interpreter=told,
-                   temperature=0.0, activity=1.0, heard=heard[place] if heard else None).motion
+                   temperature=0.0, activity=1.0, encoded=heard[place] if heard else None).motion
             for place, recording in enumerate(tqdm(recordings, desc=label, disable=not progress))]
 
 

@@ -43,10 +43,10 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from data_module.audio import SAMPLE_RATE, resample
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
 from data_module.layers import freeze
+from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.store import Recording, Store
 from data_module.types import Array
 from eval import fgd, gesture_features, pmb, policies
@@ -59,7 +59,6 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator.config import Config
-from gesticulator.hear import Heard
 from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import Corpus, prepare, weights_hash
 from gesticulator.racer import (
@@ -71,6 +70,7 @@ from gesticulator.racer import (
     takes_of,
     taught_reward,
 )
+from gesticulator.speech_features import SpeechFeatures
 from gesticulator.train import Run
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
@@ -206,11 +206,12 @@ class Bench:
         return configs.with_settings(self.run.config, ROWS[name].settings)
 
     @cached_property
-    def played(self) -> tuple[list[Recording], list[Heard]]:
+    def played(self) -> tuple[list[Recording], list[SpeechFeatures]]:
         """The recordings that are played, and what the system hears of them."""
         recordings = [self.run.store.load(self.corpus.names[take.recording]) for take in self.ground.takes[:MOTION]]
         system = Gesticulator(self.bundle)
-        return recordings, [system.hear(resample(replace(one.speech, words=None), SAMPLE_RATE)) for one in recordings]
+        return recordings, [system.encode_speech(resample(replace(one.speech, words=None), SAMPLE_RATE))
+                            for one in recordings]
 
     def key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes the network of a row."""

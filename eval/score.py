@@ -9,7 +9,7 @@ brought onto the 16-joint character, to the lowest frame rate among them (or --r
 length. Each figure is a mean over clips with its bootstrap 95 % interval, or of the set of clips, with the basic
 bootstrap's; systems are compared in pairs over the same clips.
 
-Beside the systems stand rows of motion known to be wrong (`eval.controls`), made of the truth: shuffled among the
+Beside the systems stand rows of motion known to be wrong (`eval.baselines`), made of the truth: shuffled among the
 speeches, played backwards, with 2 cm of jitter, and the mean pose of each clip, held still. One half of the truth
 against the other is the floor of distances between sets. A metric that a control beats is marked, and by whom said: it
 cannot tell good from bad in that respect, and a good value of it proves nothing.
@@ -33,10 +33,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError, one_line_errors
-from data_module.kinematics import resample
+from data_module.motion.kinematics import resample
 from data_module.store import SPLITS, Store
 from data_module.types import Array, Motion, Speech
-from eval import controls, fgd, pmb
+from eval import baselines as controls
+from eval import fgd, pmb
 from eval.bootstrap import Interval, interval
 from eval.clip_scores import (
     LEXEME_METRICS,

@@ -27,8 +27,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.kinematics import positions_of
-from data_module.skeletons import facing
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import facing
 from data_module.types import Array, Motion
 
 HANDS = ("RightHand", "LeftHand")

@@ -35,11 +35,11 @@ from tqdm import tqdm
 
 from data_module import blocks as block_module
 from data_module.errors import InputError, one_line_errors
-from data_module.features import MelFrontEnd, reference_level, scaled_windows
-from data_module.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
+from data_module.speech.features import MelFrontEnd, reference_level, scaled_windows
+from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
+from data_module.text.word_vectors import word_frames
 from data_module.types import Array, Samples
-from data_module.word_vectors import word_frames
 from eval import audio_clusters
 from eval.bootstrap import interval
 from eval.lexicon_map import evenly, read_blocks

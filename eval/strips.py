@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from data_module import bvh, kinematics, rotation, skeletons
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_bytes
+from data_module.motion import bvh, kinematics, rotation, skeletons
 from data_module.types import Array, BeatFlag, Beats, Motion, Speech
 
 if TYPE_CHECKING:
@@ -320,8 +320,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _listen(path: Path) -> tuple[Speech, Beats]:
-    from data_module.audio import load_speech
-    from data_module.beats import BeatSettings, find_beats
+    from data_module.speech.audio import load_speech
+    from data_module.speech.beats import BeatSettings, find_beats
 
     speech = load_speech(path)
     return speech, find_beats(speech, BeatSettings())

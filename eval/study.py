@@ -35,11 +35,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.audio import load_speech
-from data_module.bvh import read_bvh
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_bytes, write_text
-from data_module.silence import FRAME, pauses, silent_frames
+from data_module.motion.bvh import read_bvh
+from data_module.speech.audio import load_speech
+from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
 from eval import anova, video
 from eval.results import keep

@@ -31,7 +31,7 @@ import numpy as np
 from data_module.controls import FEATURES, LEVELS, UNITS, Controls, Levels, measure, per_frame
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_bytes
-from data_module.motion_beats import ACTING, acting_positions, acting_speed
+from data_module.motion.motion_beats import ACTING, acting_positions, acting_speed
 from data_module.store import Recording, RecordingInfo, Store
 from data_module.types import Array, Motion, Speech, Word
 from eval.bootstrap import Interval, interval

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file
 
 from data_module.errors import InputError, one_line_errors
-from data_module.speech_encoder import PredictiveCoding, SpeechEncoder
+from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder
 from data_module.store import Store
 from eval.bootstrap import interval
 from eval.results import publish

@@ -28,10 +28,10 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
-from data_module import bvh
-from data_module.audio import load_speech
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_bytes
+from data_module.motion import bvh
+from data_module.speech.audio import load_speech
 from data_module.types import Array, Motion, Samples, Speech
 from eval.strips import FLOOR, HAIR, INK, NOSE, SHIRT, SKIN, TROUSERS, figure_points
 

@@ -9,9 +9,9 @@ import sys
 
 import numpy as np
 
-from data_module.audio import write_flac
 from data_module.performer.text import Part, Utterance
 from data_module.performer.voices import speak
+from data_module.speech.audio import write_flac
 
 VOICE = "awb"
 TEXT = [

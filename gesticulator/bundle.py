@@ -25,10 +25,10 @@ from torch import Tensor, nn
 
 from data_module.controls import Levels
 from data_module.errors import InputError
-from data_module.features import Normaliser
 from data_module.layers import freeze
-from data_module.skeletons import CHARACTER
-from data_module.speech_encoder import SpeechEncoder
+from data_module.motion.skeletons import CHARACTER
+from data_module.speech.features import Normaliser
+from data_module.speech.speech_encoder import SpeechEncoder
 from generator.model import Generator
 from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict

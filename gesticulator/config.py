@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
-from data_module.beats import BeatSettings
 from data_module.blocks import BlockSettings
 from data_module.errors import InputError
-from data_module.speech_encoder import EncoderConfig
+from data_module.speech.beats import BeatSettings
+from data_module.speech.speech_encoder import EncoderConfig
 from generator.model import GeneratorConfig
 from gesticulator.fit import FitSettings
 from interpreters.cql import QConfig

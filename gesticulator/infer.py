@@ -154,7 +154,7 @@ def perform(job: Job, system: Gesticulator, arguments: argparse.Namespace, contr
     """Do one recording; the summary."""
     from tqdm import tqdm
 
-    from data_module.audio import load_speech
+    from data_module.speech.audio import load_speech
     from gesticulator.export import write
 
     speech = load_speech(job.source)
@@ -190,7 +190,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for name in ("data_module", "gesticulator"):
             warnings.filterwarnings("default", module=name)
         warnings.showwarning = _say_warning
-        from data_module.audio import check_file
+        from data_module.speech.audio import check_file
 
         for job in jobs:
             check_file(job.source)

@@ -12,17 +12,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_module.audio import SAMPLE_RATE, load_speech, resample
 from data_module.blocks import denormalise
 from data_module.controls import FEATURES, Controls
 from data_module.errors import InputError
-from data_module.transcript import read_transcript, with_transcript
+from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
+from data_module.text.transcript import read_transcript, with_transcript
+from data_module.text.word_vectors import WordEncoder
 from data_module.types import Array, Motion, Speech
-from data_module.word_vectors import WordEncoder
 from gesticulator import bundle as bundles
-from gesticulator.hear import Heard, front_end_for, hear
 from gesticulator.performance import BEST, Performance
 from gesticulator.prepare import control_rows, representation_of
+from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
 from interpreters import BlockFeatures, LexemeInterpreter, QNetwork, select
 from interpreters.gate import opened
 from lexicon.racer import RacerCodec
@@ -95,7 +95,7 @@ class Gesticulator:
     def __call__(self, speech: Speech | str | PathLike[str], *, text: str | PathLike[str] | None = None,
                  speaker: str | None = None, seed: int = 0, fps: float | None = None,
                  interpreter: str | LexemeInterpreter | None = None, temperature: float | None = None,
-                 controls: Controls | None = None, activity: float | None = None, heard: Heard | None = None,
+                 controls: Controls | None = None, activity: float | None = None, encoded: SpeechFeatures | None = None,
                  on_block: Callable[[int, int], None] | None = None) -> Performance:
         """Gesture for a recording.
 
@@ -104,8 +104,9 @@ class Gesticulator:
         speaker: a performer's habits. fps: frames per second of the result (60). interpreter: what chooses the lexemes,
         by name ("lstm", "cql", "statistical"; the bundle's first when none is named) or as an object. temperature:
         how freely lexemes are drawn, 0 for always the likeliest. controls: what is asked of hand height, speed and
-        radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to 1 (always). heard: what `hear` gave
-        for this speech, to gesture for it again without hearing it again. What is not told is the bundle's own.
+        radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to 1 (always). encoded: what
+        `encode_speech` gave for this speech, to gesture for it again without encoding it again. What is not given is
+        the bundle's own.
         on_block(done, total) is called after each block. The same seed, bundle and speech give the same
         result.
         """
@@ -124,27 +125,28 @@ class Gesticulator:
             speech, note = self.read(speech, text)
         who = self.speaker_index(speaker)
         reads = self._reads(speech)
-        heard = self.hear(speech) if heard is None else heard
+        encoded = self.encode_speech(speech) if encoded is None else encoded
         interpreter = self.bundle.interpreters[0] if interpreter is None else interpreter
         system = self.interpreter(interpreter, reads) if isinstance(interpreter, str) else interpreter
         usual = chosen.q_temperature if isinstance(system, QNetwork) else chosen.temperature
         asked = None
         if controls is not None and self.bundle.levels is not None:
-            values, given = controls.at(heard.blocks.knot_times)
+            values, given = controls.at(encoded.blocks.knot_times)
             rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
-            asked = rows.reshape(len(heard.blocks), heard.blocks.frames, -1)
+            asked = rows.reshape(len(encoded.blocks), encoded.blocks.frames, -1)
         rolls = _Decoded if isinstance(self.bundle.lexicon, RacerCodec) else _Roll
         roll = rolls(self.bundle, system, who, np.random.default_rng(seed),
                      usual if temperature is None else temperature, chosen.top or None, activity)
-        made = roll.run(heard, asked, on_block)
-        motion = self.to_motion(made.motion, heard, who, FPS if fps is None else fps)
-        return Performance(motion=motion, speech=speech, blocks=heard.blocks, lexemes=made.lexemes, best=made.best,
+        made = roll.run(encoded, asked, on_block)
+        motion = self.to_motion(made.motion, encoded, who, FPS if fps is None else fps)
+        return Performance(motion=motion, speech=speech, blocks=encoded.blocks, lexemes=made.lexemes, best=made.best,
                            scores=made.scores, codes=made.codes, gate=made.gate, notes=(note,) if note else (),
                            score_is="expected return" if isinstance(system, QNetwork) else "log-probability")
 
-    def hear(self, speech: Speech) -> Heard:
+    def encode_speech(self, speech: Speech) -> SpeechFeatures:
         """A speech at 16 kHz cut into blocks and encoded, with its words where the bundle reads them."""
-        return hear(speech, self.bundle.config, self._front_end, self.word_encoder() if self._reads(speech) else None)
+        words = self.word_encoder() if self._reads(speech) else None
+        return encode_speech(speech, self.bundle.config, self._front_end, words)
 
     def _reads(self, speech: Speech) -> bool:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
@@ -158,11 +160,11 @@ class Gesticulator:
             raise InputError(f"the control of {', '.join(FEATURES)}", "is not heard by this bundle",
                              "use a bundle trained with generator.use_control")
 
-    def to_motion(self, features: NDArray[np.float32], heard: Heard, speaker: int, fps: float) -> Motion:
+    def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int, fps: float) -> Motion:
         """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2)."""
         statistics = self.bundle.statistics
         poses: Array = statistics.denormalise(features.astype(np.float64), speaker)
-        frames = denormalise(poses, statistics.rest_pose[speaker], heard.blocks, fps,
+        frames = denormalise(poses, statistics.rest_pose[speaker], encoded.blocks, fps,
                              self.bundle.config.motion.smoothing)
         return representation_of(self.bundle.config).motion(frames, fps)
 
@@ -205,14 +207,14 @@ class _Roll:
         self.quiet = None if s.quiet_low is None else torch.as_tensor(s.quiet_low, dtype=torch.float32)
 
     @torch.inference_mode()
-    def run(self, heard: Heard, asked: NDArray[np.float32] | None, on_block: Callable[[int, int], None] | None
-            ) -> _Made:
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None,
+            on_block: Callable[[int, int], None] | None) -> _Made:
         """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
         b = self.bundle
         drawn = b.drawn
-        generator, vectors, count = drawn.generator, drawn.lexicon.vectors, len(heard.blocks)
+        generator, vectors, count = drawn.generator, drawn.lexicon.vectors, len(encoded.blocks)
         best_count = min(BEST, len(vectors))
-        style = b.style_text if heard.text is not None and b.style_text is not None else drawn.style
+        style = b.style_text if encoded.text is not None and b.style_text is not None else drawn.style
         previous = b.rest_lexeme(self.speaker)
         rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.lexicon.frames, -1)
@@ -227,7 +229,7 @@ class _Roll:
                      np.empty((count, style.code_width), np.float32), np.full(count, np.nan))
         resting = _SETTLES_AFTER  # who has not begun is at rest
         for i in range(count):
-            features = self._features(heard, i, asked)
+            features = self._features(encoded, i, asked)
             closed = self.activity == 0
             if b.gate is not None and gate_state is not None and self.activity < 1:
                 made.gate[i], gate_state = b.gate.step(gate_state, features)
@@ -265,12 +267,12 @@ class _Roll:
         if on_block is not None:
             on_block(i + 1, len(made.best))
 
-    def _features(self, heard: Heard, i: int, asked: NDArray[np.float32] | None) -> BlockFeatures:
+    def _features(self, encoded: SpeechFeatures, i: int, asked: NDArray[np.float32] | None) -> BlockFeatures:
         s = self.bundle.statistics
-        low = torch.as_tensor(s.low.apply(heard.low[i]), dtype=torch.float32)
-        high = torch.as_tensor(s.high.apply(heard.high[i]), dtype=torch.float32)
-        text = None if heard.text is None else torch.as_tensor(heard.text[i])
-        return BlockFeatures(low, high, bool(heard.blocks.silent[i]), text,
+        low = torch.as_tensor(s.low.apply(encoded.low[i]), dtype=torch.float32)
+        high = torch.as_tensor(s.high.apply(encoded.high[i]), dtype=torch.float32)
+        text = None if encoded.text is None else torch.as_tensor(encoded.text[i])
+        return BlockFeatures(low, high, bool(encoded.blocks.silent[i]), text,
                              None if asked is None else torch.as_tensor(asked[i]))
 
 
@@ -281,18 +283,18 @@ class _Decoded(_Roll):
     """
 
     @torch.inference_mode()
-    def run(self, heard: Heard, asked: NDArray[np.float32] | None, on_block: Callable[[int, int], None] | None
-            ) -> _Made:
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None,
+            on_block: Callable[[int, int], None] | None) -> _Made:
         """Every code in turn; nothing can be asked of the style."""
         codec = self.bundle.lexicon
         assert isinstance(codec, RacerCodec)
-        count, best = len(heard.blocks), min(BEST, len(codec.vectors))
+        count, best = len(encoded.blocks), min(BEST, len(codec.vectors))
         rest = previous = self.bundle.rest_lexeme(self.speaker)
         made = _Made(np.empty((0, 0, 0), np.float32), np.empty(count, np.int64), np.empty((count, best), np.int64),
                      np.empty((count, best)), np.zeros((count, 0), np.float32), np.full(count, np.nan))
         state = self.interpreter.start(self.speaker, previous)
         for i in range(count):
-            scores, state = self.interpreter.step(state, self._features(heard, i, asked), previous)
+            scores, state = self.interpreter.step(state, self._features(encoded, i, asked), previous)
             previous = select(scores, temperature=self.temperature, top=self.top, rng=self.rng)
             made.lexemes[i] = previous = rest if self.activity == 0 else previous
             self._note(made, i, scores, on_block)

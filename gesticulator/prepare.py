@@ -21,18 +21,18 @@ from data_module import blocks as block_module
 from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
-from data_module.features import Normaliser, reference_level
-from data_module.representation import REPRESENTATIONS, Representation
+from data_module.motion.representation import REPRESENTATIONS, Representation
+from data_module.speech.features import Normaliser, reference_level
 from data_module.store import Store
+from data_module.text.word_vectors import WordEncoder, word_frames
 from data_module.types import Array
-from data_module.word_vectors import WordEncoder, word_frames
 from gesticulator import config as configs
 from gesticulator.config import Config, ControlConfig
 from gesticulator.fit import Batch
-from gesticulator.hear import encode, front_end_for, three_blocks, word_table
+from gesticulator.speech_features import encode, front_end_for, three_blocks, word_table
 
 if TYPE_CHECKING:
-    from data_module.speech_encoder import SpeechEncoder
+    from data_module.speech.speech_encoder import SpeechEncoder
 
 CONTROL_WIDTH = 2 * len(controls.FEATURES)
 """2 F: what is asked of each feature, and whether it is asked."""
@@ -225,7 +225,7 @@ def weights_hash(module: torch.nn.Module) -> str:
     return digest.hexdigest()[:16]
 
 
-def hear_all(files: tuple[Path, ...], config: Config, encoder: SpeechEncoder | None = None, *, workers: int = 1,
+def encode_all(files: tuple[Path, ...], config: Config, encoder: SpeechEncoder | None = None, *, workers: int = 1,
              progress: bool = True) -> tuple[Path, ...]:
     """The audio features of blocks that are cut, one file each, in a folder named by the front end's hash."""
     cut_folder = files[0].parent
@@ -264,22 +264,22 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
     zeros), which is all that the lexicon needs.
     """
     files = cut(store, config, folder, workers=workers, progress=progress)
-    heard: list[dict[str, NDArray[Any]]]
+    encoded: list[dict[str, NDArray[Any]]]
     loaded = [_read(file, leave_out=("sound",)) for file in files]
     if encoder is None and config.front_end.name == "vqwav2vec":
-        heard = [{"low": np.zeros((len(own["silent"]), 3 * config.rhythm.frames, 1), np.float16)} for own in loaded]
+        encoded = [{"low": np.zeros((len(own["silent"]), 3 * config.rhythm.frames, 1), np.float16)} for own in loaded]
     else:
-        heard = [_read(file) for file in hear_all(files, config, encoder, workers=workers, progress=progress)]
+        encoded = [_read(file) for file in encode_all(files, config, encoder, workers=workers, progress=progress)]
     infos = store.recordings
     speakers = tuple(sorted({info.speaker for info in infos if info.split == "train"}))
     if not speakers:
         raise InputError(store.path, "has no recordings in its training split", "build the store again")
     speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0 for info in infos])
-    statistics = _statistics(config, speakers, speaker_of, [info.split for info in infos], loaded, heard)
+    statistics = _statistics(config, speakers, speaker_of, [info.split for info in infos], loaded, encoded)
     motion = [statistics.normalise(own["motion"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
     first = [statistics.normalise(own["first"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
-    low = _normalised(statistics.low, [own["low"] for own in heard])
-    high = low if "high" not in heard[0] else _normalised(statistics.high, [own["high"] for own in heard])
+    low = _normalised(statistics.low, [own["low"] for own in encoded])
+    high = low if "high" not in encoded[0] else _normalised(statistics.high, [own["high"] for own in encoded])
     word_at, words, has_text = _text(infos, loaded, read_words(store, config, folder, progress=progress))
     return Corpus(
         names=tuple(info.name for info in infos), splits=tuple(info.split for info in infos), speaker_of=speaker_of,
@@ -324,7 +324,7 @@ def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: 
 
 
 def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64], splits: list[str],
-                loaded: list[dict[str, NDArray[Any]]], heard: list[dict[str, NDArray[Any]]]) -> Statistics:
+                loaded: list[dict[str, NDArray[Any]]], encoded: list[dict[str, NDArray[Any]]]) -> Statistics:
     width = loaded[0]["motion"].shape[-1]
     train = [index for index, split in enumerate(splits) if split == "train"]
     mean, rest = np.zeros((len(speakers), width)), np.zeros((len(speakers), width))
@@ -344,7 +344,7 @@ def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[n
     quiet = [_settled(loaded[i]["silent"], 1) for i in train]
     normalisers, silences = [], []
     for level in ("low", "high"):
-        rows = [heard[i].get(level, heard[i]["low"]) for i in train]
+        rows = [encoded[i].get(level, encoded[i]["low"]) for i in train]
         normaliser = Normaliser.fit(np.concatenate(rows).astype(np.float32))
         settled = np.concatenate([own[which] for own, which in zip(rows, quiet, strict=True)]).astype(np.float32)
         normalisers.append(normaliser)

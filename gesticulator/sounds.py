@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.audio import SAMPLE_RATE, load_speech, resample
 from data_module.errors import InputError
+from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.store import Store
 
 SUFFIXES = (".flac", ".wav", ".ogg", ".mp3")

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from data_module.audio import SAMPLE_RATE
 from data_module.blocks import samples_per_frame
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
-from data_module.kinematics import positions_of
 from data_module.layers import freeze
-from data_module.representation import Representation
-from data_module.speech_encoder import PredictiveCoding, SpeechEncoder, TextContrast
+from data_module.motion.kinematics import positions_of
+from data_module.motion.representation import Representation
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, TextContrast
 from data_module.store import Store
 from generator.model import Generator
 from gesticulator import bundle as bundles
@@ -34,7 +34,6 @@ from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator.card import model_card
 from gesticulator.config import Config
-from gesticulator.hear import three_blocks
 from gesticulator.prepare import (
     CONTROL_WIDTH,
     Corpus,
@@ -46,6 +45,7 @@ from gesticulator.prepare import (
 )
 from gesticulator.racer import Tokens, token_labels, train_codec, train_q_network, train_reward
 from gesticulator.sounds import Crops, folder_digest
+from gesticulator.speech_features import three_blocks
 from interpreters.gate import ActivityGate
 from interpreters.lstm import LstmInterpreter
 from interpreters.style import StyleInterpreter

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from data_module.layers import BlockLinear, repeat_frames
 from interpreters.base import BlockFeatures, Scores
-from interpreters.reading import Reading
+from interpreters.text_head import Reading
 
 Hidden = tuple[Tensor, Tensor]
 _NO_TEXT = "this interpreter reads text; take the audio-only one"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_module import rotation
-from data_module.skeletons import CHARACTER
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
 from data_module.types import BeatFlag, Blocks, Motion, Speech, Word
 from gesticulator.performance import Performance
 

@@ -9,9 +9,9 @@ import pytest
 import soundfile
 import ted_values
 
-from data_module.bvh import bvh_text
-from data_module.skeletons import CHARACTER
-from data_module.smplx import SKELETON
+from data_module.motion.bvh import bvh_text
+from data_module.motion.skeletons import CHARACTER
+from data_module.motion.smplx import SKELETON
 from data_module.types import Motion
 
 TAKE = "2_scott_0_1_1"

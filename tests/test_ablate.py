@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_module.bvh import read_bvh, write_bvh
 from data_module.errors import InputError
+from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.store import Store
 from eval import ablate, ablation_cells, ablation_figures, ablation_tables, ablations, gesture_features, racer_ablation
 from eval.ablation_bench import Bench

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import soundfile
 
-from data_module.audio import SAMPLE_RATE, AudioWarning, load_speech, write_flac
 from data_module.errors import InputError
+from data_module.speech.audio import SAMPLE_RATE, AudioWarning, load_speech, write_flac
 from data_module.types import Samples, Speech
 
 FORMATS = [("wav", "WAV", "PCM_16"), ("flac", "FLAC", "PCM_16"), ("ogg", "OGG", "VORBIS"), ("mp3", "MP3", None)]
@@ -165,5 +165,6 @@ def test_a_long_recording_is_never_held_at_its_own_rate(tmp_path: Path) -> None:
 
 
 def test_importing_the_reader_imports_no_decoder() -> None:
-    code = "import sys, data_module.audio; print([m for m in ('soundfile', 'soxr', 'librosa') if m in sys.modules])"
+    code = ("import sys, data_module.speech.audio;"
+            "print([m for m in ('soundfile', 'soxr', 'librosa') if m in sys.modules])")
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

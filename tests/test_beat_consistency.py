@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module import rotation
-from data_module.skeletons import CHARACTER
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion
+from eval.baselines import jittered
 from eval.beat_consistency import (
     DANCE_SIGMA,
     consistency,
@@ -22,7 +23,6 @@ from eval.beat_consistency import (
     motion_joint_beats,
     onset_score,
 )
-from eval.controls import jittered
 
 TIMES = st.lists(st.floats(0.0, 20.0), min_size=1, max_size=30, unique=True).map(lambda v: np.sort(np.array(v)))
 

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.audio import load_speech
-from data_module.beats import (
+from data_module.errors import InputError
+from data_module.speech.audio import load_speech
+from data_module.speech.beats import (
     LOOK_AHEAD,
     RULES,
     BeatSettings,
@@ -21,7 +22,6 @@ from data_module.beats import (
     onset_strength,
     place_beats,
 )
-from data_module.errors import InputError
 from data_module.types import Array, BeatFlag, Samples, Speech
 
 RATE = 16000
@@ -268,7 +268,7 @@ def test_onsets_do_not_depend_on_gain_nor_on_what_comes_later() -> None:
 def test_long_recordings_are_done_in_pieces_that_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     sound = babble(20.0)
     whole = onset_strength(sound, RATE)
-    monkeypatch.setattr("data_module.beats._PIECE", 130)
+    monkeypatch.setattr("data_module.speech.beats._PIECE", 130)
     assert np.allclose(onset_strength(sound, RATE), whole, atol=2e-3)
 
 

@@ -11,8 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from data_module import rotation, skeletons
-from data_module.beats import BeatSettings
 from data_module.blocks import (
     METHODS,
     BlockSettings,
@@ -27,6 +25,8 @@ from data_module.blocks import (
     windows_of,
 )
 from data_module.errors import InputError
+from data_module.motion import rotation, skeletons
+from data_module.speech.beats import BeatSettings
 from data_module.types import Array, Blocks, Motion, Samples, Speech
 
 RATE = 16000

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_module import kinematics
-from data_module.audio import write_flac
 from data_module.blocks import cut
 from data_module.build import main
-from data_module.bvh import read_bvh, write_bvh
+from data_module.build_report import Outcome
 from data_module.corpora import CORPORA, STROKE_SOURCES
 from data_module.intervals import LONGEST, STEP, Intervals, measure
-from data_module.motion_beats import motion_beats
-from data_module.report import Outcome
+from data_module.motion import kinematics
+from data_module.motion.bvh import read_bvh, write_bvh
+from data_module.motion.motion_beats import motion_beats
+from data_module.speech.audio import write_flac
 from data_module.store import Store
 from data_module.types import Speech
 
@@ -294,7 +294,7 @@ def test_nothing_of_a_build_under_way_is_left_in_the_store(tiny_store: Path) -> 
 
 def test_a_quiet_recording_has_blocks_and_no_onsets(tmp_path: Path) -> None:
     """Two seconds without a sound: pseudo-beats only, and no division by zero in the report."""
-    from data_module import skeletons
+    from data_module.motion import skeletons
 
     write_bvh(tmp_path / "calm.bvh", skeletons.from_vector(np.zeros((120, 48)), 60.0))
     write_flac(tmp_path / "calm.flac", Speech(np.zeros(32000, np.float32), 16000))

@@ -13,10 +13,10 @@ from pymotion.io.bvh import BVH
 from pymotion.ops import skeleton as oracle
 from scipy.spatial.transform import Rotation
 
-from data_module import kinematics, rotation
-from data_module.bvh import BvhWarning, bvh_text, read_bvh, write_bvh
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER, scaled
+from data_module.motion import kinematics, rotation
+from data_module.motion.bvh import BvhWarning, bvh_text, read_bvh, write_bvh
+from data_module.motion.skeletons import CHARACTER, scaled
 from data_module.types import Array, Motion, Skeleton
 
 ORDERS = ["".join(order) for order in itertools.permutations("XYZ")]

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter1d
 
-from data_module import bvh, kinematics, rotation, skeletons
 from data_module.controls import (
     FEATURES,
     Controls,
@@ -26,7 +25,8 @@ from data_module.controls import (
     read_curve,
 )
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER
+from data_module.motion import bvh, kinematics, rotation, skeletons
+from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Blocks, Motion
 
 SHOULDER = np.array([-0.18, 0.49, -0.035])

@@ -15,12 +15,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module import kinematics, skeletons
-from data_module.audio import load_speech, write_flac
-from data_module.bvh import write_bvh
 from data_module.corpora import CORPORA, DroppedError, Options, Reader, load, open_corpus, split_of, trimmed
 from data_module.corpora.performer import tail_begins
 from data_module.errors import InputError
+from data_module.motion import kinematics, skeletons
+from data_module.motion.bvh import write_bvh
+from data_module.speech.audio import load_speech, write_flac
 from data_module.types import Motion, Speech, Word
 
 RATE = 16000

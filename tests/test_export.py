@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from performances import RATE, perform
 
-from data_module import bvh, rotation
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER, HIP_HEIGHT
+from data_module.motion import bvh, rotation
+from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT
 from data_module.types import Speech
 from gesticulator.export import WRITERS, sound, write
 from gesticulator.export.bvh import standing

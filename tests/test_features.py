@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from data_module.blocks import windows_of
 from data_module.errors import InputError
-from data_module.features import (
+from data_module.speech.features import (
     FRONT_ENDS,
     TYPICAL_LEVEL,
     FrontEnd,
@@ -22,7 +22,7 @@ from data_module.features import (
     front_end,
     reference_level,
 )
-from data_module.speech_encoder import EncoderConfig, SpeechEncoder
+from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.types import Array, Samples
 
 RATE = 16000

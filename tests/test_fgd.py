@@ -15,14 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import sqrtm
 
-from data_module import rotation
 from data_module.errors import InputError
-from data_module.kinematics import positions_of
-from data_module.representation import TED_JOINTS, bone_directions, ted_positions
-from data_module.skeletons import CHARACTER, facing
+from data_module.motion import rotation
+from data_module.motion.kinematics import positions_of
+from data_module.motion.representation import TED_JOINTS, bone_directions, ted_positions
+from data_module.motion.skeletons import CHARACTER, facing
 from data_module.store import Store
 from data_module.types import Array, Motion
-from eval import controls, fgd
+from eval import baselines as controls
+from eval import fgd
 from eval import gesture_features as networks
 from eval.fgd import Gaussian, distance, frechet_distance, gaussian
 from eval.gesture_features import AutoencoderConfig, RawFeatures

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_module.kinematics import positions_of
-from data_module.skeletons import CHARACTER, from_vector
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.store import Store
 from data_module.types import Speech
 from eval import figures

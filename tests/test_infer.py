@@ -16,8 +16,8 @@ import pytest
 import soundfile
 from untrained import PLAIN, untrained
 
-from data_module.bvh import read_bvh
-from data_module.skeletons import JOINTS
+from data_module.motion.bvh import read_bvh
+from data_module.motion.skeletons import JOINTS
 from data_module.types import Speech
 from gesticulator import bundle as bundles
 from gesticulator import infer
@@ -109,9 +109,9 @@ def test_many_recordings_go_to_a_folder(recording: Path, tiny_bundle: Path, tmp_
 
 
 def test_an_hour_streams_through_the_front_end_in_bounded_memory() -> None:
-    from gesticulator import config, hear
+    from gesticulator import config, speech_features
 
-    limit = hear._CHUNK * 3 * config.preset("default").rhythm.frames * 800 * 4
+    limit = speech_features._CHUNK * 3 * config.preset("default").rhythm.frames * 800 * 4
     assert limit < 100e6, "bytes of windows in flight, whatever the length"
 
 

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from untrained import PLAIN, untrained
 
-from data_module import rotation
-from data_module.beats import BeatSettings, find_beats, place_beats
 from data_module.layers import freeze
+from data_module.motion import rotation
+from data_module.speech.beats import BeatSettings, find_beats, place_beats
 from data_module.types import Array, Speech
 from eval.figures import measure
 from generator.model import Generator, GeneratorConfig, GumbelCodes

@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import mean_absolute_error
 
-from data_module import rotation
-from data_module.kinematics import positions_of
-from data_module.skeletons import CHARACTER, facing
+from data_module.motion import rotation
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Array, Motion
-from eval.controls import jittered
+from eval.baselines import jittered
 from eval.joint_error import joint_error, mean_pose_error, motion_error
 
 

@@ -7,8 +7,8 @@ import pytest
 from pymotion.ops import skeleton as oracle
 from scipy.spatial.transform import Rotation
 
-from data_module import kinematics, rotation
-from data_module.skeletons import CHARACTER
+from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Skeleton
 
 ARM = Skeleton(("shoulder", "elbow", "wrist"), (-1, 0, 1), np.array([[0.0, 0, 0], [0.3, 0, 0], [0.25, 0, 0]]))

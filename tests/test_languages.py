@@ -14,7 +14,6 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.audio import write_flac
 from data_module.corpora import Options, Reader, open_corpus
 from data_module.corpora.performer import Script
 from data_module.errors import InputError
@@ -22,6 +21,7 @@ from data_module.performer import espeak, voices
 from data_module.performer.plan import plan
 from data_module.performer.strokes import procedural_strokes
 from data_module.performer.text import compose
+from data_module.speech.audio import write_flac
 from data_module.types import Speech
 from eval import languages
 from eval.figures import Clip

@@ -17,10 +17,10 @@ import pytest
 import torch
 from performances import perform
 
-from data_module import rotation
 from data_module.errors import InputError
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
 from data_module.performer.types import PlayedStroke
-from data_module.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, Truth
 from data_module.types import Blocks, Motion, Speech, Word
 from eval import lexicon_map as maps

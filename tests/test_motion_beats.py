@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data_module import rotation, skeletons
 from data_module.errors import InputError
-from data_module.motion_beats import acting_speed, beats_of_speed, motion_beats
+from data_module.motion import rotation, skeletons
+from data_module.motion.motion_beats import acting_speed, beats_of_speed, motion_beats
 from data_module.types import Array, Motion, Skeleton
 
 BRAKE = (3 + np.sqrt(3)) / 6

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_module import kinematics, rotation
 from data_module.errors import InputError
-from data_module.motion_beats import acting_positions, acting_speed, beats_of_speed
+from data_module.motion import kinematics, rotation
+from data_module.motion.motion_beats import acting_positions, acting_speed, beats_of_speed
 from data_module.performer import meaning
 from data_module.performer.plan import drives, plan, runs_of
 from data_module.performer.play import FPS, monotone_cubic, perform

@@ -185,7 +185,7 @@ def test_stress_stands_out() -> None:
 def test_syllables_are_found_without_being_told(voice: str) -> None:
     spoken = _spoken(voice)
     deaf = replace(spoken.speech, words=None)
-    heard = syllables.hear("x", deaf, "unknown", "xx")
+    heard = syllables.find_syllables("x", deaf, "unknown", "xx")
     truth, found = (np.array([s.vowel for s in x.syllables]) for x in (spoken, heard))
     gaps = np.abs(truth[:, None] - found)
     # Evenly spaced guesses of the same number would score about half of this.
@@ -317,7 +317,7 @@ def test_real_readings_are_heard(outside_data: Path, name: str, language: str) -
     """As many syllables as the text has runs of vowel letters, within a fifth."""
     samples, rate = soundfile.read(outside_data / "speech" / f"{name}.flac", dtype="float32")
     text = (outside_data / "speech" / f"{name}.txt").read_text(encoding="utf-8").lower()
-    heard = syllables.hear(name, Speech(samples, rate), "real", language)
+    heard = syllables.find_syllables(name, Speech(samples, rate), "real", language)
     written = re.sub(r"\b(\w+[^aeiouy\W])es?\b", r"\1", text) if language == "en" else text
     assert len(heard.syllables) == pytest.approx(len(re.findall("[aeiouyäöüáéíóú]+", written)), rel=0.2)
     assert all(b.start - a.end >= 0.25 - 1e-9 for a, b in zip(heard.phrases, heard.phrases[1:], strict=False))

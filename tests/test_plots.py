@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_module.beats import merged
 from data_module.errors import InputError
-from data_module.motion_beats import beats_of_speed
+from data_module.motion.motion_beats import beats_of_speed
+from data_module.speech.beats import merged
 from data_module.types import BeatFlag, Beats, Speech, Word
 from eval import plots, pmb
 from eval.audio_clusters import association

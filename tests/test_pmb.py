@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from data_module import rotation, skeletons
-from data_module.motion_beats import motion_beats
+from data_module.motion import rotation, skeletons
+from data_module.motion.motion_beats import motion_beats
 from data_module.types import Array, Motion
 from eval.pmb import DELTAS, above_chance, chance, delta_curve, matched, pmb
 

@@ -17,7 +17,7 @@ from untrained import PLAIN, untrained
 
 from data_module.errors import InputError
 from data_module.layers import freeze
-from data_module.skeletons import CHARACTER, from_vector
+from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.store import Store
 from data_module.types import Motion
 from eval import gesture_features, policies

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from performances import perform
 
-from data_module import kinematics, rotation
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER
+from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import CHARACTER
 from gesticulator.export import html, write
 from gesticulator.export.bvh import standing
 

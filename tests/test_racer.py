@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_module.bvh import read_bvh
 from data_module.errors import InputError
+from data_module.motion.bvh import read_bvh
 from data_module.store import Store
 from gesticulator import bundle as bundles
 from gesticulator import config as configs

@@ -16,7 +16,6 @@ import published_bvh as published
 import pytest
 import soundfile
 
-from data_module import kinematics, rotation
 from data_module.blocks import cut
 from data_module.build import main
 from data_module.corpora import DroppedError, Imported, Item, Options, Reader, load, open_corpus
@@ -25,7 +24,8 @@ from data_module.corpora.takes import TakeWarning, read_motion
 from data_module.corpora.trinity import SPLIT, read_words
 from data_module.corpora.zeroeggs import HELD_OUT
 from data_module.errors import InputError
-from data_module.skeletons import JOINTS, to_character
+from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import JOINTS, to_character
 from data_module.store import Store
 from data_module.types import Motion, Skeleton, Word
 

@@ -15,16 +15,16 @@ import ted_values
 from published import TAKE, poses_of, ted_value, write_beat, write_beat2, write_ted
 from scipy.spatial.transform import Rotation
 
-from data_module import kinematics, rotation, skeletons, smartbody
 from data_module.build import main
-from data_module.bvh import BvhWarning, read_bvh
 from data_module.corpora import DroppedError, Item, Options, Reader, load, open_corpus, open_strokes
 from data_module.corpora.beat import published_split
 from data_module.corpora.smartbody import SmartBody, clip_name
 from data_module.errors import InputError
+from data_module.motion import kinematics, rotation, skeletons, smartbody
+from data_module.motion.bvh import BvhWarning, read_bvh
+from data_module.motion.skeletons import CHARACTER
+from data_module.motion.smplx import read_smplx
 from data_module.performer.strokes import load_strokes
-from data_module.skeletons import CHARACTER
-from data_module.smplx import read_smplx
 from data_module.store import Store
 
 # ---------------------------------------------------------------------------------------------------- SmartBody
@@ -378,7 +378,7 @@ def test_a_broken_list_of_beat2_is_named(tmp_path: Path, text: str | None, messa
 @pytest.mark.parametrize("version", ["014", "100"])
 def test_what_old_pyarrow_wrote_is_read(version: str) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
-    from data_module.serialised import deserialise
+    from data_module.corpora.serialised import deserialise
 
     video = deserialise(ted_value("VIDEO", version))
     assert (video["vid"], len(video["clips"])) == ("-aB_1", 2)
@@ -397,7 +397,7 @@ def test_what_old_pyarrow_wrote_is_read(version: str) -> None:
 
 def test_nothing_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
-    from data_module.serialised import deserialise
+    from data_module.corpora.serialised import deserialise
 
     monkeypatch.chdir(tmp_path)
     [thing] = deserialise(ted_value("PICKLED", "100"))["clips"]
@@ -408,7 +408,7 @@ def test_nothing_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize("version", ["014", "100"])
 def test_a_value_cut_short_is_refused(version: str) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
-    from data_module.serialised import deserialise
+    from data_module.corpora.serialised import deserialise
 
     data = ted_value("VIDEO", version)
     for length in (0, 7, 16, 200, len(data) // 3, len(data) // 2, len(data) - 4000):

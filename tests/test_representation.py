@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from data_module import kinematics, rotation, skeletons
 from data_module.blocks import denormalise, first_pose, normalise_motion
-from data_module.bvh import BvhWarning, read_bvh
-from data_module.representation import (
+from data_module.motion import kinematics, rotation, skeletons
+from data_module.motion.bvh import BvhWarning, read_bvh
+from data_module.motion.representation import (
     POSITIONS,
     REPRESENTATIONS,
     ROTATIONS,
@@ -28,7 +28,7 @@ from data_module.representation import (
     rotations_from_positions,
     ted_positions,
 )
-from data_module.skeletons import CHARACTER, JOINTS
+from data_module.motion.skeletons import CHARACTER, JOINTS
 from data_module.types import Array, Blocks, Motion
 
 NOSE_TO_CROWN = TED_BONES.index((TED_JOINTS.index("nose"), TED_JOINTS.index("head")))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation, Slerp
 
-from data_module import rotation
+from data_module.motion import rotation
 from data_module.types import Array
 
 ORDERS = ["".join(order) for order in itertools.permutations("XYZ")]

@@ -14,20 +14,20 @@ import numpy as np
 import pytest
 import soundfile
 
-from data_module import rotation
-from data_module.bvh import write_bvh
 from data_module.errors import InputError
-from data_module.kinematics import global_rotations, local_rotations, positions_of
-from data_module.representation import TED_JOINTS, bone_directions, ted_positions
-from data_module.skeletons import CHARACTER, NAME_TABLES, facing
-from data_module.smplx import SKELETON as SMPLX
+from data_module.motion import rotation
+from data_module.motion.bvh import write_bvh
+from data_module.motion.kinematics import global_rotations, local_rotations, positions_of
+from data_module.motion.representation import TED_JOINTS, bone_directions, ted_positions
+from data_module.motion.skeletons import CHARACTER, NAME_TABLES, facing
+from data_module.motion.smplx import SKELETON as SMPLX
 from data_module.store import Store
 from data_module.types import Motion, Speech
 from eval import fgd, foreign, score
 from eval.__main__ import main as door
+from eval.baselines import jittered
 from eval.bootstrap import Interval
 from eval.clip_scores import Spoken, Told, told
-from eval.controls import jittered
 from eval.diversity import diversity, motion_variance
 from eval.foreign import Clip, read_motion
 from eval.gesture_features import RawFeatures

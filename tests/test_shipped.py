@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_module.audio import load_speech
+from data_module.speech.audio import load_speech
 from eval import figures
 from gesticulator import bundle as bundles
 from gesticulator.performance import Performance

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from data_module.silence import (
+from data_module.speech.silence import (
     FRAME,
     LOOK_AHEAD,
     SHORTEST_PAUSE,

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from data_module import kinematics, rotation, skeletons
-from data_module.bvh import BvhWarning, read_bvh
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER, JOINTS, NAME_TABLES, REQUIRED, find_table, to_character
+from data_module.motion import kinematics, rotation, skeletons
+from data_module.motion.bvh import BvhWarning, read_bvh
+from data_module.motion.skeletons import CHARACTER, JOINTS, NAME_TABLES, REQUIRED, find_table, to_character
 from data_module.types import Array, Motion, Skeleton
 
 ARM_BONES = [(f"{side}{bone}", f"{side}{tip}") for side in ("Left", "Right")

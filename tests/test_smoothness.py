@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import jensenshannon
 from scipy.stats import norm
 
-from data_module import rotation
-from data_module.skeletons import CHARACTER
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
 from eval import smoothness
-from eval.controls import jittered, reversed_in_time
+from eval.baselines import jittered, reversed_in_time
 from eval.smoothness import BIN, BINS, derivative, hand_speeds, hellinger, motion_smoothness, speed_histogram
 
 

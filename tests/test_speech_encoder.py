@@ -16,7 +16,7 @@ from scipy.special import erf, logsumexp
 from torch import Tensor, nn
 
 from data_module.errors import InputError
-from data_module.speech_encoder import (
+from data_module.speech.speech_encoder import (
     LEVELS,
     EncoderConfig,
     PredictiveCoding,

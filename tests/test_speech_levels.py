@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
-from data_module.speech_encoder import EncoderConfig, SpeechEncoder
+from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.store import RecordingInfo, Store
 from data_module.types import Array
 from eval import audio_clusters, speech_levels
@@ -264,11 +264,11 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     torch.manual_seed(1)
     encoder = SpeechEncoder(EncoderConfig(width=4)).eval()
     heard = speech_levels.listen(recording, config, {"": encoder})
-    from data_module.features import front_end
-    from gesticulator.hear import hear
+    from data_module.speech.features import front_end
+    from gesticulator.speech_features import encode_speech
 
     front = front_end("vqwav2vec", bands=32, frames=30, samples_per_frame=800, sample_rate=16000, encoder=encoder)
-    usual = hear(recording.speech, config, front)
+    usual = encode_speech(recording.speech, config, front)
     assert np.array_equal(heard.silent, usual.blocks.silent)
     for row, level in (("level 2", usual.low), ("level 8", usual.high)):
         assert np.allclose(heard.features[row], level[:, 10:20, :4], atol=5e-3)

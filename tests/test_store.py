@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from data_module import store as stores
 from data_module.errors import InputError
+from data_module.motion.skeletons import CHARACTER
 from data_module.performer.types import Phrase, PlayedStroke, Syllable
-from data_module.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter, Truth
 from data_module.types import Motion, Speech, Word
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from performances import perform
 
-from data_module import bvh, kinematics
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER, HIP_HEIGHT, facing
+from data_module.motion import bvh, kinematics
+from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, facing
 from eval import strips
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")

@@ -18,8 +18,8 @@ from performances import perform
 from scipy import stats
 from test_preview import browser  # noqa: F401 - the headless Chromium of the preview's tests
 
-from data_module import bvh
 from data_module.errors import InputError
+from data_module.motion import bvh
 from data_module.types import Array, Speech
 from eval import anova, strips, study
 from eval.anova import Key

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_module import rotation
 from data_module.controls import FEATURES, LEVELS, Controls, Levels
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter
 from data_module.types import Motion, Speech, Word
 from eval import style_editing

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module import text
-from data_module.audio import load_speech
 from data_module.errors import InputError
+from data_module.speech.audio import load_speech
+from data_module.text import alignment as text
 from data_module.types import Speech
 
 RATE = 16000

@@ -15,10 +15,10 @@ import soundfile
 import torch
 from safetensors.torch import load_file
 
-from data_module.bvh import read_bvh
 from data_module.errors import InputError
-from data_module.kinematics import positions_of
-from data_module.skeletons import from_vector
+from data_module.motion.bvh import read_bvh
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import from_vector
 from data_module.store import Store
 from gesticulator import bundle as bundles
 from gesticulator import config as configs

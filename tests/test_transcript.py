@@ -12,10 +12,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from data_module import text
-from data_module.audio import load_speech
 from data_module.errors import InputError
-from data_module.transcript import Transcript, read_transcript, with_transcript
+from data_module.speech.audio import load_speech
+from data_module.text import alignment as text
+from data_module.text.transcript import Transcript, read_transcript, with_transcript
 from data_module.types import Speech, Word
 
 RATE = 16000

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from data_module.speech_encoder import PredictiveCoding, SpeechEncoder
+from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder
 from data_module.store import Store
 from eval import two_languages
 from gesticulator import config as configs

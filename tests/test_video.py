@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import soundfile
 
-from data_module import bvh, rotation
 from data_module.errors import InputError
-from data_module.skeletons import CHARACTER
+from data_module.motion import bvh, rotation
+from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Speech
 from eval import strips, video
 

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module import word_vectors
 from data_module.errors import InputError
+from data_module.text import word_vectors
+from data_module.text.word_vectors import WordEncoder, sentences, text_rows, word_frames
 from data_module.types import Blocks, Word
-from data_module.word_vectors import WordEncoder, sentences, text_rows, word_frames
 
 
 def _words(text: str, start: float = 0.0, step: float = 0.3) -> list[Word]:

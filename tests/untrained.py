@@ -8,14 +8,14 @@ import numpy as np
 import torch
 
 from data_module.controls import Levels
-from data_module.features import Normaliser
 from data_module.layers import freeze
-from data_module.speech_encoder import SpeechEncoder
+from data_module.speech.features import Normaliser
+from data_module.speech.speech_encoder import SpeechEncoder
 from generator.model import Generator
 from gesticulator.bundle import Bundle, TextSource
 from gesticulator.config import Config, preset, with_settings
-from gesticulator.hear import front_end_for
 from gesticulator.prepare import CONTROL_WIDTH, Statistics, representation_of
+from gesticulator.speech_features import front_end_for
 from gesticulator.train import Run
 from interpreters.cql import QNetwork
 from interpreters.gate import ActivityGate

@@ -17,12 +17,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from data_module.audio import load_speech
 from data_module.corpora import DroppedError, Imported, Item, Options
 from data_module.corpora.beat import NAME, info_of
 from data_module.corpora.takes import with_text
 from data_module.errors import InputError
-from data_module.smplx import read_smplx
+from data_module.motion.smplx import read_smplx
+from data_module.speech.audio import load_speech
 from data_module.store import Split
 
 _LIST = "train_test_split.csv"

@@ -14,13 +14,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from data_module.audio import load_speech
-from data_module.bvh import bvh_text
 from data_module.corpora import DroppedError, Imported, Item, Options, split_of
 from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError
 from data_module.files import write_text
+from data_module.motion.bvh import bvh_text
 from data_module.performer.types import Phrase, PlayedStroke, Syllable
+from data_module.speech.audio import load_speech
 from data_module.store import Recording, RecordingInfo, Truth
 from data_module.types import Speech, Word
 

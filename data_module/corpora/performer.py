@@ -217,9 +217,9 @@ class Performer:
 
     def _heard(self, item: Item) -> Spoken:
         """A real reading as the performer hears it: English with its words, other languages by prominence alone."""
-        from data_module import text as transcripts
-        from data_module.audio import load_speech
-        from data_module.performer.syllables import hear
+        from data_module.performer.syllables import find_syllables
+        from data_module.speech.audio import load_speech
+        from data_module.text import alignment as transcripts
 
         assert self._source is not None
         reading: Reading = item.content
@@ -231,7 +231,7 @@ class Performer:
         if item.info.language == "en":
             transcript = (self._source / "speech" / f"{reading.stem}.txt").read_text(encoding="utf-8")
             speech = replace(speech, words=transcripts.align(speech, transcript))
-        return hear(item.info.name, speech, item.info.voice, item.info.language)
+        return find_syllables(item.info.name, speech, item.info.voice, item.info.language)
 
 
 def tail_begins(samples: np.ndarray, sample_rate: int) -> int:

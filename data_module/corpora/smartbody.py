@@ -21,11 +21,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from data_module import skeletons, smartbody
-from data_module.bvh import CENTIMETRES, bvh_text
 from data_module.corpora import Options
 from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
+from data_module.motion import skeletons, smartbody
+from data_module.motion.bvh import CENTIMETRES, bvh_text
 
 COLUMNS = ("file", "speaker", "posture", "lexeme", "hand", "frames", *smartbody.SYNC_TIMES)
 _FOLDERS = {"Gestures": "brad", "Gestures2": "brad2", "FemaleGestures": "connor", "MaleGestures": "garza"}

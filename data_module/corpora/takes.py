@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from data_module import skeletons
-from data_module.audio import load_speech
-from data_module.bvh import CENTIMETRES, BvhWarning, read_bvh
 from data_module.corpora import DroppedError, Imported, Options
 from data_module.errors import InputError
+from data_module.motion import skeletons
+from data_module.motion.bvh import CENTIMETRES, BvhWarning, read_bvh
+from data_module.speech.audio import load_speech
 from data_module.store import RecordingInfo
 from data_module.types import Motion, Speech, Word
 
@@ -131,7 +131,7 @@ def read_motion(path: Path, options: Options, published: float | None = None) ->
 
 def with_text(speech: Speech, text: Path) -> tuple[Speech, str]:
     """The speech with the words of a text beside it, and how they got their times: given, heard or guessed."""
-    from data_module import transcript
+    from data_module.text import transcript
 
     speech, timing = transcript.with_transcript(speech, transcript.read_transcript(text, speech))
     return speech, timing.how

@@ -6,7 +6,7 @@ database is a video: its name and its clips, each with `skeletons_3d` [T, 10, 3]
 samples that others cut from them, and at the video's own frame rate, as everything here. Positions become rotations
 of the 16-joint character; only directions of bones count.
 
-Nothing in it is unpickled (see `data_module.serialised`).
+Nothing in it is unpickled (see `data_module.corpora.serialised`).
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from data_module import serialised
-from data_module.corpora import DroppedError, Item, Options
+from data_module.corpora import DroppedError, Item, Options, serialised
 from data_module.errors import InputError
-from data_module.representation import rotations_from_positions
+from data_module.motion.representation import rotations_from_positions
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
 from data_module.types import Array, Motion, Speech, Word
 

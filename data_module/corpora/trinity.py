@@ -18,10 +18,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.bvh import CENTIMETRES
 from data_module.corpora import DroppedError, Imported, Item, Options
 from data_module.corpora.takes import find_takes, read_take
 from data_module.errors import InputError
+from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 from data_module.types import Word
 

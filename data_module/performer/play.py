@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from data_module import rotation
-from data_module.motion_beats import acting_speed, beats_of_speed
+from data_module.motion import rotation
+from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
 from data_module.performer.plan import BRAKE, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_module import kinematics, rotation
+from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT
 from data_module.performer.strokes import (
     LEFT,
     RIGHT,
@@ -20,7 +21,6 @@ from data_module.performer.strokes import (
     stroke_times,
     trunk_joints,
 )
-from data_module.skeletons import CHARACTER, HIP_HEIGHT
 from data_module.types import Array
 
 PERFORMER = "puppet"

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from data_module import kinematics, rotation
-from data_module.bvh import read_bvh
 from data_module.errors import InputError
+from data_module.motion import kinematics, rotation
+from data_module.motion.bvh import read_bvh
 from data_module.types import Array, Skeleton
 
 LEFT, RIGHT = 0, 1

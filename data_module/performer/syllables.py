@@ -69,7 +69,7 @@ def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] 
                  for p, a, b, c in zip(places, loud, high, score, strict=True))
 
 
-def hear(name: str, speech: Speech, voice: str, language: str) -> Spoken:
+def find_syllables(name: str, speech: Speech, voice: str, language: str) -> Spoken:
     """A recording of a real voice, with everything found in its signal (and in its words, where it has them)."""
     phrases = find_phrases(speech)
     return Spoken(name, speech, listen(speech, phrases, language=language), phrases, voice, language)

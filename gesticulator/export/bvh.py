@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module import bvh
-from data_module.skeletons import HIP_HEIGHT
+from data_module.motion import bvh
+from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Motion
 from gesticulator.performance import Performance
 

@@ -17,10 +17,10 @@ from typing import Literal
 
 import numpy as np
 
-from data_module import text as aligner
-from data_module import transcript_formats as formats
 from data_module.errors import InputError
-from data_module.transcript_formats import Content, Entry
+from data_module.text import alignment as aligner
+from data_module.text import transcript_formats as formats
+from data_module.text.transcript_formats import Content, Entry
 from data_module.types import Speech, Word
 
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module import kinematics, skeletons
 from data_module.errors import InputError
+from data_module.motion import kinematics, skeletons
 from data_module.types import Array, Motion
 
 MODES = ("A", "B")

@@ -18,8 +18,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.features import Features, Levels, MelFrontEnd, scaled_windows
-from data_module.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder
+from data_module.speech.features import Features, Levels, MelFrontEnd, scaled_windows
+from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder
 from data_module.types import Array, Samples
 
 _EARLY, _LATE = 1, 0.75  # hidden layers of a transformer: the first, and three quarters up
@@ -49,7 +49,7 @@ class LearnedFrontEnd:
         return self.widths[1] + _LEVEL_COLUMNS
 
     def encode(self, windows: Samples, reference: Array | None = None) -> Levels:
-        """See `data_module.features.FrontEnd.encode`."""
+        """See `data_module.speech.features.FrontEnd.encode`."""
         mel, count = self.mel, len(windows)
         low, high = (np.empty((count, mel.frames, width), np.float32) for width in (self.width_low, self.width_high))
         for part, scaled in scaled_windows(windows, reference, mel.frames * mel.samples_per_frame, self.batch):

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import blocks as block_module
-from data_module.audio import SAMPLE_RATE
-from data_module.features import FrontEnd, front_end, reference_level
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.features import FrontEnd, front_end, reference_level
+from data_module.text.word_vectors import word_frames
 from data_module.types import Array, Blocks, Samples, Speech
-from data_module.word_vectors import word_frames
 from gesticulator.config import Config
 
 if TYPE_CHECKING:
-    from data_module.speech_encoder import SpeechEncoder
-    from data_module.word_vectors import WordEncoder
+    from data_module.speech.speech_encoder import SpeechEncoder
+    from data_module.text.word_vectors import WordEncoder
 
 _CHUNK = 256
 """Blocks encoded at a time, which bounds the memory for an hour of speech."""
@@ -29,7 +29,7 @@ Features = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Heard:
+class SpeechFeatures:
     """blocks: N of them. low, high: [N, 3K, d + 1] features of the block before, the block and the block after; the
     last column is the logarithm of each block's duration over the longest allowed (time-scaling hides the tempo).
     text: [N, 3K, d_t + 1] word vectors on the same windows, the last column the flag of the empty word; None in the
@@ -99,7 +99,8 @@ def _stretched(speech: Speech, blocks: Blocks) -> Iterator[tuple[slice, Samples]
         yield slice(start, stop), block_module.windows_of(stretched)[start - first:stop - first]
 
 
-def hear(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None) -> Heard:
+def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None
+                  ) -> SpeechFeatures:
     """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too."""
     front = front or front_end_for(config)
     blocks = block_module.cut(speech, config.rhythm)
@@ -109,7 +110,7 @@ def hear(speech: Speech, config: Config, front: FrontEnd | None = None, words: W
     if words is not None and speech.words is not None:
         table = word_table(words.encode(speech.words), words.width)
         text = table[three_blocks(word_frames(speech.words, blocks, config.text.bridge) + 1, np.zeros(()))]
-    return Heard(blocks, low, high, text)
+    return SpeechFeatures(blocks, low, high, text)
 
 
 def word_table(vectors: NDArray[np.floating], width: int) -> Features:

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from data_module.audio import SAMPLE_RATE
 from data_module.blocks import stretch_speech, windows_of
-from data_module.features import reference_level
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.features import reference_level
 from data_module.store import Store
+from data_module.text.word_vectors import WordEncoder
 from data_module.types import Speech, Word
-from data_module.word_vectors import WordEncoder
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
-from gesticulator import hear as hearing
-from gesticulator.hear import encode, front_end_for, hear, tempo_column, three_blocks, word_table
+from gesticulator import speech_features as hearing
 from gesticulator.prepare import Corpus, prepare
+from gesticulator.speech_features import encode, encode_speech, front_end_for, tempo_column, three_blocks, word_table
 
 WORDS = (Word("one", 0.5, 1.0), Word("two", 1.1, 1.5), Word("", 1.5, 2.2), Word("three", 2.2, 2.9))
 
@@ -70,7 +70,7 @@ def test_the_tempo_column_is_the_logarithm_of_each_blocks_own_duration() -> None
 def test_words_sit_on_the_frames_at_which_they_sound() -> None:
     config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
     speech = Speech(babble(3.3), SAMPLE_RATE, WORDS)
-    heard = hear(speech, config, words=Numbers())  # type: ignore[arg-type]
+    heard = encode_speech(speech, config, words=Numbers())  # type: ignore[arg-type]
     blocks, frames = heard.blocks, config.rhythm.frames
     assert heard.text is not None and heard.text.shape == (len(blocks), 3 * frames, 3)
     # One and two are 0.1 s apart, which is bridged; after two there is a silence that the transcript names.
@@ -92,17 +92,17 @@ def test_words_sit_on_the_frames_at_which_they_sound() -> None:
 
 def test_without_words_or_without_an_encoder_there_is_no_text() -> None:
     config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
-    assert hear(Speech(babble(1.0), SAMPLE_RATE, WORDS[:1]), config).text is None
-    assert hear(Speech(babble(1.0), SAMPLE_RATE), config, words=Numbers()).text is None  # type: ignore[arg-type]
+    assert encode_speech(Speech(babble(1.0), SAMPLE_RATE, WORDS[:1]), config).text is None
+    assert encode_speech(Speech(babble(1.0), SAMPLE_RATE), config, words=Numbers()).text is None  # type: ignore[arg-type]
 
 
 def test_a_long_recording_heard_in_pieces_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
     speech = Speech(babble(9.0), SAMPLE_RATE)
-    whole = hear(speech, config)
+    whole = encode_speech(speech, config)
     for size in (1, 4, len(whole.blocks) - 1):
         monkeypatch.setattr(hearing, "_CHUNK", size)
-        np.testing.assert_allclose(hear(speech, config).low, whole.low, atol=1e-4)
+        np.testing.assert_allclose(encode_speech(speech, config).low, whole.low, atol=1e-4)
     # And both are what the front end makes of all windows at once.
     stretched = stretch_speech(speech, whole.blocks)
     reference = reference_level(speech.samples, SAMPLE_RATE, whole.blocks.edges)
@@ -119,7 +119,7 @@ def test_in_use_a_bundle_hears_what_it_was_trained_on(prepared: tuple[bundles.Bu
     words = WordEncoder.open(bundle.config.text.encoder)
     for recording in (0, 7):
         speech = store.load(corpus.names[recording]).speech
-        heard = hear(speech, bundle.config, front, words)
+        heard = encode_speech(speech, bundle.config, front, words)
         own = corpus.blocks_of(recording)
         np.testing.assert_array_equal(heard.blocks.silent, corpus.silent[own])
         for level, cached, normaliser in ((heard.low, corpus.low, bundle.statistics.low),

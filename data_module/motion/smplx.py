@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module import rotation
 from data_module.errors import InputError
+from data_module.motion import rotation
 from data_module.types import Motion, Skeleton
 
 # Name, parent, offset in metres: the first 22 of SMPL-X's 55 joints, in its order.

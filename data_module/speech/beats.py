@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.silence import FRAME, silent_frames
+from data_module.speech.silence import FRAME, silent_frames
 from data_module.types import Array, BeatFlag, Beats, Samples, Speech
 
 RULES = ("bounded", "paper", "even")

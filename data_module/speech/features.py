@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.silence import FRAME, frame_levels, silent_frames
+from data_module.speech.silence import FRAME, frame_levels, silent_frames
 from data_module.types import Array, Samples
 
 if TYPE_CHECKING:
-    from data_module.speech_encoder import SpeechEncoder
+    from data_module.speech.speech_encoder import SpeechEncoder
 
 Features = NDArray[np.float32]
 
@@ -207,7 +207,7 @@ def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:
     return out
 
 def _vqwav2vec(encoder: SpeechEncoder | None = None, layers: Sequence[int] | None = None, **size: int) -> FrontEnd:
-    from data_module.learned_features import encoder_front_end
+    from data_module.speech.learned_features import encoder_front_end
 
     if encoder is None:
         raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
@@ -235,10 +235,10 @@ def front_end(name: str, *, bands: int, frames: int, samples_per_frame: int, sam
     if not where or kind not in ("fairseq", "hf"):
         raise InputError("front end", f"there is no {name!r}",
                          f"choose from {', '.join(FRONT_ENDS)}, fairseq:PATH, hf:NAME_OR_FOLDER")
-    from data_module.learned_features import encoder_front_end, transformers_front_end
+    from data_module.speech.learned_features import encoder_front_end, transformers_front_end
 
     if kind == "hf":
         return transformers_front_end(where, MelFrontEnd(**size), layers)
-    from data_module.speech_encoder import load_fairseq
+    from data_module.speech.speech_encoder import load_fairseq
 
     return encoder_front_end(load_fairseq(where), MelFrontEnd(**size), layers, name=name)

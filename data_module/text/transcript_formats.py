@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.text import written_words
+from data_module.text.alignment import written_words
 
 SILENCES = frozenset({"", "sp", "sil", "<eps>", "<sil>", "<p>", "<p:>"})
 """What aligners write into an interval in which nobody speaks."""

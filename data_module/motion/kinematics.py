@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_module import rotation
+from data_module.motion import rotation
 from data_module.types import Array, Motion, Skeleton
 
 

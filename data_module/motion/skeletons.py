@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_module import kinematics, rotation
 from data_module.errors import InputError
+from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
 # Name, parent, offset in metres at rest: a standing adult with level arms (T-pose) and a 25 cm forearm.

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from data_module import kinematics, rotation, skeletons
-from data_module.skeletons import CHARACTER
+from data_module.motion import kinematics, rotation, skeletons
+from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
 
 

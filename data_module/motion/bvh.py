@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module import rotation, skeletons
 from data_module.errors import InputError
 from data_module.files import write_text
+from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion, Skeleton
 
 _AXES = {"Xrotation": "X", "Yrotation": "Y", "Zrotation": "Z"}

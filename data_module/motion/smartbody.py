@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module import kinematics, rotation
 from data_module.errors import InputError
+from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
 FPS = 30.0

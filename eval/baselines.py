@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module import kinematics, rotation
+from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
 JITTER = 0.02

@@ -1,0 +1,1 @@
+"""Motion: formats, rotations, skeletons, representations, and when a motion has its beats."""

@@ -1,0 +1,1 @@
+"""What was said: transcripts, their alignment with the sound, and word vectors."""
