@@ -35,7 +35,7 @@ from data_module.speech.silence import FRAME, frame_levels
 from data_module.store import SPLITS, Recording, Store
 from data_module.types import Array, Speech
 from eval.bootstrap import Interval, interval
-from eval.lexicon_map import block_of_frames, evenly, hand_speed, read_blocks
+from eval.draw.lexicon_map import block_of_frames, evenly, hand_speed, read_blocks
 from eval.results import publish
 from gesticulator.bundle import Bundle
 from gesticulator.pipeline import Gesticulator

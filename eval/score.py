@@ -37,7 +37,6 @@ from data_module.motion.kinematics import resample
 from data_module.store import SPLITS, Store
 from data_module.types import Array, Motion, Speech
 from eval import baselines as controls
-from eval import fgd, pmb
 from eval.bootstrap import Interval, interval
 from eval.clip_scores import (
     LEXEME_METRICS,
@@ -56,10 +55,11 @@ from eval.clip_scores import (
     told,
 )
 from eval.foreign import Clip, names_in, read_folder
-from eval.gesture_features import FPS, Features, RawFeatures, as_features, load, pooled, published
-from eval.mismatch import matrix, mismatch
+from eval.metrics import fgd, pmb
+from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_features, load, pooled, published
+from eval.metrics.mismatch import matrix, mismatch
+from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.results import keep
-from eval.smoothness import hand_speeds, hellinger, speed_histogram
 
 TRUTH, FLOOR, STILL = "truth", "truth, half against half", "mean pose, held"
 NO_FLOOR = "a floor is of distances between sets"

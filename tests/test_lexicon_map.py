@@ -23,7 +23,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.performer.types import PlayedStroke
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, Truth
 from data_module.types import Blocks, Motion, Speech, Word
-from eval import lexicon_map as maps
+from eval.draw import lexicon_map as maps
 from gesticulator import bundle as bundles
 from gesticulator import silent
 

@@ -1,4 +1,4 @@
-"""`python -m eval.lexicon_map --bundle DIR --data STORE --out FOLDER`: what is in the lexicon, for the eye (RG Fig. 6).
+"""What is in the lexicon, for the eye (RG Fig. 6): `eval.draw.lexicon_map --bundle DIR --data STORE --out FOLDER`.
 
 `latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents E(M) of blocks, coloured by
 lexeme. What fools it: t-SNE tears and clumps; only who is near whom means anything, so the share of nearest neighbours
@@ -40,7 +40,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import facing
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.types import Array, Blocks, Motion
-from eval.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
+from eval.draw.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
 from gesticulator.prepare import representation_of
@@ -499,7 +499,7 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point."""
-    p = argparse.ArgumentParser("eval.lexicon_map", description="The lexicon for the eye: t-SNE and a contact sheet.")
+    p = argparse.ArgumentParser("eval.draw.lexicon_map", description="The lexicon: t-SNE and a contact sheet.")
     p.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
     p.add_argument("--data", required=True, metavar="STORE")
     p.add_argument("--out", required=True, type=Path, metavar="FOLDER")
@@ -507,7 +507,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     p.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
     p.add_argument("--points", type=int, default=4000, metavar="N", help="blocks in the t-SNE (4000)")
     arguments = p.parse_args(argv)
-    with one_line_errors("eval.lexicon_map"):
+    with one_line_errors("eval.draw.lexicon_map"):
         torch.set_num_threads(1)
         if arguments.points < 10:
             raise InputError("--points", "must be 10 or more")

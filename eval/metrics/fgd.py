@@ -1,6 +1,6 @@
 """FGD, the Frechet gesture distance: do generated gestures look, as a set, like a speaker's? (RG 7.3.2, RACER Eq. 13)
 
-Theory: windows of motion become features (`eval.gesture_features`); both sets of features are taken for Gaussians, and
+Theory: windows of motion become features (`gesture_features`); both sets of features are taken for Gaussians, and
 
     FGD = ||m1 - m2||^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2))          (RACER Eq. 13)
 
@@ -33,7 +33,7 @@ import numpy as np
 
 from data_module.types import Array, Motion
 from eval.bootstrap import Interval
-from eval.gesture_features import Features, pooled
+from eval.metrics.gesture_features import Features, pooled
 
 ENOUGH = 5
 """Windows for each feature, at least: "several times 32" for 32 features."""

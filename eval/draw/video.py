@@ -1,6 +1,6 @@
 """A motion and its sound as a video file, for user studies and talks (RG 7.3.3, RACER 5.4: raters watch videos).
 
-    python -m eval.video MOTION.bvh --sound speech.wav [--start 2] [--seconds 10] [--out clip.mp4]
+    python -m eval.draw.video MOTION.bvh --sound speech.wav [--start 2] [--seconds 10] [--out clip.mp4]
 
 The suffix picks the format: .mp4 (H.264 and AAC) or .webm (VP9 and Opus). Every motion is drawn as the user study's
 page draws it: one body, one place to stand, one camera, no text, so that a picture tells nothing but the movement.
@@ -33,7 +33,7 @@ from data_module.files import write_bytes
 from data_module.motion import bvh
 from data_module.speech.audio import load_speech
 from data_module.types import Array, Motion, Samples, Speech
-from eval.strips import FLOOR, HAIR, INK, NOSE, SHIRT, SKIN, TROUSERS, figure_points
+from eval.draw.strips import FLOOR, HAIR, INK, NOSE, SHIRT, SKIN, TROUSERS, figure_points
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -423,7 +423,7 @@ def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: floa
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command: BVH and sound in, a video out; bad input is one line and exit code 2."""
-    parser = argparse.ArgumentParser(prog="python -m eval.video", description="A motion and its sound as a video.")
+    parser = argparse.ArgumentParser(prog="python -m eval.draw.video", description="A motion and its sound as a video.")
     parser.add_argument("motion", type=Path, help="a BVH file of an upper body")
     parser.add_argument("--sound", type=Path, required=True, help="the recording that belongs to it")
     parser.add_argument("--out", type=Path, help="the video, .mp4 or .webm (.mp4 beside the motion when not told)")

@@ -35,7 +35,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eval.diversity import Labels, checked_labels
+from eval.metrics.diversity import Labels, checked_labels
 
 _NO_BLOCK = "there is no block"
 

@@ -4,7 +4,7 @@ A strip shows what a number hides: a soldier's return to rest, an elbow behind t
 clip twice. Each figure is drawn at its own time on one shared floor, with the path of both hands since the figure
 before it; underneath, where they are given, the waveform and its beats on the same time axis.
 
-    python -m eval.strips MOTION.bvh [--out strip.png] [--start 2] [--seconds 4] [--frames 8] [--sound speech.wav]
+    python -m eval.draw.strips MOTION.bvh [--out strip.png] [--start 2] [--seconds 4] [--frames 8] [--sound speech.wav]
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def save_strip(figure: Figure, path: str | Path) -> None:
     kind = target.suffix.lstrip(".").lower()
     if kind not in _UNSAID:
         raise InputError(target, f"'{target.suffix}' is no picture format", "use .png, .svg or .pdf")
-    with rc_context({"svg.hashsalt": "eval.plots", "svg.fonttype": "path"}):
+    with rc_context({"svg.hashsalt": "eval.draw.plots", "svg.fonttype": "path"}):
         figure.savefig(out, format=kind, dpi=150, metadata=_UNSAID[kind])
     write_bytes(target, out.getvalue())
 
@@ -300,7 +300,7 @@ def _draw_sound(axis: Axes, speech: Speech, beats: Beats | None, times: Array) -
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command: a BVH file in, a picture out; bad input is one line and exit code 2."""
-    parser = argparse.ArgumentParser(prog="python -m eval.strips", description="A motion as a row of still figures.")
+    parser = argparse.ArgumentParser(prog="python -m eval.draw.strips", description="A motion as still figures.")
     parser.add_argument("motion", type=Path, help="a BVH file of an upper body")
     parser.add_argument("--out", type=Path, help="the picture, .png, .svg or .pdf (beside the motion when not told)")
     parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")

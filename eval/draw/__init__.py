@@ -1,0 +1,1 @@
+"""Pictures and films: of motion, of a lexicon, of what was measured."""
