@@ -22,6 +22,12 @@ What fools it:
   number, but not one to print. `Figure.reason` then says so.
 - Window length. One system gets 194, 171 and 36 at windows of 30, 60 and 90 frames, so no length alone will do:
   `report` asks for two at least, and prints network, length, rate and hash beside each figure.
+
+Two sets of features, one moved by (3, 4):
+
+    >>> features = np.random.default_rng(0).normal(size=(50, 2))
+    >>> round(distance(features, features), 6), round(distance(features, features + [3.0, 4.0]), 6)
+    (0.0, 25.0)
 """
 
 from __future__ import annotations
