@@ -43,7 +43,7 @@ from data_module.types import Array, Samples
 from eval import audio_clusters
 from eval.bootstrap import interval
 from eval.lexicon_map import evenly, read_blocks
-from eval.probes import Judged, Spoken, grouped, probe_frames, probe_words, tokens_of
+from eval.linear_probes import Judged, Spoken, grouped, probe_frames, probe_words, tokens_of
 from eval.results import publish
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
