@@ -48,7 +48,6 @@ from eval.metrics import fgd, pmb
 from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import diversity, motion_variance
 from eval.results import dumped
-from eval.score import mean_pose
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator.config import Config
@@ -361,7 +360,7 @@ def moved(bench: Bench, name: str, split: str, place: Kept) -> dict[str, Any] | 
     recordings, rhythm = [bench.loaded(number) for number in bench.recordings(split)], bench.first.config.rhythm
     own = [recording.motion for recording in recordings]
     if name == STILL:
-        own = mean_pose(own)
+        own = controls.mean_pose(own)
     elif name in controls.CONTROLS:
         groups = [recording.info.group or recording.info.name for recording in recordings]
         try:

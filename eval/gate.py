@@ -253,9 +253,11 @@ def play(system: Gesticulator, recording: Recording, activity: float) -> Played:
 
 def performed(bundle: Bundle, recording: Recording) -> Played:
     """The performer's own motion, whose still blocks count as closed."""
-    read = encode_motion(bundle, recording.motion, cut(recording.speech, bundle.config.rhythm), recording.info.speaker)
+    blocks = cut(recording.speech, bundle.config.rhythm)
+    read = encode_motion(bundle, recording.motion, blocks, recording.info.speaker)
     gesturing = ~np.isin(read.labels, bundle.silent)
-    return Played(read.blocks.edges, gesturing, ~gesturing, hand_speeds(recording.motion).mean(axis=1), recording.motion.fps)
+    return Played(read.blocks.edges, gesturing, ~gesturing, hand_speeds(recording.motion).mean(axis=1),
+                  recording.motion.fps)
 
 
 # ---------------------------------------------------------------------------------------------------- report

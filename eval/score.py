@@ -177,17 +177,6 @@ def _cropped(speech: Speech, begin: float, end: float) -> Speech:
     return replace(speech, samples=speech.samples[first:last], words=None)
 
 
-def mean_pose(clips: Sequence[Motion]) -> list[Motion]:
-    """Each clip held still in its mean pose (the rotation nearest to all of a joint's)."""
-    out = []
-    for clip in clips:
-        outer = np.einsum("tji,tjk->jik", clip.rotations, clip.rotations)
-        turns = np.linalg.eigh(outer)[1][..., -1]
-        out.append(replace(clip, rotations=np.tile(turns, (len(clip), 1, 1)),
-                           root_positions=np.tile(clip.root_positions.mean(axis=0), (len(clip), 1))))
-    return out
-
-
 # ------------------------------------------------------------------------------------------------------------ rows
 
 @dataclass
@@ -309,7 +298,7 @@ def mean_variance(counts: Array, sums: Array, squares: Array) -> float:
 
 def control_rows(ground: Ground, seed: int) -> tuple[dict[str, list[Motion]], list[str]]:
     """Each control's motions, and why one could not be made."""
-    made, notes = {STILL: mean_pose(ground.motions[TRUTH])}, []
+    made, notes = {STILL: controls.mean_pose(ground.motions[TRUTH])}, []
     truth = ground.motions[TRUTH]
     groups: list[str] | None = ground.groups
     try:
@@ -413,8 +402,6 @@ def floor_figures(ground: Ground, truth: Row, networks: Mapping[str, Features], 
 
 def differences(first: Row, second: Row, truth: Row, networks: Mapping[str, Features], seed: int) -> dict[str, Any]:
     """First less second, paired over clips, with intervals."""
-    from eval.policies import fgd_difference
-
     out: dict[str, Any] = {metric: interval(first.values[metric] - second.values[metric], seed=seed).to_dict()
                            for metric in CLIP_METRICS}
     for metric in SET_METRICS:
@@ -422,7 +409,7 @@ def differences(first: Row, second: Row, truth: Row, networks: Mapping[str, Feat
             out[metric] = set_interval(_less(first.sets[metric], second.sets[metric]), len(first.motions),
                                        seed).to_dict()
     for key in networks:
-        out[key] = fgd_difference(first.features[key], second.features[key], truth.features[key])
+        out[key] = fgd.difference(first.features[key], second.features[key], truth.features[key]).to_dict()
     return out
 
 
@@ -688,7 +675,7 @@ def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict
     if work is not None:
         own = sorted(file.parent for file in work.rglob("gesture_features.json"))
         if not own and (truth / "store.json").is_file():
-            from eval.policies import networks
+            from eval.metrics.gesture_features import networks
 
             work.mkdir(parents=True, exist_ok=True)
             found += [one for one in networks(Store.open(truth), work) if one.name.startswith("own")]

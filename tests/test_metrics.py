@@ -1,4 +1,4 @@
-"""The contract of every metric: its example holds, perfect input is the best, and it is fooled by what it names alone."""
+"""The contract of every metric: its example holds, perfect input is the best, and it is fooled by what it names."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from data_module.store import Store
 from data_module.types import Motion, Speech
 from eval import foreign, score
 from eval.__main__ import main as door
-from eval.baselines import jittered
+from eval.baselines import jittered, mean_pose
 from eval.bootstrap import Interval
 from eval.clip_scores import Spoken, Told, told
 from eval.foreign import Clip, read_motion
@@ -34,7 +34,7 @@ from eval.metrics.diversity import diversity, motion_variance
 from eval.metrics.gesture_features import RawFeatures
 from eval.results import plain
 from eval.rewards import Asked
-from eval.score import FLOOR, STILL, TRUTH, common_ground, flags, markdown, mean_pose
+from eval.score import FLOOR, STILL, TRUTH, common_ground, flags, markdown
 from gesticulator import bundle as bundles
 from gesticulator.prepare import prepare
 from gesticulator.racer import token_labels

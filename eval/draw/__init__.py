@@ -1,6 +1,6 @@
 """Pictures and films: of motion, of a lexicon, of what was measured.
 
-`DRAWINGS` are those that `gesticulator draw NAME` makes. Each module has `arguments(parser)` and `run(arguments)`, which
+`DRAWINGS` are those that `gesticulator draw NAME` makes. Each module has `arguments(parser)` and `run(arguments)`, that
 gives the files that it wrote; it is imported when it is called.
 """
 

@@ -20,7 +20,6 @@ import html
 import json
 import math
 import shlex
-import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -30,11 +29,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 from tqdm import tqdm
 
 from data_module.blocks import cut
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.types import Array, Blocks, Motion

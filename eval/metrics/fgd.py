@@ -38,6 +38,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from data_module.types import Array, Motion
+from eval import stats
 from eval.bootstrap import Interval
 from eval.metrics.gesture_features import Features, pooled
 
@@ -171,6 +172,20 @@ def report(generated: Sequence[Motion], real: Sequence[Motion], by: Sequence[Fea
     if len({round(one.frames / one.fps, 6) for one in by}) < 2:
         raise ValueError("a distance at one window length says too little: give networks of two lengths or more")
     return [fgd(generated, real, one, paired=paired, seed=seed) for one in by]
+
+
+def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[Array]) -> stats.Interval:
+    """FGD of the first clips' features [n, E] less that of the second's, clips redrawn together; NaN for one clip.
+
+    The interval is the basic bootstrap's, as in `measure`, for the same reason.
+    """
+    whole = np.flatnonzero([min(map(len, clips)) > 0 for clips in zip(first, second, real, strict=True)])
+
+    def apart(chosen: stats.Indices) -> float:
+        one, other, theirs = (np.concatenate([clips[k] for k in whole[chosen]]) for clips in (first, second, real))
+        return distance(one, theirs) - distance(other, theirs)
+
+    return stats.of_set(apart, len(whole), draws=DRAWS) if len(whole) > 1 else stats.Interval.undefined(len(whole))
 
 
 def markdown(rows: dict[str, list[Figure]]) -> str:

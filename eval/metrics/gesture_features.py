@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -404,3 +405,23 @@ def _sha256(data: bytes) -> str:
 def pooled(motions: Sequence[Motion], by: Features, stride: int | None = None) -> list[Array]:
     """For each motion the features [n, E] of its windows."""
     return [by.features(windows(motion, by.frames, by.fps, stride)) for motion in motions]
+
+
+NETWORK_FRAMES = (34, 60)
+"""Windows of our own networks, at 15 fps: that of the papers' network, and one of 4 s."""
+PUBLISHED_FOLDER = "fgd"
+"""In GESTICULATOR_DATA: where the papers' network lies, if it is there."""
+
+
+def networks(store: Store, work: Path, progress: bool = True) -> list[Features]:
+    """Our own networks, trained on the store's training split once and kept in `work`; the papers' where it is."""
+    found: list[Features] = []
+    for frames in NETWORK_FRAMES:
+        folder = work / f"fgd-{store.fingerprint[:12]}-{frames}"
+        if not (folder / "gesture_features.json").is_file():
+            save(train(store, folder, AutoencoderConfig(frames=frames), progress=progress), folder)
+        found.append(as_features(load(folder)))
+    place = os.environ.get("GESTICULATOR_DATA")
+    if place and (Path(place) / PUBLISHED_FOLDER).is_dir():
+        found.append(published(Path(place) / PUBLISHED_FOLDER))
+    return found
