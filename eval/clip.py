@@ -21,10 +21,10 @@ from data_module.speech.audio import load_speech
 from data_module.speech.beats import detect_onsets
 from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Array, Motion, Speech
-from eval import pmb
 from eval.baselines import to_common_length
-from eval.joint_error import JointError, motion_error
-from eval.smoothness import HANDS, derivative
+from eval.metrics import pmb
+from eval.metrics.joint_error import JointError, motion_error
+from eval.metrics.smoothness import HANDS, derivative
 
 SETTLED = 1.0
 """Seconds of silence after which a frame counts as silent: by then the hands have come to rest."""

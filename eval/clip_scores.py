@@ -26,11 +26,11 @@ from data_module import blocks as block_module
 from data_module.motion.motion_beats import MODES, motion_beats
 from data_module.speech.beats import detect_onsets
 from data_module.types import Array, Blocks, Motion, Speech
-from eval import pmb
-from eval.beat_consistency import consistency, mean_score, motion_joint_beats
-from eval.joint_error import motion_error
-from eval.mismatch import wrapped
-from eval.smoothness import motion_smoothness
+from eval.metrics import pmb
+from eval.metrics.beat_consistency import consistency, mean_score, motion_joint_beats
+from eval.metrics.joint_error import motion_error
+from eval.metrics.mismatch import wrapped
+from eval.metrics.smoothness import motion_smoothness
 from gesticulator.prepare import representation_of
 from gesticulator.speech_features import encode_speech, front_end_for
 

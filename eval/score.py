@@ -37,7 +37,6 @@ from data_module.motion.kinematics import resample
 from data_module.store import SPLITS, Store
 from data_module.types import Array, Motion, Speech
 from eval import baselines as controls
-from eval import fgd, pmb
 from eval.bootstrap import Interval, interval
 from eval.clip_scores import (
     LEXEME_METRICS,
@@ -56,10 +55,11 @@ from eval.clip_scores import (
     told,
 )
 from eval.foreign import Clip, names_in, read_folder
-from eval.gesture_features import FPS, Features, RawFeatures, as_features, load, pooled, published
-from eval.mismatch import matrix, mismatch
+from eval.metrics import fgd, pmb
+from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_features, load, pooled, published
+from eval.metrics.mismatch import matrix, mismatch
+from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.results import keep
-from eval.smoothness import hand_speeds, hellinger, speed_histogram
 
 TRUTH, FLOOR, STILL = "truth", "truth, half against half", "mean pose, held"
 NO_FLOOR = "a floor is of distances between sets"
@@ -675,7 +675,7 @@ def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict
     if work is not None:
         own = sorted(file.parent for file in work.rglob("gesture_features.json"))
         if not own and (truth / "store.json").is_file():
-            from eval.gesture_features import networks
+            from eval.metrics.gesture_features import networks
 
             work.mkdir(parents=True, exist_ok=True)
             found += [one for one in networks(Store.open(truth), work) if one.name.startswith("own")]

@@ -23,10 +23,10 @@ from data_module.motion.skeletons import CHARACTER, facing
 from data_module.store import Store
 from data_module.types import Array, Motion
 from eval import baselines as controls
-from eval import fgd
-from eval import gesture_features as networks
-from eval.fgd import Gaussian, distance, frechet_distance, gaussian
-from eval.gesture_features import AutoencoderConfig, RawFeatures
+from eval.metrics import fgd
+from eval.metrics import gesture_features as networks
+from eval.metrics.fgd import Gaussian, distance, frechet_distance, gaussian
+from eval.metrics.gesture_features import AutoencoderConfig, RawFeatures
 from gesticulator.fit import FitSettings
 
 QUICK = FitSettings(steps=25, batch=16, rate=2e-3, betas=(0.5, 0.999))

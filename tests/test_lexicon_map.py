@@ -17,15 +17,18 @@ import pytest
 import torch
 from performances import perform
 
+from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.performer.types import PlayedStroke
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, Truth
 from data_module.types import Blocks, Motion, Speech, Word
-from eval import lexicon_map as maps
+from eval.draw import lexicon_map as maps
+from eval.encode import EncodedMotion, encode_motion
 from gesticulator import bundle as bundles
 from gesticulator import silent
+from gesticulator.bundle import Bundle
 
 # ------------------------------------------------------------------------------------------ what goes with a lexeme
 
@@ -210,9 +213,13 @@ def test_the_page_holds_the_lexicon_and_nothing_from_outside(made: Path) -> None
         assert (made / "map" / f"latents.{suffix}").read_bytes().startswith(head)
 
 
+def encoded(bundle: Bundle, own: Recording) -> EncodedMotion:
+    return encode_motion(bundle, own.motion, cut(own.speech, bundle.config.rhythm), own.info.speaker)
+
+
 def test_labels_are_the_nearest_lexemes(made: Path) -> None:
     bundle, store = bundles.load(made / "my bundle"), Store.open(made / "store")
-    own = maps.read_blocks(bundle, store.load("take0"))
+    own = encoded(bundle, store.load("take0"))
     vectors = bundle.lexicon.vectors.numpy()
     gaps = [[float(((latent - vector) ** 2).sum()) for vector in vectors] for latent in own.latents.numpy()]
     assert np.array(gaps).argmin(1).tolist() == own.labels.tolist()
@@ -231,7 +238,7 @@ def test_an_unknown_performer_is_centred_on_their_own_pose(made: Path) -> None:
         return read(motion)
 
     bundle.lexicon.encode = overheard  # type: ignore[method-assign]
-    maps.read_blocks(bundle, own)
+    encoded(bundle, own)
     np.testing.assert_allclose(features[0].mean(dim=(0, 1)).numpy(), 0, atol=1e-5)
 
 

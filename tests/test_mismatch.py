@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import permutation_test
 
-from eval import pmb
-from eval.mismatch import matrix, mismatch, wrapped
+from eval.metrics import pmb
+from eval.metrics.mismatch import matrix, mismatch, wrapped
 
 
 def test_the_p_value_of_a_few_clips_is_that_of_all_assignments() -> None:

@@ -23,14 +23,15 @@ from data_module.motion.skeletons import CHARACTER, NAME_TABLES, facing
 from data_module.motion.smplx import SKELETON as SMPLX
 from data_module.store import Store
 from data_module.types import Motion, Speech
-from eval import fgd, foreign, score
+from eval import foreign, score
 from eval.__main__ import main as door
 from eval.baselines import jittered, mean_pose
 from eval.bootstrap import Interval
 from eval.clip_scores import Spoken, Told, told
-from eval.diversity import diversity, motion_variance
 from eval.foreign import Clip, read_motion
-from eval.gesture_features import RawFeatures
+from eval.metrics import fgd
+from eval.metrics.diversity import diversity, motion_variance
+from eval.metrics.gesture_features import RawFeatures
 from eval.results import plain
 from eval.rewards import Asked
 from eval.score import FLOOR, STILL, TRUTH, common_ground, flags, markdown

@@ -9,7 +9,7 @@ from performances import perform
 from data_module.errors import InputError
 from data_module.motion import bvh, kinematics
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, facing
-from eval import strips
+from eval.draw import strips
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 

@@ -16,7 +16,7 @@ from data_module.errors import InputError
 from data_module.motion import bvh, rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Speech
-from eval import strips, video
+from eval.draw import strips, video
 
 av = pytest.importorskip("av")
 pytest.importorskip("PIL")

@@ -1,4 +1,4 @@
-"""`python -m eval.lexicon_map --bundle DIR --data STORE --out FOLDER`: what is in the lexicon, for the eye (RG Fig. 6).
+"""What is in the lexicon, for the eye (RG Fig. 6): `gesticulator draw lexicon --data STORE --out FOLDER`.
 
 `latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents E(M) of blocks, coloured by
 lexeme. What fools it: t-SNE tears and clumps; only who is near whom means anything, so the share of nearest neighbours
@@ -20,7 +20,6 @@ import html
 import json
 import math
 import shlex
-import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -30,17 +29,16 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 from tqdm import tqdm
 
-from data_module import blocks as block_module
-from data_module.errors import InputError, one_line_errors
+from data_module.blocks import cut
+from data_module.errors import InputError
 from data_module.files import write_text
-from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import facing
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.types import Array, Blocks, Motion
-from eval.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
+from eval.draw.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
+from eval.encode import encode_motion
+from eval.metrics.smoothness import hand_speeds
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
 from gesticulator.prepare import representation_of
@@ -57,31 +55,6 @@ NO_STROKE = "no stroke"
 Labels = NDArray[np.int64]
 
 
-# ----------------------------------------------------------------------------------------------------- reading
-
-@dataclass(frozen=True)
-class ReadBlocks:
-    """A recording as the lexicon reads it. latents: [N, code width]; labels: [N]."""
-
-    blocks: Blocks
-    latents: Tensor
-    labels: Labels
-
-
-@torch.no_grad()
-def read_blocks(bundle: Bundle, recording: Recording, blocks: Blocks | None = None) -> ReadBlocks:
-    """The latents E(M) and lexemes of a recording's own motion; a performer unknown to the bundle is centred on the
-    recording's mean pose."""
-    own = blocks if blocks is not None else block_module.cut(recording.speech, bundle.config.rhythm)
-    poses = block_module.normalise_motion(recording.motion, own, representation_of(bundle.config))
-    if recording.info.speaker in bundle.speakers:
-        features = bundle.statistics.normalise(poses, bundle.speakers.index(recording.info.speaker))
-    else:
-        features = (poses - poses.mean(axis=(0, 1))) / bundle.statistics.deviation
-    latents = bundle.drawn.lexicon.latents(torch.as_tensor(features, dtype=torch.float32))
-    return ReadBlocks(own, latents, bundle.lexicon.quantizer.labels(latents).numpy())
-
-
 def evenly(store: Store, split: str, limit: int | None = None) -> list[RecordingInfo]:
     """The recordings of a split ("all" for every one), or `limit` of them, evenly chosen; InputError when empty."""
     infos = store.recordings if split == "all" else store.of_split(cast(Split, split))
@@ -91,13 +64,6 @@ def evenly(store: Store, split: str, limit: int | None = None) -> list[Recording
         raise InputError("--limit", "must be 1 or more", "leave it out for all")
     count = len(infos) if limit is None else min(limit, len(infos))
     return [infos[i] for i in np.linspace(0, len(infos) - 1, count).round().astype(int)]
-
-
-def hand_speed(motion: Motion) -> Array:
-    """[T - 1] mean speed of both hands between frames, m/s, the root's turning left out."""
-    places = positions_of(facing(motion))
-    hands = places[:, [motion.skeleton.index(name) for name in ("RightHand", "LeftHand")]]
-    return np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean(axis=1) * motion.fps
 
 
 def block_of_frames(edges: Array, count: int, fps: float) -> Labels:
@@ -250,7 +216,7 @@ class Survey:
         name = recording.info.speaker
         self.blocks[name] = self.blocks.get(name, np.zeros(self.size)) + np.bincount(labels, minlength=self.size)
         self.silent += np.bincount(labels[blocks.silent], minlength=self.size)
-        speed = hand_speed(recording.motion)
+        speed = hand_speeds(recording.motion).mean(axis=1)
         own = labels[block_of_frames(blocks.edges, len(speed), recording.motion.fps)]
         self.way += np.bincount(own, speed, self.size)
         self.seconds += np.bincount(own, minlength=self.size)
@@ -456,7 +422,8 @@ def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], progres
     counts, latents, labels = Survey(bundle.config.lexicon.size), [], []
     for info in tqdm(infos, desc="recordings", disable=not progress):
         recording = store.load(info.name)
-        read = read_blocks(bundle, recording)
+        blocks = cut(recording.speech, bundle.config.rhythm)
+        read = encode_motion(bundle, recording.motion, blocks, info.speaker)
         nearest = bundle.lexicon.vectors[torch.as_tensor(read.labels)]
         counts.add(recording, read.blocks, read.labels, (read.latents - nearest).square().sum(1).double().numpy())
         latents.append(read.latents.double().numpy())
@@ -469,7 +436,7 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     """Both pictures, the page and its numbers into the folder `out`; the numbers."""
     counts, latents, labels = survey(bundle, store, infos, progress)
     motions, size, silent = decoded(bundle), bundle.config.lexicon.size, bundle.silent.tolist()
-    entries = counts.entries(silent, np.array([float(hand_speed(own).mean()) for own in motions]))
+    entries = counts.entries(silent, np.array([float(hand_speeds(own).mean()) for own in motions]))
     few = np.sort(np.random.default_rng(0).permutation(len(labels))[:points])
     flat = embed(latents[few])
     shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])
@@ -497,29 +464,25 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     return result
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    p = argparse.ArgumentParser("eval.lexicon_map", description="The lexicon for the eye: t-SNE and a contact sheet.")
-    p.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
-    p.add_argument("--data", required=True, metavar="STORE")
-    p.add_argument("--out", required=True, type=Path, metavar="FOLDER")
-    p.add_argument("--split", default="train", choices=(*SPLITS, "all"))
-    p.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
-    p.add_argument("--points", type=int, default=4000, metavar="N", help="blocks in the t-SNE (4000)")
-    arguments = p.parse_args(argv)
-    with one_line_errors("eval.lexicon_map"):
-        torch.set_num_threads(1)
-        if arguments.points < 10:
-            raise InputError("--points", "must be 10 or more")
-        store = Store.open(arguments.data)
-        result = write_map(bundles.load(arguments.bundle or bundles.SHIPPED), arguments.bundle, store,
-                           evenly(store, arguments.split, arguments.limit), arguments.out, arguments.points)
-        print(f"{arguments.out / 'lexicon.html'}: {result['blocks']} blocks, "
-              f"{sum(own['blocks'] > 0 for own in result['lexemes'])} of {len(result['lexemes'])} lexemes used")
-        print(f"{arguments.out / 'latents.png'}: {100 * result['neighbours_in_picture']:.0f} % of neighbours share the "
-              f"lexeme, {100 * result['neighbours_in_latents']:.0f} % in latent space")
-    return 0
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator draw lexicon` takes."""
+    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+    parser.add_argument("--data", required=True, metavar="STORE")
+    parser.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    parser.add_argument("--split", default="train", choices=(*SPLITS, "all"))
+    parser.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
+    parser.add_argument("--points", type=int, default=4000, metavar="N", help="blocks in the t-SNE (4000)")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> list[Path]:
+    """Draw it; the files that were written, and what they say on the screen."""
+    if arguments.points < 10:
+        raise InputError("--points", "must be 10 or more")
+    torch.set_num_threads(1)
+    store = Store.open(arguments.data)
+    result = write_map(bundles.load(arguments.bundle or bundles.SHIPPED), arguments.bundle, store,
+                       evenly(store, arguments.split, arguments.limit), arguments.out, arguments.points)
+    print(f"{result['blocks']} blocks, {sum(own['blocks'] > 0 for own in result['lexemes'])} of "
+          f"{len(result['lexemes'])} lexemes used; {100 * result['neighbours_in_picture']:.0f} % of neighbours in the "
+          f"picture share the lexeme, {100 * result['neighbours_in_latents']:.0f} % in latent space")
+    return [arguments.out / name for name in ("lexicon.html", "latents.png", "latents.svg", "lexicon.json")]

@@ -14,6 +14,13 @@ What fools it:
   the same onsets; the curve over delta shows what one delta hides.
 - Many onsets: the more the sound has, the higher the chance. Few motion beats: one beat that is met is 100 %.
 - It sees rhythm alone: what is gestured, and how large, makes no difference.
+
+One of two motion beats lies within 0.1 s of an onset:
+
+    >>> pmb(np.array([1.0, 2.0]), np.array([1.05, 3.0]))
+    50.0
+    >>> above_chance(80.0, 50.0)
+    0.6
 """
 
 from __future__ import annotations
@@ -108,11 +115,11 @@ def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = D
     return Chance(float(values.mean()), (1 + as_good) / (1 + shifts))
 
 
-def above_chance(percent: float, chance_percent: float) -> float:
-    """(PMB - chance) / (100 - chance): 0 is chance, 1 is every beat matched; NaN where chance leaves no room."""
-    if not chance_percent < 100.0:
+def above_chance(value: float, by_chance: float, best: float = 100.0) -> float:
+    """(value - chance) / (best - chance): 0 is chance, 1 is the best; NaN where chance leaves no room."""
+    if not by_chance < best:
         return float("nan")
-    return (percent - chance_percent) / (100.0 - chance_percent)
+    return (value - by_chance) / (best - by_chance)
 
 
 def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float, ...] = DELTAS) -> Curve:

@@ -1,6 +1,6 @@
 """A motion and its sound as a video file, for user studies and talks (RG 7.3.3, RACER 5.4: raters watch videos).
 
-    python -m eval.video MOTION.bvh --sound speech.wav [--start 2] [--seconds 10] [--out clip.mp4]
+    gesticulator draw video MOTION.bvh --sound speech.wav [--start 2] [--seconds 10] [--out clip.mp4]
 
 The suffix picks the format: .mp4 (H.264 and AAC) or .webm (VP9 and Opus). Every motion is drawn as the user study's
 page draws it: one body, one place to stand, one camera, no text, so that a picture tells nothing but the movement.
@@ -18,7 +18,7 @@ import argparse
 import math
 import struct
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -28,12 +28,12 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.motion import bvh
 from data_module.speech.audio import load_speech
 from data_module.types import Array, Motion, Samples, Speech
-from eval.strips import FLOOR, HAIR, INK, NOSE, SHIRT, SKIN, TROUSERS, figure_points
+from eval.draw.strips import FLOOR, HAIR, INK, NOSE, SHIRT, SKIN, TROUSERS, figure_points
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -367,14 +367,14 @@ def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, s
             stream.codec_context.thread_count = 1
             stream.codec_context.flags |= av.codec.context.Flags.bitexact
         for number, picture in enumerate(drawn):
-            container.mux(video.encode(_seen(picture, number, fps)))
+            container.mux(video.encode(_frame(picture, number, fps)))
             first, last = (round(k * SOUND_RATE / fps) for k in (number, number + 1))
-            container.mux(voice.encode(_heard(sound[first:last], first)))
+            container.mux(voice.encode(_sound_frame(sound[first:last], first)))
         for stream in (video, voice):
             container.mux(stream.encode(None))
 
 
-def _seen(picture: Image, number: int, fps: int) -> Any:
+def _frame(picture: Image, number: int, fps: int) -> Any:
     """A picture in the colours of `bt709` as frame `number`.
 
     Drawn in these colours from the start, which saves a slow conversion of every frame.
@@ -393,7 +393,7 @@ def _seen(picture: Image, number: int, fps: int) -> Any:
     return frame
 
 
-def _heard(samples: Samples, first: int) -> Any:
+def _sound_frame(samples: Samples, first: int) -> Any:
     """Samples as a frame of sound that begins at sample `first`."""
     import av
 
@@ -421,23 +421,20 @@ def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: floa
     write_bytes(target, encode(points, Speech(samples, speech.sample_rate), target.suffix, size=size, fps=fps))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command: BVH and sound in, a video out; bad input is one line and exit code 2."""
-    parser = argparse.ArgumentParser(prog="python -m eval.video", description="A motion and its sound as a video.")
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator draw video` takes."""
     parser.add_argument("motion", type=Path, help="a BVH file of an upper body")
     parser.add_argument("--sound", type=Path, required=True, help="the recording that belongs to it")
     parser.add_argument("--out", type=Path, help="the video, .mp4 or .webm (.mp4 beside the motion when not told)")
     parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
     parser.add_argument("--seconds", type=float, help="how long a stretch (all of it)")
     parser.add_argument("--fps", type=float, help="the motion's frame rate, where the file's own is wrong")
-    told = parser.parse_args(arguments)
-    with one_line_errors("video"):
-        out = told.out or told.motion.with_suffix(".mp4")
-        format_of(out.suffix)
-        motion = bvh.read_bvh(told.motion, fps=told.fps)
-        write_video(out, motion, load_speech(told.sound), start=told.start, seconds=told.seconds)
-        print(out)
 
 
-if __name__ == "__main__":
-    main()
+def run(arguments: argparse.Namespace) -> list[Path]:
+    """Write it; the video's path."""
+    out = arguments.out or arguments.motion.with_suffix(".mp4")
+    format_of(out.suffix)
+    motion = bvh.read_bvh(arguments.motion, fps=arguments.fps)
+    write_video(out, motion, load_speech(arguments.sound), start=arguments.start, seconds=arguments.seconds)
+    return [out]

@@ -26,6 +26,9 @@ What fools it:
 - Many lexemes look alike, and many gestures suit a sentence: a wrong lexeme may make the same motion, or a better one.
   So low accuracy does not mean bad gestures, and a draw from the true distribution scores below its arg max.
 - The lexicon: with fewer lexemes all figures rise. Compare over one lexicon only.
+
+    >>> agreement_by_chance([0, 0, 1, 1], [0, 0, 1, 0])
+    Agreement(percent=75.0, chance=50.0, kappa=0.5, blocks=4, reason='')
 """
 
 from __future__ import annotations
@@ -35,7 +38,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eval.diversity import Labels, checked_labels
+from eval.metrics.diversity import Labels, checked_labels
+from eval.metrics.pmb import above_chance
 
 _NO_BLOCK = "there is no block"
 
@@ -99,7 +103,7 @@ def agreement_by_chance(own: ArrayLike, chosen: ArrayLike) -> Agreement:
     percent, chance = 100.0 * float(np.mean(ours == theirs)), 100.0 * by_chance / blocks ** 2
     if by_chance == blocks ** 2:
         return Agreement(percent, chance, nan, blocks, "one lexeme is all that there is: chance leaves no room")
-    return Agreement(percent, chance, (percent - chance) / (100.0 - chance), blocks)
+    return Agreement(percent, chance, above_chance(percent, chance), blocks)
 
 
 def _pair(first: ArrayLike, second: ArrayLike) -> tuple[Labels, Labels]:

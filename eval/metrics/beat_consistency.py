@@ -20,6 +20,9 @@ Better is higher, or so they say. What fools them, and why this chapter is no ju
   is given with that of the same beats moved in time against the onsets (`chance`), and the mismatch test.
 - On a real take (BEAT, 64 s at 15 fps, in pieces of 10 s) BEAT's score is 0.72, moved in time 0.70, played backwards
   0.74, with 2 cm of jitter 0.83; Bailando's 0.19, backwards 0.20, with jitter 0.26. Jitter wins by both.
+
+    >>> round(onset_score(np.array([1.0, 2.0]), np.array([1.0, 2.3])), 6)     # one onset is met, one a sigma away
+    0.803265
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ import numpy as np
 from data_module.motion.kinematics import positions_of, resample
 from data_module.motion.skeletons import facing
 from data_module.types import Array, Motion
+from eval.metrics.pmb import above_chance
 
 FPS = 30.0
 """Frames a second at which the rules of BEAT are told."""
@@ -61,7 +65,7 @@ class Consistency:
     @property
     def above_chance(self) -> float:
         """(score - chance) / (1 - chance): 0 is chance, 1 is the best."""
-        return (self.score - self.chance) / (1.0 - self.chance) if self.chance < 1.0 else float("nan")
+        return above_chance(self.score, self.chance, best=1.0)
 
 
 def onset_score(motion_beats: Array, onsets: Array, sigma: float = SIGMA) -> float:

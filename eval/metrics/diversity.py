@@ -14,6 +14,9 @@ variance scarcely see the order of frames or blocks: motion with another clip's 
 to the digit. Jitter raises the motion variance, as a rougher performance of each lexeme, and may raise the entropy.
 Few blocks make the entropy too small, by about (lexemes used - 1) / (2 blocks) nats, and distinct-2 too large:
 compare sets of the same number of blocks.
+
+    >>> diversity([0, 0, 1, 1], size=4).used, round(entropy([2, 2, 0, 0]), 4), distinct_2([[0, 1, 0, 1]])
+    (2, 0.6931, 0.6666666666666666)
 """
 
 from __future__ import annotations
@@ -66,18 +69,26 @@ class MotionVariance:
         return asdict(self)
 
 
+def entropy(counts: ArrayLike) -> float:
+    """- sum of p_i log p_i in nats, of how often each lexeme occurs [S] (RG Eq. 23); NaN where nothing occurs."""
+    own = np.asarray(counts, dtype=np.float64)
+    if own.sum() <= 0:
+        return float("nan")
+    shares = own[own > 0] / own.sum()
+    # Where one lexeme is all there is, -0.0 would be printed.
+    return abs(float(-(shares * np.log(shares)).sum()))
+
+
 def diversity(labels: ArrayLike, size: int) -> Diversity:
     """- sum of p_i log p_i over the `size` lexemes of the lexicon, of labels [N] (RG Eq. 23)."""
     own = checked_labels(labels, size)
     if len(own) == 0:
         nan = float("nan")
         return Diversity(nan, nan, nan, 0, 0, "there is no block")
-    shares = np.bincount(own, minlength=size) / len(own)
-    shares = shares[shares > 0]
-    # Where one lexeme is all there is, -0.0 would be printed.
-    nats = abs(float(-(shares * np.log(shares)).sum()))
+    counts = np.bincount(own, minlength=size)
+    nats = entropy(counts)
     share, reason = (nats / float(np.log(size)), "") if size > 1 else (float("nan"), "the lexicon has one lexeme")
-    return Diversity(nats, nats / float(np.log(2.0)), share, len(shares), len(own), reason)
+    return Diversity(nats, nats / float(np.log(2.0)), share, int((counts > 0).sum()), len(own), reason)
 
 
 def nearest_lexemes(latents: Array, vectors: Array) -> Labels:

@@ -12,7 +12,7 @@ Each takes numbers and gives a figure; nothing is computed here that is not said
 hold. The same input gives the same bytes (`save`). Colours are of the palette of Okabe and Ito (2008), which people
 with any colour vision tell apart, and no meaning hangs on colour alone: lines have markers, verdicts have shapes,
 lexemes, of which there are too many for any palette, have numbers. The other figures of the papers are drawn by
-`data_module.intervals` (5, 8a), `eval.lexicon_map` (6, 8b), `eval.strips` (9) and `eval.style_editing` (10).
+`data_module.intervals` (5, 8a), `eval.draw.lexicon_map` (6, 8b), `eval.draw.strips` (9) and `eval.style_editing` (10).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from data_module.errors import InputError
 from data_module.motion.motion_beats import beats_of_speed
 from data_module.speech.beats import merged
 from data_module.types import Array, BeatFlag, Beats, Speech, Word
-from eval import pmb
-from eval.lexicon_map import Labels, colours, embed
-from eval.strips import BEAT_COLOURS, FLOOR, INK, SOFT
+from eval.draw.lexicon_map import Labels, colours, embed
+from eval.draw.strips import BEAT_COLOURS, FLOOR, INK, SOFT
+from eval.metrics import pmb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -168,7 +168,7 @@ def joint_embedding(latents: Mapping[str, Array], most: int = 1500, seed: int = 
     """The latents of several rows in one t-SNE: row -> its points [n, 2] and which of its latents they are [n].
 
     latents: row -> [N, D], the same D in all. At most `most` of each are taken, evenly spaced in their order, and
-    embedded together (`eval.lexicon_map.embed`), so that what lies near each other in two panels lies near each other.
+    embedded together (`lexicon_map.embed`), so that what lies near each other in two panels lies near each other.
     Rows with more points take more of the plane. ValueError for fewer than 10 points in all.
     """
     own = {name: np.asarray(values, dtype=np.float64) for name, values in latents.items()}

@@ -18,6 +18,9 @@ Good: near the speaker's own jerk and acceleration, neither above nor below, and
 - Less jerk is not better: the mean pose, held, has none.
 - A histogram of few frames is far from another of the same source: about sqrt(bins in use / (8 frames)) if frames were
   independent, and neighbours are alike, so it is more. Read it above the distance of two halves of the real clips.
+
+    >>> hellinger(np.array([1.0, 0.0]), np.array([0.0, 3.0])), hellinger(np.array([1.0, 1.0]), np.array([5.0, 5.0]))
+    (1.0, 0.0)
 """
 
 from __future__ import annotations

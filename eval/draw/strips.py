@@ -4,7 +4,7 @@ A strip shows what a number hides: a soldier's return to rest, an elbow behind t
 clip twice. Each figure is drawn at its own time on one shared floor, with the path of both hands since the figure
 before it; underneath, where they are given, the waveform and its beats on the same time axis.
 
-    python -m eval.strips MOTION.bvh [--out strip.png] [--start 2] [--seconds 4] [--frames 8] [--sound speech.wav]
+    gesticulator draw strip MOTION.bvh [--out strip.png] [--start 2] [--seconds 4] [--frames 8] [--sound speech.wav]
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.motion import bvh, kinematics, rotation, skeletons
 from data_module.types import Array, BeatFlag, Beats, Motion, Speech
@@ -142,7 +142,7 @@ def save_strip(figure: Figure, path: str | Path) -> None:
     kind = target.suffix.lstrip(".").lower()
     if kind not in _UNSAID:
         raise InputError(target, f"'{target.suffix}' is no picture format", "use .png, .svg or .pdf")
-    with rc_context({"svg.hashsalt": "eval.plots", "svg.fonttype": "path"}):
+    with rc_context({"svg.hashsalt": "eval.draw.plots", "svg.fonttype": "path"}):
         figure.savefig(out, format=kind, dpi=150, metadata=_UNSAID[kind])
     write_bytes(target, out.getvalue())
 
@@ -298,9 +298,8 @@ def _draw_sound(axis: Axes, speech: Speech, beats: Beats | None, times: Array) -
     axis.axis("off")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command: a BVH file in, a picture out; bad input is one line and exit code 2."""
-    parser = argparse.ArgumentParser(prog="python -m eval.strips", description="A motion as a row of still figures.")
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator draw strip` takes."""
     parser.add_argument("motion", type=Path, help="a BVH file of an upper body")
     parser.add_argument("--out", type=Path, help="the picture, .png, .svg or .pdf (beside the motion when not told)")
     parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
@@ -309,14 +308,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--fps", type=float, help="frame rate, where the file's own is wrong")
     parser.add_argument("--sound", type=Path, help="the recording, drawn underneath with its beats")
     parser.add_argument("--title", default="")
-    told = parser.parse_args(arguments)
-    with one_line_errors("strips"):
-        motion = bvh.read_bvh(told.motion, fps=told.fps)
-        times = frame_times(motion, told.start, told.seconds, told.frames)
-        speech, beats = _listen(told.sound) if told.sound else (None, None)
-        out = told.out or told.motion.with_suffix(".png")
-        save_strip(draw_strip(motion, times, speech=speech, beats=beats, title=told.title), out)
-        print(out)
+
+
+def run(arguments: argparse.Namespace) -> list[Path]:
+    """Draw it; the picture's path."""
+    motion = bvh.read_bvh(arguments.motion, fps=arguments.fps)
+    times = frame_times(motion, arguments.start, arguments.seconds, arguments.frames)
+    speech, beats = _listen(arguments.sound) if arguments.sound else (None, None)
+    out = arguments.out or arguments.motion.with_suffix(".png")
+    save_strip(draw_strip(motion, times, speech=speech, beats=beats, title=arguments.title), out)
+    return [out]
 
 
 def _listen(path: Path) -> tuple[Speech, Beats]:
@@ -325,7 +326,3 @@ def _listen(path: Path) -> tuple[Speech, Beats]:
 
     speech = load_speech(path)
     return speech, find_beats(speech, BeatSettings())
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """FGD, the Frechet gesture distance: do generated gestures look, as a set, like a speaker's? (RG 7.3.2, RACER Eq. 13)
 
-Theory: windows of motion become features (`eval.gesture_features`); both sets of features are taken for Gaussians, and
+Theory: windows of motion become features (`gesture_features`); both sets of features are taken for Gaussians, and
 
     FGD = ||m1 - m2||^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2))          (RACER Eq. 13)
 
@@ -22,6 +22,12 @@ What fools it:
   number, but not one to print. `Figure.reason` then says so.
 - Window length. One system gets 194, 171 and 36 at windows of 30, 60 and 90 frames, so no length alone will do:
   `report` asks for two at least, and prints network, length, rate and hash beside each figure.
+
+Two sets of features, one moved by (3, 4):
+
+    >>> features = np.random.default_rng(0).normal(size=(50, 2))
+    >>> round(distance(features, features), 6), round(distance(features, features + [3.0, 4.0]), 6)
+    (0.0, 25.0)
 """
 
 from __future__ import annotations
@@ -34,7 +40,7 @@ import numpy as np
 from data_module.types import Array, Motion
 from eval import stats
 from eval.bootstrap import Interval
-from eval.gesture_features import Features, pooled
+from eval.metrics.gesture_features import Features, pooled
 
 ENOUGH = 5
 """Windows for each feature, at least: "several times 32" for 32 features."""

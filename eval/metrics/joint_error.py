@@ -16,6 +16,13 @@ one real take (BEAT, pieces of 2.5 s at 60 fps) the motion of another moment has
 2483 mm/s^2, the motion reversed 26 and 2728, the mean pose 17 and 1455. With 2 cm of jitter it has 14 mm, the best of
 these, and a MAD eighty times larger. MAD grows with the frame rate where motion is rough: compare at one rate only. A
 root held in place would count as a joint that is always right: `motion_error` leaves it out.
+
+A joint that is 3 mm off along one axis, at rest:
+
+    >>> off = np.zeros((4, 1, 3)); off[..., 0] = 0.003
+    >>> error = joint_error(off, np.zeros((4, 1, 3)), 30.0)
+    >>> round(error.maje, 6), round(error.maje_length, 6), error.mad
+    (1.0, 3.0, 0.0)
 """
 
 from __future__ import annotations
