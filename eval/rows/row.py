@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from eval import pmb
+from eval.metrics import pmb
 from eval.table import Column
 
 PAPERS_DELTA = 0.2

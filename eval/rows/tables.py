@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from eval import pmb, stats
+from eval import stats
 from eval.cells import Cells, weights_of
+from eval.metrics import pmb
 from eval.rows import CONTROLS, FLOOR, OURS, PERFORMER, REFERENCES, SYSTEMS, TABLES, racer, rg
 from eval.rows.row import COLUMNS, DECIDED, DECISIONS, PLAYED, Line, PaperTable, RowColumn
 from eval.table import Cell, Column, Table
