@@ -14,9 +14,8 @@ from pathlib import Path
 
 from data_module.errors import InputError
 
-LARGEST_TEXT = 1 << 26
-"""Bytes (64 MiB) of a text file that is read at all: an hour of BVH at 120 frames a second is as large, words and
-labels are a thousandth of it."""
+LARGEST_TEXT = 1 << 24
+"""Bytes (16 MiB) of a text file that is read: the words of an hour, phone by phone and in UTF-16, take half of it."""
 LOCK = ".lock"
 """Name of the file that marks a folder as in use."""
 
@@ -83,19 +82,19 @@ def sync_folder(folder: Path) -> None:
 
 # ---------------------------------------------------------------------------------------------------- reading
 
-def read_text(path: str | os.PathLike[str], advice: str) -> str:
+def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT) -> str:
     """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one; line ends become "\\n".
 
-    advice: what to do when it is none. InputError for a file that is absent, no regular file, larger than
-    `LARGEST_TEXT`, or not text.
+    advice: what to do when it is none. InputError for a file that is absent, no regular file, larger than `largest`
+    bytes, or not text.
     """
     name = Path(path)
     try:
         if not name.is_file():
             wrong = "is a folder" if name.is_dir() else "is no regular file" if name.exists() else "does not exist"
             raise InputError(path, wrong, "check the path")
-        if name.stat().st_size > LARGEST_TEXT:
-            raise InputError(path, f"is larger than {LARGEST_TEXT >> 20} MiB, too large for text", advice)
+        if name.stat().st_size > largest:
+            raise InputError(path, f"is larger than {largest >> 20} MiB", advice)
         data = name.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})",
@@ -109,7 +108,7 @@ def read_text(path: str | os.PathLike[str], advice: str) -> str:
     if "\0" in text:
         raise InputError(path, f"line {text.count(chr(10), 0, text.index(chr(0))) + 1}: is not text in UTF-8 "
                          "(it has a zero byte)", advice)
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 # ---------------------------------------------------------------------------------------------------- locks
