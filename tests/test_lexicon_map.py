@@ -21,8 +21,8 @@ from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
-from data_module.performer.types import PlayedStroke
-from data_module.store import Recording, RecordingInfo, Store, StoreWriter, Truth
+from data_module.store import Recording, RecordingInfo, Store, StoreWriter
+from data_module.truth import PlayedStroke, Truth
 from data_module.types import Blocks, Motion, Speech, Word
 from eval.commands import DRAW
 from eval.draw import lexicon_map as maps
