@@ -16,7 +16,8 @@ from torch import Tensor
 from data_module import blocks as block_module
 from data_module.types import Blocks, Motion, Speech
 from gesticulator.bundle import Bundle
-from gesticulator.prepare import representation_of
+from gesticulator.config import Config
+from gesticulator.prepare import Statistics, representation_of
 from gesticulator.speech_features import encode_speech, front_end_for
 
 
@@ -58,15 +59,21 @@ class EncodedMotion:
     labels: NDArray[np.int64]
 
 
+def normalised_blocks(config: Config, statistics: Statistics, motion: Motion, blocks: Blocks, speaker: str = ""
+                      ) -> Tensor:
+    """[N, K, D_m] a motion in given blocks, in the features of a lexicon; see the module for unknown performers."""
+    poses = block_module.normalise_motion(motion, blocks, representation_of(config))
+    if speaker in statistics.speakers:
+        features = statistics.normalise(poses, statistics.speakers.index(speaker))
+    else:
+        features = (poses - poses.mean(axis=(0, 1))) / statistics.deviation
+    return torch.as_tensor(features, dtype=torch.float32)
+
+
 @torch.no_grad()
 def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
     """The latents E(M) and nearest lexemes of a motion in given blocks (RG Eq. 4)."""
-    poses = block_module.normalise_motion(motion, blocks, representation_of(bundle.config))
-    if speaker in bundle.speakers:
-        features = bundle.statistics.normalise(poses, bundle.speakers.index(speaker))
-    else:
-        features = (poses - poses.mean(axis=(0, 1))) / bundle.statistics.deviation
-    own = torch.as_tensor(features, dtype=torch.float32)
+    own = normalised_blocks(bundle.config, bundle.statistics, motion, blocks, speaker)
     latents = bundle.drawn.lexicon.latents(own)
     return EncodedMotion(blocks, own, latents, bundle.lexicon.quantizer.labels(latents).numpy())
 
