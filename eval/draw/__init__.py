@@ -35,7 +35,7 @@ class Drawing:
 
 
 DRAWINGS = {
-    "strip": Drawing("eval.draw.strips", "a motion as a row of still figures, with its sound and beats"),
+    "strip": Drawing("eval.draw.strip_page", "motion as rows of still figures: one file, or several on one page"),
     "video": Drawing("eval.draw.video", "a motion with its sound as a video file"),
     "lexicon": Drawing("eval.draw.lexicon_map", "every lexeme: a sample gesture, who uses it, which words go with it"),
 }
