@@ -37,6 +37,7 @@ class Probe:
 
 
 PROBES: dict[str, Probe] = {
+    "eye": Probe("eval.probes.eye", "does motion read as a person, beside a real take, the corpus, unit selection?"),
     "quality": Probe("eval.probes.quality", "how good is a bundle on the test split, beside baselines?"),
     "policies": Probe("eval.probes.policies", "which interpreter chooses best, judged as policies?"),
     "parts": Probe("eval.probes.parts", "what did words and the learned speech levels buy?"),
