@@ -37,3 +37,20 @@ def _probe(arguments: argparse.Namespace) -> int:
 
 PROBE = Command("one question about a bundle or a data set (--list shows them)", _probe_arguments, _probe,
                 ("probe --list", "probe quality --data STORE", "probe parts --data STORE --out parts.json"))
+
+
+def _ablate_arguments(parser: argparse.ArgumentParser) -> None:
+    from eval import ablate
+
+    ablate.arguments(parser)
+
+
+def _ablate(arguments: argparse.Namespace) -> int:
+    from eval import ablate
+
+    return ablate.run(arguments)
+
+
+ABLATE = Command("every table, figure and claim of both papers, run again", _ablate_arguments, _ablate,
+                 ("ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
+                  "ablate --tables --out docs/results/ablation"))
