@@ -52,7 +52,7 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Statistics, representation_of
+from gesticulator.statistics import Statistics, representation_of
 from gesticulator.train import Labelled, label, train_lexicon
 from interpreters import BlockFeatures
 from interpreters.style import StyleInterpreter

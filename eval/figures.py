@@ -40,7 +40,8 @@ from eval.parts import hinted_labels
 from eval.results import publish
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.prepare import Corpus, prepare, representation_of
+from gesticulator.prepare import Corpus, prepare
+from gesticulator.statistics import representation_of
 from gesticulator.train import lexicon_figures
 from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter, select
 

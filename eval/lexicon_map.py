@@ -43,7 +43,7 @@ from data_module.types import Array, Blocks, Motion
 from eval.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
-from gesticulator.prepare import representation_of
+from gesticulator.statistics import representation_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -32,7 +32,7 @@ from data_module.speech.speech_encoder import SpeechEncoder
 from generator.model import Generator
 from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
-from gesticulator.prepare import CONTROL_WIDTH, Statistics, representation_of
+from gesticulator.statistics import CONTROL_WIDTH, Statistics, representation_of
 from interpreters.cql import QNetwork
 from interpreters.gate import ActivityGate
 from interpreters.lstm import LstmInterpreter

@@ -21,8 +21,8 @@ from data_module.text.word_vectors import WordEncoder
 from data_module.types import Array, Motion, Speech
 from gesticulator import bundle as bundles
 from gesticulator.performance import BEST, Performance
-from gesticulator.prepare import control_rows, representation_of
 from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
+from gesticulator.statistics import control_rows, representation_of
 from interpreters import BlockFeatures, LexemeInterpreter, QNetwork, select
 from interpreters.gate import opened
 from lexicon.racer import RacerCodec

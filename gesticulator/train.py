@@ -34,18 +34,11 @@ from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator.card import model_card
 from gesticulator.config import Config
-from gesticulator.prepare import (
-    CONTROL_WIDTH,
-    Corpus,
-    Windows,
-    prepare,
-    representation_of,
-    sequences,
-    with_silence,
-)
+from gesticulator.prepare import Corpus, Windows, prepare, sequences, with_silence
 from gesticulator.racer import Tokens, token_labels, train_codec, train_q_network, train_reward
 from gesticulator.sounds import Crops, folder_digest
 from gesticulator.speech_features import three_blocks
+from gesticulator.statistics import CONTROL_WIDTH, representation_of
 from interpreters.gate import ActivityGate
 from interpreters.lstm import LstmInterpreter
 from interpreters.style import StyleInterpreter

@@ -14,8 +14,8 @@ from data_module.speech.speech_encoder import SpeechEncoder
 from generator.model import Generator
 from gesticulator.bundle import Bundle, TextSource
 from gesticulator.config import Config, preset, with_settings
-from gesticulator.prepare import CONTROL_WIDTH, Statistics, representation_of
 from gesticulator.speech_features import front_end_for
+from gesticulator.statistics import CONTROL_WIDTH, Statistics, representation_of
 from gesticulator.train import Run
 from interpreters.cql import QNetwork
 from interpreters.gate import ActivityGate
