@@ -230,7 +230,7 @@ def told(bundle: Bundle, motion: Motion, spoken: Spoken) -> Told:
     else:
         features = (poses - poses.mean(axis=(0, 1))) / bundle.statistics.deviation
     seen = torch.as_tensor(features, dtype=torch.float32)
-    latents = bundle.drawn.lexicon.latents(seen)
+    latents = bundle.block_models.lexicon.latents(seen)
     return Told(latents.double().numpy(), bundle.lexicon.quantizer.labels(latents).numpy(),
                 _reward(bundle, seen, spoken))
 
