@@ -31,7 +31,7 @@ from eval.metrics.beat_consistency import consistency, mean_score, motion_joint_
 from eval.metrics.joint_error import motion_error
 from eval.metrics.mismatch import wrapped
 from eval.metrics.smoothness import motion_smoothness
-from gesticulator.prepare import representation_of
+from gesticulator.statistics import representation_of
 from gesticulator.speech_features import encode_speech, front_end_for
 
 if TYPE_CHECKING:
