@@ -130,9 +130,10 @@ def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = S
     for name, folder in (systems or {}).items():
         system(context, name, folder)
     cells = current(context, context.cells.read(shared))
-    facts = {"preset": context.first.config.name, "shared": shared, "refused": refused, "rows": summaries(cells),
-             "store": {"name": context.store.corpus, "fingerprint": context.store.fingerprint,
-                       "test_recordings": len(context.names("test"))}}
+    facts: dict[str, Any] = {
+        "preset": context.first.config.name, "shared": shared, "refused": refused, "rows": summaries(cells),
+        "store": {"name": context.store.corpus, "fingerprint": context.store.fingerprint,
+                  "test_recordings": len(context.names("test"))}}
     drawn = [name for name in FIGURES if name in (only or FIGURES)]
     if drawn:
         from eval.draw import paper

@@ -41,6 +41,7 @@ from gesticulator.stages.lexicon import decoded_lexemes
 from gesticulator.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.stages.reward import reward_table, taught_reward
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
+from interpreters.base import LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
 from interpreters.episodes import Episodes, SilentLexemes, Take, build, distance_rewards
 from interpreters.reward import Centred, RewardTable
@@ -181,7 +182,8 @@ def _episodes(context: RacerContext, config: Config) -> Episodes:
     plain = replace(config.episodes, reward="contrastive")
     file = context.run.work / f"racer-{configs.digest(context.shapes, plain, config.statistical, config.seed)}.npz"
     if not file.exists():
-        interpreters = {"sampled": context.bundle.block_models.interpreter, "statistical": context.bundle.statistical()}
+        interpreters: dict[str, LexemeInterpreter] = {
+            "sampled": context.bundle.block_models.interpreter, "statistical": context.bundle.statistical()}
         build(context.takes, plain, context.taught(config).sequence, silent=context.silent,
               vectors=context.bundle.vectors.numpy(), interpreters=interpreters, features=features_of(context.corpus),
               seed=config.seed).save(file)

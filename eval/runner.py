@@ -237,18 +237,17 @@ class AblationContext:
             assemble(rest)
             return {**first.seconds, **rest.seconds}
 
-    def recordings(self, split: str) -> list[int]:
+    def names(self, split: str) -> list[str]:
         """Recordings of a split that are long enough for shares and speeds (all, where none is), `limit` at most."""
-        seconds = {info.name: info.seconds for info in self.store.recordings}
-        every = self.corpus.recordings(split)
-        found = [number for number in every if seconds[self.corpus.names[number]] >= SHORTEST] or every
+        every = [info for info in self.store.recordings if info.split == split]
+        found = [info.name for info in every if info.seconds >= SHORTEST] or [info.name for info in every]
         if not found:
             raise InputError(self.store.path, f"has no recording in its {split} split", "build the store again")
         return found[:self.limit]
 
-    def names(self, split: str) -> list[str]:
-        """The same by name."""
-        return [self.corpus.names[number] for number in self.recordings(split)]
+    def recordings(self, split: str) -> list[int]:
+        """The same by their number in the corpus."""
+        return [self.corpus.names.index(name) for name in self.names(split)]
 
     def loaded(self, number: int) -> Recording:
         """A recording with its sound and motion."""

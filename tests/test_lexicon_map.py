@@ -21,9 +21,10 @@ from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
-from data_module.performer.types import PlayedStroke
-from data_module.store import Recording, RecordingInfo, Store, StoreWriter, Truth
+from data_module.store import Recording, RecordingInfo, Store, StoreWriter
+from data_module.truth import PlayedStroke, Truth
 from data_module.types import Blocks, Motion, Speech, Word
+from eval.commands import DRAW
 from eval.draw import lexicon_map as maps
 from eval.encode import EncodedMotion, encode_motion
 from gesticulator import bundle as bundles
@@ -166,8 +167,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
                              Truth((stroke("Point", 0.0, 3.0),))))
     writer.finish(names)
     shutil.copytree(bundles.SHIPPED, folder / "my bundle")
-    assert maps.main(["--data", str(folder / "store"), "--bundle", str(folder / "my bundle"), "--out",
-                      str(folder / "map"), "--points", "30"]) == 0
+    assert DRAW.main("gesticulator draw", [
+        "lexicon", "--data", str(folder / "store"), "--bundle", str(folder / "my bundle"), "--out",
+        str(folder / "map"), "--points", "30"]) == 0
     return folder
 
 
@@ -249,7 +251,8 @@ def test_recordings_are_chosen_evenly(made: Path) -> None:
     with pytest.raises(InputError, match="test split"):
         maps.evenly(store, "test")
     with pytest.raises(SystemExit) as stopped:
-        maps.main(["--data", str(made / "store"), "--out", str(made / "no"), "--points", "3"])
+        DRAW.main("gesticulator draw", ["lexicon", "--data", str(made / "store"), "--out", str(made / "no"),
+                                        "--points", "3"])
     assert stopped.value.code == 2 and not (made / "no").exists()
 
 

@@ -65,7 +65,7 @@ METRICS: dict[str, Metric] = {
     "acceleration": Metric("smoothness", "joint acceleration", "m/s^2", 2, "vigour", "near", (), _SHAPE),
     "jerk_hands": Metric("smoothness", "hand jerk", "m/s^3", 1, "vigour", "near", (), _SHAPE),
     "jerk": Metric("smoothness", "joint jerk", "m/s^3", 1, "vigour", "near", (), _SHAPE),
-    "reward": Metric("evaluate", "reward of the judging model", "cosine", 3, "lexemes", "high", _BUNDLE),
+    "reward": Metric("evaluate", "reward of the judging model", "cosine", 3, "lexemes", "high", _BUNDLE, ("still",)),
     "lexeme_accuracy": Metric("accuracy", "lexemes like the speaker's own", "%", 1, "lexemes", "high",
                               (*_TRUTH, *_BUNDLE), ("jitter",)),
     "speed_distance": Metric("smoothness", "distance of hand-speed histograms (Hellinger)", "", 3, "sets", "low",

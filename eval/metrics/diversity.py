@@ -117,6 +117,27 @@ def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> Motion
     return MotionVariance(float(np.mean(variances)), len(variances), once)
 
 
+def lexeme_moments(clips: Sequence[tuple[Array, Labels] | None], vectors: Array) -> tuple[Array, Array, Array]:
+    """[clips, S] each: for every lexeme the number of blocks, the sum of their distances to its vector and the sum of
+    squares, both less the mean distance of all. Redrawn sets are summed from these: the blocks are not needed.
+
+    clips: latents [N, D] and labels [N] of each, None for a clip without blocks; vectors: [S, D].
+    """
+    lengths = [np.zeros(0) if clip is None else np.linalg.norm(clip[0] - vectors[clip[1]], axis=1) for clip in clips]
+    middle = float(np.concatenate(lengths).mean())
+    labels = [np.zeros(0, dtype=np.int64) if clip is None else clip[1] for clip in clips]
+    powers = [np.array([np.bincount(own, (length - middle) ** power, minlength=len(vectors))
+                        for own, length in zip(labels, lengths, strict=True)]) for power in (0, 1, 2)]
+    return powers[0], powers[1], powers[2]
+
+
+def variance_of_moments(counts: Array, sums: Array, squares: Array) -> float:
+    """`motion_variance` from the sums [S] of `lexeme_moments`; NaN where no lexeme occurs twice."""
+    twice = counts > 1
+    n, total, square = counts[twice], sums[twice], squares[twice]
+    return float(np.maximum((square - total ** 2 / n) / (n - 1), 0.0).mean()) if twice.any() else float("nan")
+
+
 def distinct_2(sequences: Sequence[ArrayLike]) -> float:
     """Share of different bigrams among all bigrams of the sequences of labels; a pair lies within one sequence.
 

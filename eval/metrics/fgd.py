@@ -21,7 +21,7 @@ What fools it:
 - Below `ENOUGH` windows a feature the covariance is hardly known, and below one it is singular: the distance is still a
   number, but not one to print. `Figure.reason` then says so.
 - Window length. One system gets 194, 171 and 36 at windows of 30, 60 and 90 frames, so no length alone will do:
-  `report` asks for two at least, and prints network, length, rate and hash beside each figure.
+  `gesticulator score` takes two at least, and shows network, length, rate and hash beside each figure.
 
 Two sets of features, one moved by (3, 4):
 
@@ -39,8 +39,8 @@ import numpy as np
 
 from data_module.types import Array, Motion
 from eval import stats
-from eval.bootstrap import Interval
 from eval.metrics.gesture_features import Features, pooled
+from eval.stats import Interval
 
 ENOUGH = 5
 """Windows for each feature, at least: "several times 32" for 32 features."""
@@ -148,7 +148,7 @@ def measure(generated: Sequence[Array], real: Sequence[Array], by: Features, *, 
     nan = float("nan")
     if min(counts) < 2:
         width = max((clip.shape[1] for clip in (*generated, *real) if len(clip)), default=1)
-        return Figure(nan, Interval(nan, nan, nan, 0), nan, counts, samples_needed(width), by.name, by.frames, by.fps,
+        return Figure(nan, Interval.undefined(), nan, counts, samples_needed(width), by.name, by.frames, by.fps,
                       by.sha256, f"{min(counts)} windows in a set: a covariance needs two")
     ours, theirs = ([clip for clip in clips if len(clip)] for clips in (generated, real))
     both = gaussian(np.concatenate(ours)), gaussian(np.concatenate(theirs))
@@ -166,15 +166,7 @@ def fgd(generated: Sequence[Motion], real: Sequence[Motion], by: Features, *, pa
     return measure(pooled(generated, by), pooled(real, by), by, paired=paired, seed=seed)
 
 
-def report(generated: Sequence[Motion], real: Sequence[Motion], by: Sequence[Features], *, paired: bool = False,
-           seed: int = 0) -> list[Figure]:
-    """FGD by each of several networks; ValueError unless they have two window lengths in seconds at least."""
-    if len({round(one.frames / one.fps, 6) for one in by}) < 2:
-        raise ValueError("a distance at one window length says too little: give networks of two lengths or more")
-    return [fgd(generated, real, one, paired=paired, seed=seed) for one in by]
-
-
-def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[Array]) -> stats.Interval:
+def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[Array]) -> Interval:
     """FGD of the first clips' features [n, E] less that of the second's, clips redrawn together; NaN for one clip.
 
     The interval is the basic bootstrap's, as in `measure`, for the same reason.
@@ -185,17 +177,7 @@ def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[A
         one, other, theirs = (np.concatenate([clips[k] for k in whole[chosen]]) for clips in (first, second, real))
         return distance(one, theirs) - distance(other, theirs)
 
-    return stats.of_set(apart, len(whole), draws=DRAWS) if len(whole) > 1 else stats.Interval.undefined(len(whole))
-
-
-def markdown(rows: dict[str, list[Figure]]) -> str:
-    """A table of figures by the name of what was measured; each with its interval, bias, windows and network."""
-    lines = ["| motion | FGD | 95 % over clips | bias of the sample | windows | network | window | SHA-256 | |",
-             "|---|---|---|---|---|---|---|---|---|"]
-    lines += [f"| {name} | {f.distance:.3g} | [{f.interval.low:.3g}, {f.interval.high:.3g}], {f.interval.clips} clips "
-              f"| {f.bias:.2g} | {f.windows[0]} / {f.windows[1]} | {f.features} | {f.frames} at {f.fps:g} fps "
-              f"| {f.sha256[:12]} | {f.reason} |" for name, figures in rows.items() for f in figures]
-    return "\n".join(lines) + "\n"
+    return stats.of_set(apart, len(whole), draws=DRAWS) if len(whole) > 1 else Interval.undefined(len(whole))
 
 
 def _root(covariance: Array) -> Array:
@@ -232,16 +214,13 @@ def _interval(generated: Sequence[Array], real: Sequence[Array], got: float, pai
               ) -> Interval:
     clips = min(len(generated), len(real))
     if clips < 2:
-        return Interval(got, float("nan"), float("nan"), clips)
-    rng = np.random.default_rng(seed)
+        return Interval.exact(got, clips)
     ours, theirs = _Moments(generated), _Moments(real)
+    sizes = [len(generated)] if paired else [len(generated), len(real)]
     found = []
-    for _ in range(draws):
-        first = np.bincount(rng.integers(len(generated), size=len(generated)), minlength=len(generated)).astype(float)
-        second = first if paired else np.bincount(rng.integers(len(real), size=len(real)),
-                                                  minlength=len(real)).astype(float)
-        pair = ours.drawn(first), theirs.drawn(second)
+    for chosen in stats.resamples(np.random.default_rng(seed), sizes, draws):
+        times = [np.bincount(own, minlength=size).astype(float) for own, size in zip(chosen, sizes, strict=True)]
+        pair = ours.drawn(times[0]), theirs.drawn(times[-1])
         if pair[0] is not None and pair[1] is not None:
             found.append(frechet_distance(pair[0], pair[1]))
-    low, high = np.percentile(found, [2.5, 97.5]) if found else (float("nan"), float("nan"))
-    return Interval(got, max(2.0 * got - float(high), 0.0), max(2.0 * got - float(low), 0.0), clips)
+    return stats.limits(got, found, clips, basic=True, least=0.0)

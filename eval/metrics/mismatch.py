@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.types import Array
-from eval.bootstrap import Interval, interval
+from eval.stats import Interval, mean_interval
 
 DRAWS = 9999
 """Assignments drawn, where there are more than `EVERY` in all."""
@@ -91,7 +91,7 @@ def mismatch(values: Array, *, seed: int = 0, draws: int = DRAWS) -> Mismatch:
         rng = np.random.default_rng(seed)
         drawn = np.array([table[np.arange(n), rng.permutation(n)].mean() for _ in range(draws)])
         p = (1 + int(np.count_nonzero(drawn >= reached))) / (1 + draws)
-    return Mismatch(float(right.mean()), float(wrong.mean()), interval(right - wrong, seed=seed), p)
+    return Mismatch(float(right.mean()), float(wrong.mean()), mean_interval(right - wrong, seed=seed), p)
 
 
 def _defined(table: Array) -> Array:
