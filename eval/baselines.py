@@ -37,8 +37,8 @@ from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
-    from gesticulator.prepare import Corpus
-    from interpreters import BlockFeatures
+    from gesticulator.stages import Corpus
+    from interpreters.base import BlockFeatures
 
 JITTER = 0.02
 """Metres: the standard deviation along each axis."""

@@ -40,6 +40,23 @@ PROBE = Command("one question about a bundle or a data set (--list shows them)",
                 ("probe --list", "probe quality --data STORE", "probe parts --data STORE --out parts.json"))
 
 
+def _ablate_arguments(parser: argparse.ArgumentParser) -> None:
+    from eval import ablate
+
+    ablate.arguments(parser)
+
+
+def _ablate(arguments: argparse.Namespace) -> int:
+    from eval import ablate
+
+    return ablate.run(arguments)
+
+
+ABLATE = Command("every table, figure and claim of both papers, run again", _ablate_arguments, _ablate,
+                 ("ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
+                  "ablate --tables --out docs/results/ablation"))
+
+
 def _score_arguments(parser: argparse.ArgumentParser) -> None:
     from eval import score
 
@@ -85,3 +102,7 @@ def _draw(arguments: argparse.Namespace) -> int:
 DRAW = Command("pictures and films: a strip, a video, the lexicon (--list shows them)", _draw_arguments, _draw,
                ("draw strip gesture.bvh --sound speech.wav", "draw video gesture.bvh --sound speech.wav --out film.mp4",
                 "draw lexicon --data STORE --out FOLDER"))
+
+
+VERBS: dict[str, Command] = {"score": SCORE, "ablate": ABLATE, "probe": PROBE, "draw": DRAW}
+"""By name, for `python -m eval`; `gesticulator` finds them as entry points."""

@@ -46,7 +46,7 @@ from eval.draw import video
 from eval.draw.strips import figure_points
 from eval.results import keep
 from gesticulator.export import sound
-from gesticulator.sounds import SUFFIXES
+from gesticulator.stages.sounds import SUFFIXES
 
 ASPECTS = {
     "human_likeness": "How human-like does the figure move? Please leave the speech aside for this question.",

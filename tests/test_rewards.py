@@ -17,12 +17,13 @@ from data_module.store import Store
 from eval.commands import PROBE
 from eval.context import EvalContext
 from eval.probes import rewards
-from eval.probes.rewards import RewardProbe as RewardProbe
+from eval.probes.rewards import RewardProbe
 from eval.stats import Interval
 from eval.table import load
 from gesticulator import bundle as bundles
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.racer import takes_of, token_labels
+from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.lexicon import token_labels
+from gesticulator.stages.q_network import takes_of
 from interpreters.episodes import Take
 from interpreters.reward import RewardConfig, RewardModel
 
@@ -312,4 +313,4 @@ def test_the_command(tiny_store: Path, bundle: bundles.Bundle, work: Path, tmp_p
 def test_a_bundle_without_both_models_is_refused(context: EvalContext, lacking: str) -> None:
     without: dict[str, Any] = {lacking: None}
     with pytest.raises(InputError, match="reward models"):
-        rewards.rewards(dataclasses.replace(context, bundle=dataclasses.replace(context.bundle, **without)))
+        rewards.rewards(dataclasses.replace(context, bundle=context.bundle.with_parts(**without)))

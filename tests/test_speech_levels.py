@@ -21,6 +21,7 @@ from eval.metrics import audio_clusters
 from eval.probes import speech_levels
 from eval.table import load
 from gesticulator import config as configs
+from gesticulator import presets
 
 BLOCKS, FRAMES = 60, 10
 
@@ -262,7 +263,7 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     store = Store.open(tiny_store)
     recording = store.load(store.names[0])
     recording = replace(recording, speech=replace(recording.speech, samples=recording.speech.samples[:16000 * 8]))
-    config = configs.preset("tiny")
+    config = presets.preset("tiny")
     torch.manual_seed(1)
     encoder = SpeechEncoder(EncoderConfig(width=4)).eval()
     heard = speech_levels.listen(recording, config, {"": encoder})

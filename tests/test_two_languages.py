@@ -14,11 +14,12 @@ from data_module.store import Store
 from eval.commands import PROBE
 from eval.probes import two_languages
 from gesticulator import config as configs
+from gesticulator import presets
 
 
 @pytest.fixture(scope="module")
 def config() -> configs.Config:
-    tiny = configs.preset("tiny")
+    tiny = presets.preset("tiny")
     speech = dataclasses.replace(tiny.schedules.speech, steps=3)
     return dataclasses.replace(tiny, schedules=dataclasses.replace(tiny.schedules, speech=speech))
 

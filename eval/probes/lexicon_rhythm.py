@@ -26,9 +26,10 @@ from eval.clip import rhythm
 from eval.stats import Interval, mean_interval
 from eval.table import Column, Table
 from gesticulator import config as configs
+from gesticulator import presets
 from gesticulator.pipeline import FPS
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.train import Run, train_lexicon
+from gesticulator.stages import BLOCKS, LEXICON, Run
+from gesticulator.stages.corpus import Corpus
 
 RIDGE = 10.0
 """Weight of the ridge: poses are of variance 1, and a lexeme that occurs ten times counts for half."""
@@ -59,9 +60,8 @@ def roll_out(weights: Array, corpus: Corpus, labels: Labels, recording: int, siz
 
 def measured(config: configs.Config, store: Store, work: Path, split: str) -> dict[str, Interval]:
     """PMB above chance of the performer and of the roll-out, percent, over the talks of a split."""
-    stage = Run(config, store, work, progress=False)
-    stage.corpus = corpus = prepare(store, config, stage.work, progress=False)
-    lexicon, _ = train_lexicon(stage)
+    stages = Run(config, store, work, progress=False)
+    corpus, lexicon = stages.get(BLOCKS), stages.get(LEXICON)
     labels, size = lexicon.label(corpus.motion).numpy(), config.lexicon.size
     weights, statistics = regression(corpus, labels, size), corpus.statistics
     above: dict[str, list[float]] = {"performer": [], "lexemes": []}
@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     """A row for each variant."""
     store, rows = Store.open(arguments.data), {}
     for variant in arguments.variant or [""]:
-        config = configs.with_settings(configs.preset(arguments.preset), variant.split())
+        config = configs.with_settings(presets.preset(arguments.preset), variant.split())
         rows[f"{arguments.preset} {variant}".strip()] = measured(config, store, arguments.work, arguments.split)
     return [table(rows)]
 

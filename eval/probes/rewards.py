@@ -35,8 +35,10 @@ from eval.context import EvalContext
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
 from gesticulator import bundle as bundles
-from gesticulator.prepare import Corpus
-from gesticulator.racer import block_audio, decoded_blocks, reward_table, takes_of, token_labels
+from gesticulator.stages.corpus import Corpus
+from gesticulator.stages.lexicon import decoded_blocks, token_labels
+from gesticulator.stages.q_network import takes_of
+from gesticulator.stages.reward import block_audio, reward_table
 from interpreters.episodes import Take
 from interpreters.reward import RewardModel, RewardTable
 
