@@ -39,8 +39,8 @@ from gesticulator.stages import (
 
 STORED = Path(__file__).parent / "data" / "cells"
 """Three rows of a real run at three seeds, and the figures that they had when it was made."""
-STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (SPEECH, CONTRAST, LEXICON, INTERPRETER, INTERPRETER_TEXT, GENERATOR, STYLE,
-                                          STYLE_TEXT)}
+STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
+    SPEECH, CONTRAST, LEXICON, INTERPRETER, INTERPRETER_TEXT, GENERATOR, STYLE, STYLE_TEXT)}
 
 
 # ------------------------------------------------------------------------------------------------------------- rows
