@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -16,16 +17,17 @@ from data_module.blocks import denormalise
 from data_module.controls import FEATURES, Controls
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
-from data_module.text.transcript import read_transcript, with_transcript
-from data_module.text.word_vectors import WordEncoder
 from data_module.types import Array, Motion, Speech
-from gesticulator import bundle as bundles
+from gesticulator.bundle import SHIPPED, Bundle
+from gesticulator.bundle import load as load_bundle
 from gesticulator.performance import BEST, Performance
-from gesticulator.prepare import control_rows, representation_of
 from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
-from interpreters import BlockFeatures, LexemeInterpreter, QNetwork, select
-from interpreters.gate import opened
-from lexicon.racer import RacerCodec
+from gesticulator.statistics import control_rows, representation_of
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
+
+if TYPE_CHECKING:
+    from data_module.text.word_vectors import WordEncoder
+    from lexicon.racer import RacerCodec
 
 FPS = 60.0
 """Frames per second of the result when not told: the models' 20 fps knots, interpolated."""
@@ -34,7 +36,7 @@ FPS = 60.0
 class Gesticulator:
     """A loaded bundle that turns speech into gesture, block by block (RG 6, Eq. 15)."""
 
-    def __init__(self, bundle: bundles.Bundle) -> None:
+    def __init__(self, bundle: Bundle) -> None:
         self.bundle = bundle
         self._front_end = front_end_for(bundle.config, bundle.encoder)
         self._words: WordEncoder | None = None
@@ -42,7 +44,7 @@ class Gesticulator:
     @classmethod
     def from_pretrained(cls, path: str | PathLike[str] | None = None) -> Gesticulator:
         """Load a bundle's folder; the shipped one when no path is given."""
-        return cls(bundles.load(Path(path) if path is not None else bundles.SHIPPED))
+        return cls(load_bundle(Path(path) if path is not None else SHIPPED))
 
     @property
     def speakers(self) -> tuple[str, ...]:
@@ -61,21 +63,16 @@ class Gesticulator:
     @property
     def reads_text(self) -> bool:
         """True when the bundle has an interpreter that reads the words."""
-        return self.bundle.interpreter_text is not None
+        return "interpreter_text" in self.bundle.parts
 
     def interpreter(self, name: str, text: bool = False) -> LexemeInterpreter:
         """The lexeme interpreter of that name over the bundle's lexicon; with `text`, the one that reads the words."""
-        b = self.bundle
-        there: dict[str, LexemeInterpreter | None] = {
-            "lstm": b.interpreter_text if text and b.interpreter_text else b.interpreter, "cql": b.q_network}
-        found = b.statistical() if name == "statistical" else there.get(name)
-        if found is None:
-            raise InputError(f"--interpreter {name}", "is not in the bundle",
-                             f"choose among {', '.join(b.interpreters)}")
-        return found
+        return self.bundle.interpreter_named(name, text)
 
     def word_encoder(self) -> WordEncoder:
         """The word encoder that the bundle was trained on, opened once."""
+        from data_module.text.word_vectors import WordEncoder
+
         if self._words is None:
             if self.bundle.text is None:
                 raise InputError("text", "is not read by this bundle", "use a bundle trained with text")
@@ -89,6 +86,8 @@ class Gesticulator:
         """Speech with the words of a transcript file, and a line on how their times were got."""
         if not self.reads_text:
             raise InputError("--text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+        from data_module.text.transcript import read_transcript, with_transcript
+
         spoken, timing = with_transcript(speech, read_transcript(Path(text), speech))
         return spoken, timing.note
 
@@ -128,20 +127,21 @@ class Gesticulator:
         encoded = self.encode_speech(speech) if encoded is None else encoded
         interpreter = self.bundle.interpreters[0] if interpreter is None else interpreter
         system = self.interpreter(interpreter, reads) if isinstance(interpreter, str) else interpreter
-        usual = chosen.q_temperature if isinstance(system, QNetwork) else chosen.temperature
+        values = getattr(system, "gives_values", False)
+        usual = chosen.q_temperature if values else chosen.temperature
         asked = None
         if controls is not None and self.bundle.levels is not None:
             values, given = controls.at(encoded.blocks.knot_times)
             rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
             asked = rows.reshape(len(encoded.blocks), encoded.blocks.frames, -1)
-        rolls = _Decoded if isinstance(self.bundle.lexicon, RacerCodec) else _Roll
+        rolls = _Decoded if self.bundle.config.tokens == "racer" else _Roll
         roll = rolls(self.bundle, system, who, np.random.default_rng(seed),
                      usual if temperature is None else temperature, chosen.top or None, activity)
         made = roll.run(encoded, asked, on_block)
         motion = self.to_motion(made.motion, encoded, who, FPS if fps is None else fps)
         return Performance(motion=motion, speech=speech, blocks=encoded.blocks, lexemes=made.lexemes, best=made.best,
                            scores=made.scores, codes=made.codes, gate=made.gate, notes=(note,) if note else (),
-                           score_is="expected return" if isinstance(system, QNetwork) else "log-probability")
+                           score_is="expected return" if values else "log-probability")
 
     def encode_speech(self, speech: Speech) -> SpeechFeatures:
         """A speech at 16 kHz cut into blocks and encoded, with its words where the bundle reads them."""
@@ -154,7 +154,7 @@ class Gesticulator:
     def _check(self, activity: float, controls: Controls | None) -> None:
         if not 0 <= activity <= 1:
             raise InputError(f"--activity {activity:g}", "is out of range", "choose 0 (stillness) to 1 (always)")
-        if 0 < activity < 1 and self.bundle.gate is None:
+        if 0 < activity < 1 and "gate" not in self.bundle.parts:
             raise InputError(f"--activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
         if controls is not None and controls != Controls.free() and self.bundle.levels is None:
             raise InputError(f"the control of {', '.join(FEATURES)}", "is not heard by this bundle",
@@ -199,7 +199,7 @@ def settled(last: Tensor, block: Tensor, share: float) -> Tensor:
 class _Roll:
     """One performance in the making: the states of interpreter, gate, style and generator."""
 
-    def __init__(self, bundle: bundles.Bundle, interpreter: LexemeInterpreter, speaker: int,
+    def __init__(self, bundle: Bundle, interpreter: LexemeInterpreter, speaker: int,
                  rng: np.random.Generator, temperature: float, top: int | None, activity: float) -> None:
         self.bundle, self.interpreter, self.speaker, self.rng = bundle, interpreter, speaker, rng
         self.temperature, self.top, self.activity = temperature, top, activity
@@ -211,18 +211,18 @@ class _Roll:
             on_block: Callable[[int, int], None] | None) -> _Made:
         """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
         b = self.bundle
-        drawn = b.drawn
-        generator, vectors, count = drawn.generator, drawn.lexicon.vectors, len(encoded.blocks)
+        generator, style = b.generator_and_style(encoded.text is not None)
+        gate = b.gate if self.activity < 1 else None
+        vectors, count = b.vectors, len(encoded.blocks)
         best_count = min(BEST, len(vectors))
-        style = b.style_text if encoded.text is not None and b.style_text is not None else drawn.style
         previous = b.rest_lexeme(self.speaker)
         rest = b.rest_feature(self.speaker)
-        past = rest.expand(1, b.lexicon.frames, -1)
+        past = rest.expand(1, b.frames, -1)
         state = generator.first_state(rest[None], vectors[[previous]])
         inner, style_state = self.interpreter.start(self.speaker, previous), style.start(self.speaker)
         free, free_state = inner, state
         guidance = b.config.selection.guidance
-        gate_state = None if b.gate is None else b.gate.start(self.speaker)
+        gate_state = None if gate is None else gate.start(self.speaker)
         bounds = torch.as_tensor(b.statistics.bounds, dtype=torch.float32)
         made = _Made(np.empty((count, *past.shape[1:]), np.float32), np.empty(count, np.int64),
                      np.empty((count, best_count), np.int64), np.empty((count, best_count)),
@@ -231,9 +231,9 @@ class _Roll:
         for i in range(count):
             features = self._features(encoded, i, asked)
             closed = self.activity == 0
-            if b.gate is not None and gate_state is not None and self.activity < 1:
-                made.gate[i], gate_state = b.gate.step(gate_state, features)
-                closed = not opened(float(made.gate[i]), self.activity)
+            if gate is not None and gate_state is not None:
+                made.gate[i], gate_state = gate.step(gate_state, features)
+                closed = not gate.opened(float(made.gate[i]), self.activity)
             scores, inner = self.interpreter.step(inner, features, previous)
             if asked is not None:
                 unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
@@ -252,8 +252,8 @@ class _Roll:
                 unled, free_state, _ = generator.step(past, audio, vectors[[previous]], code, free_state)
                 block = unled + guidance * (block - unled)
             resting = resting + 1 if quiet else 0
-            if resting > _SETTLES_AFTER and b.config.silence.settle > 0:
-                block = settled(past[:, -1:], block, b.config.silence.settle)
+            if resting > _SETTLES_AFTER and b.config.silence.rest_decay > 0:
+                block = settled(past[:, -1:], block, b.config.silence.rest_decay)
             # What it was never shown it must not feed itself: one odd pose would lead to the next.
             past = torch.clamp(block, *bounds)
             made.motion[i], made.lexemes[i], made.codes[i] = past[0].numpy(), previous, code[0].numpy()
@@ -286,8 +286,7 @@ class _Decoded(_Roll):
     def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None,
             on_block: Callable[[int, int], None] | None) -> _Made:
         """Every code in turn; nothing can be asked of the style."""
-        codec = self.bundle.lexicon
-        assert isinstance(codec, RacerCodec)
+        codec = cast("RacerCodec", self.bundle.lexicon)
         count, best = len(encoded.blocks), min(BEST, len(codec.vectors))
         rest = previous = self.bundle.rest_lexeme(self.speaker)
         made = _Made(np.empty((0, 0, 0), np.float32), np.empty(count, np.int64), np.empty((count, best), np.int64),

@@ -53,7 +53,7 @@ def same(one: Performance, two: Performance) -> bool:
 
 
 def without(bundle: Bundle, *parts: str) -> Bundle:
-    return dataclasses.replace(bundle, **dict.fromkeys(parts))
+    return bundle.with_parts(**dict.fromkeys(parts))
 
 
 def test_without_words_the_ear_alone_decides(system: Gesticulator) -> None:
