@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING
 
 from data_module.errors import InputError, one_line_errors
 from gesticulator import __version__
+from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from data_module.controls import Controls
     from gesticulator.pipeline import Gesticulator
 
 PROGRAM = "gesticulator"
-INTERPRETERS = ("lstm", "cql", "statistical")
 TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 _CONTROLS = (("height", "height of the right hand over the hips", "METRES"),
              ("speed", "mean speed of the hands", "METRES/S"),

@@ -127,8 +127,8 @@ class Gesticulator:
         encoded = self.encode_speech(speech) if encoded is None else encoded
         interpreter = self.bundle.interpreters[0] if interpreter is None else interpreter
         system = self.interpreter(interpreter, reads) if isinstance(interpreter, str) else interpreter
-        values = getattr(system, "gives_values", False)
-        usual = chosen.q_temperature if values else chosen.temperature
+        of_value = getattr(system, "gives_values", False)
+        usual = chosen.q_temperature if of_value else chosen.temperature
         asked = None
         if controls is not None and self.bundle.levels is not None:
             values, given = controls.at(encoded.blocks.knot_times)
@@ -141,7 +141,7 @@ class Gesticulator:
         motion = self.to_motion(made.motion, encoded, who, FPS if fps is None else fps)
         return Performance(motion=motion, speech=speech, blocks=encoded.blocks, lexemes=made.lexemes, best=made.best,
                            scores=made.scores, codes=made.codes, gate=made.gate, notes=(note,) if note else (),
-                           score_is="expected return" if values else "log-probability")
+                           score_is="expected return" if of_value else "log-probability")
 
     def encode_speech(self, speech: Speech) -> SpeechFeatures:
         """A speech at 16 kHz cut into blocks and encoded, with its words where the bundle reads them."""
