@@ -5,24 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
 from gesticulator.export.bvh import write_bvh_file
 from gesticulator.export.html import write_preview
 from gesticulator.export.plan import write_plan
-from gesticulator.performance import Performance
 
-Writer = Callable[[Path, Performance], Path]
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
 
-WRITERS: dict[str, Writer] = {
+WRITERS: dict[str, Callable[[Path, Performance], Path]] = {
     ".bvh": write_bvh_file,
     ".html": write_preview,
     ".json": write_plan,
 }
-"""Suffix -> writer(path, performance) -> the file to open, which a long preview moves into a folder of its own."""
+"""Suffix -> writer(path, performance), which returns the path."""
 
 
-def writer_for(path: str | os.PathLike[str]) -> Writer:
+def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Path]:
     """The writer for a path by its suffix, in any case; InputError that lists the known ones."""
     target = Path(path)
     writer = WRITERS.get(target.suffix.lower())
@@ -35,7 +36,6 @@ def writer_for(path: str | os.PathLike[str]) -> Writer:
 def write(path: str | os.PathLike[str], performance: Performance) -> Path:
     """Write a performance, whole or not at all, in the format of the suffix.
 
-    Returns the file to open. It is `path`, except for a preview of a long recording, which becomes a folder.
-    InputError for an unknown suffix; OSError where the disk refuses.
+    Returns `path`. InputError for an unknown suffix; OSError where the disk refuses.
     """
     return writer_for(path)(Path(path), performance)
