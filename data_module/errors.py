@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import reprlib
 import sys
 from collections.abc import Iterator
 
 EXIT_BAD_INPUT = 2
 EXIT_PIPE = 141
+"""What a shell reports of a program that SIGPIPE (13) ended: 128 + 13."""
+EXIT_STOPPED = 130
+"""The same of one that SIGINT (2) ended."""
 
 
 class InputError(Exception):
@@ -27,23 +31,42 @@ class InputError(Exception):
         return type(self), (self.subject, self.wrong, self.advice)
 
 
+def shown(value: object, width: int = 40) -> str:
+    """A value that was read, in `width` characters at most, for a message: however long or deep, it costs no time."""
+    return (str(value) if isinstance(value, str | float | bool) or value is None else reprlib.repr(value))[:width]
+
+
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
     """Print an `InputError`, or a failure of the disk, as one line and leave with exit code 2."""
     try:
         yield
     except InputError as error:
-        print(f"{program}: {error}", file=sys.stderr)
+        complain(f"{program}: {error}")
         raise SystemExit(EXIT_BAD_INPUT) from None
     except BrokenPipeError:
         # Whoever read the output has seen enough (`| head`); what is still to be flushed has nowhere to go.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if sys.stdout is not None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(EXIT_PIPE) from None
     except OSError as error:
         where = error.filename or "output"
-        print(f"{program}: {where}: {error.strerror or error}; check the path, its rights and the free space",
-              file=sys.stderr)
+        complain(f"{program}: {where}: {error.strerror or error}; check the path, its rights and the free space")
         raise SystemExit(EXIT_BAD_INPUT) from None
     except KeyboardInterrupt:
-        print(f"{program}: stopped", file=sys.stderr)
-        raise SystemExit(130) from None
+        complain(f"{program}: stopped")
+        raise SystemExit(EXIT_STOPPED) from None
+
+
+def complain(line: str) -> None:
+    """Print a line on standard error, whatever it can show and whether or not it is there.
+
+    Characters that its encoding lacks, and bytes of a file's name that are no text, are written as \\x escapes.
+    """
+    stream = sys.stderr
+    if stream is None:  # it was closed before the program began; print() would write to standard output instead
+        return
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    # A line that broke off its own encoding would end in a traceback in place of the message.
+    with contextlib.suppress(OSError, ValueError):  # closed since
+        print(line.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)

@@ -1,35 +1,200 @@
-"""Files written whole or not at all."""
+"""Files written whole or not at all, text files read with one set of messages, and folders that one process holds."""
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import errno
 import os
-import tempfile
+import secrets
+import socket
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
+from data_module.errors import InputError
+
+LARGEST_TEXT = 1 << 24
+"""Bytes (16 MiB) of a text file that is read: the words of an hour, phone by phone and in UTF-16, take half of it."""
+LOCK = ".lock"
+"""Name of the file that marks a folder as in use."""
+
+# What a text file may begin with when another program wrote it: Praat writes UTF-16.
+_MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_NO_LOCKS = frozenset({errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL})
+"""Errors with which a file system says that it has no locks (some network drives)."""
+
+
+# ---------------------------------------------------------------------------------------------------- writing
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file whole or not at all: to a temporary file beside it, then renamed."""
+    """Write a text file whole or not at all: to a temporary file beside it, synced, then renamed."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a file whole or not at all: to a temporary file beside it, then renamed; OSError names `path`."""
+    """Write a file whole or not at all: to a temporary file beside it, synced, then renamed; OSError names `path`."""
     target = Path(path)
     try:
-        # A short prefix: a long name plus the temporary ending could pass the file system's limit.
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name[:40]}.")
-        temporary = Path(name)
+        temporary, handle = _new_file(target)
         try:
             with os.fdopen(handle, "wb") as stream:
                 stream.write(data)
-            mask = os.umask(0)
-            os.umask(mask)
-            temporary.chmod(0o666 & ~mask)
-            temporary.replace(target)
+                stream.flush()
+                # Without it the name may reach the disk before the content does, and a power cut leaves an empty file.
+                os.fsync(stream.fileno())
+            rename(temporary, target)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
     except OSError as error:
         # The file that the user asked for is named, not the temporary one.
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(target)) from error
+
+
+def _new_file(target: Path) -> tuple[Path, int]:
+    """A new file beside `target`, open for writing, with the rights that the process gives to its files."""
+    while True:
+        # A short prefix: a long name plus the temporary ending could pass the file system's limit.
+        temporary = target.parent / f".{target.name[:40]}.{secrets.token_hex(6)}"
+        with contextlib.suppress(FileExistsError):
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+            return temporary, os.open(temporary, flags, 0o666)
+
+
+def rename(source: Path, target: Path) -> None:
+    """Give a finished file or folder its name, in place of a file that bears it, and sync the folder that lists it."""
+    source.replace(target)
+    sync_folder(target.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk, where the system can (Windows needs no such thing)."""
+    if os.name != "posix":
+        return
+    with contextlib.suppress(OSError):  # some file systems refuse it; the content is synced all the same
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+# ---------------------------------------------------------------------------------------------------- reading
+
+def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT) -> str:
+    """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one; line ends become "\\n".
+
+    advice: what to do when it is none. InputError for a file that is absent, no regular file, larger than `largest`
+    bytes, or not text.
+    """
+    name = Path(path)
+    try:
+        if not name.is_file():
+            wrong = "is a folder" if name.is_dir() else "is no regular file" if name.exists() else "does not exist"
+            raise InputError(path, wrong, "check the path")
+        if name.stat().st_size > largest:
+            raise InputError(path, f"is larger than {largest >> 20} MiB", advice)
+        data = name.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})",
+                         "check the path and its rights") from None
+    encoding = next((encoding for mark, encoding in _MARKED if data.startswith(mark)), "utf-8")
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(path, f"line {line}: is not text in UTF-8", advice) from None
+    if "\0" in text:
+        raise InputError(path, f"line {text.count(chr(10), 0, text.index(chr(0))) + 1}: is not text in UTF-8 "
+                         "(it has a zero byte)", advice)
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+# ---------------------------------------------------------------------------------------------------- locks
+
+@contextlib.contextmanager
+def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False) -> Iterator[None]:
+    """Hold a folder, which is made where it is missing, against every other process and thread.
+
+    what: the work, for the message ("a training"). beside: put the lock file next to the folder, not into it, for a
+    folder that is renamed while it is held. The system itself lets go when a process dies, so no lock is ever stale.
+    InputError when somebody else holds the folder. Where the file system has no locks, the work goes on without one.
+    """
+    place = Path(folder)
+    if beside:
+        file = place.with_name(f".{place.name}{LOCK}")
+        file.parent.mkdir(parents=True, exist_ok=True)
+    else:
+        file = place / LOCK
+        place.mkdir(parents=True, exist_ok=True)
+    handle = _locked(file, place, what)
+    try:
+        yield
+    finally:
+        if os.name == "posix":  # while it is held, so that nobody loses a lock to it; see `_locked`
+            file.unlink(missing_ok=True)
+            os.close(handle)
+        else:
+            _release(handle)
+            os.close(handle)
+            with contextlib.suppress(OSError):  # another process may have it open already
+                file.unlink(missing_ok=True)
+
+
+def _locked(file: Path, folder: Path, what: str) -> int:
+    """A descriptor that holds the lock on `file`."""
+    while True:
+        handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            if not _take(handle):
+                raise InputError(folder, f"is in use by {_holder(handle)}",
+                                 "wait until it has ended, or choose another folder")
+            # Whoever held it before removes the file: a lock on a removed file holds nothing.
+            if file.exists() and os.path.samestat(os.fstat(handle), file.stat()):
+                os.ftruncate(handle, 0)
+                os.write(handle, f"{what}\n{os.getpid()}\n{socket.gethostname()}\n".encode())
+                return handle
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)
+        time.sleep(0.01)
+
+
+def _holder(handle: int) -> str:
+    """Who wrote the lock file: "a training (process 123 on HOST)"."""
+    try:
+        lines = os.read(handle, 4096).decode("utf-8", "replace").split("\n")
+    except OSError:  # Windows lets nobody read what is locked
+        lines = []
+    if len(lines) < 3 or not lines[0]:
+        return "another process"
+    return f"{lines[0]} (process {lines[1]} on {lines[2]})"
+
+
+def _take(handle: int) -> bool:
+    """Whether the lock could be had, without waiting."""
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            # A byte far behind the text, which stays readable for others.
+            os.lseek(handle, 1 << 20, os.SEEK_SET)
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
+            os.lseek(handle, 0, os.SEEK_SET)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno in _NO_LOCKS
+    return True
+
+
+def _release(handle: int) -> None:
+    if os.name == "nt":
+        import msvcrt
+
+        os.lseek(handle, 1 << 20, os.SEEK_SET)
+        msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)  # type: ignore[attr-defined, unused-ignore]

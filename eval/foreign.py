@@ -25,8 +25,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from data_module.arrays import read_npy
 from data_module.corpora.folder import SOUNDS
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
+from data_module.files import read_text
 from data_module.motion import rotation
 from data_module.motion.bvh import BvhWarning, read_bvh
 from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions
@@ -47,6 +49,8 @@ _HIP_JOINTS = (("leftupleg", "rightupleg"), ("left_hip", "right_hip"), ("lhip", 
 _NOSES = ("nose",)
 _CROWNS = ("headtop", "head_top", "headend", "head_end", "headtop_end", "crown")
 _EPS = 1e-9
+_FARTHEST = 1e9
+"""Units, whichever they are, of a position: a thousand kilometres in millimetres."""
 _RATE_ADVICE = 'give the frame rate: {"fps": RATE} in NAME.json beside it, or --fps NAME=RATE of a command that has it'
 
 
@@ -162,7 +166,7 @@ def sidecar(path: Path) -> dict[str, Any]:
     for place in (path.with_suffix(".json"), path.with_name(SHARED)):
         if place.is_file():
             try:
-                told = json.loads(place.read_text(encoding="utf-8-sig"))
+                told = json.loads(read_text(place, "repair it"))
             except (ValueError, RecursionError):
                 raise InputError(place, "is not JSON", "repair it") from None
             if isinstance(told, dict):
@@ -175,7 +179,8 @@ def _rate(told: dict[str, Any], path: Path) -> float | None:
     if rate is None:
         return None
     if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < 1000:
-        raise InputError(path.with_suffix(".json"), f"tells a frame rate of {rate!r}", "give frames a second")
+        raise InputError(path.with_suffix(".json"), f"tells a frame rate of {shown(rate)!r}",
+                         "give frames a second")
     return float(rate)
 
 
@@ -190,22 +195,20 @@ def read_positions(path: Path, fps: float | None = None) -> Motion:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or rate is None:
         raise InputError(beside, "does not name joints and fps", 'write {"joints": [...], "fps": ..., "up": "+Y"}')
     up = told.get("up", "+Y")
-    if up not in _UP:
-        raise InputError(beside, f"has up {up!r}", f"choose among {', '.join(_UP)}")
+    if not isinstance(up, str) or up not in _UP:
+        raise InputError(beside, f"has up {shown(up)!r}", f"choose among {', '.join(_UP)}")
+    points = read_npy(path)
+    if points.dtype.kind not in "fiu" or points.shape[1:] != (len(names), 3) or len(points) == 0:
+        raise InputError(path, f"has {points.dtype} of shape {points.shape}, and its sidecar names {len(names)} joints",
+                         f"it should be numbers, [T, {len(names)}, 3]")
+    points = points.astype(np.float64)
+    if not (np.abs(points) < _FARTHEST).all():
+        raise InputError(path, "has positions that are not numbers, or far too large", "fill or cut them")
+    apart = np.ptp(points, axis=1).max(axis=-1)
+    if len(names) > 1 and not (apart > _EPS).all():
+        raise InputError(path, f"has all joints in one place in frame {int(np.argmin(apart))}", "fill or cut it")
     try:
-        points = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(path, f"is not an .npy of plain numbers ({str(error).splitlines()[0]})",
-                         "save it again") from None
-    if not isinstance(points, np.ndarray) or points.dtype.kind not in "fiu" or points.shape[1:] != (len(names), 3) \
-            or len(points) == 0:
-        shape = getattr(points, "shape", "several arrays")
-        raise InputError(path, f"has shape {shape}, and its sidecar names {len(names)} joints",
-                         f"it should be [T, {len(names)}, 3]")
-    if not np.isfinite(points).all():
-        raise InputError(path, "has positions that are not numbers", "fill or cut them")
-    try:
-        return from_positions(points.astype(np.float64) @ _UP[up].T, names, rate)
+        return from_positions(points @ _UP[up].T, names, rate)
     except InputError as error:
         raise InputError(beside, error.wrong, error.advice) from None
 

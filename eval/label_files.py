@@ -15,7 +15,6 @@ Anything else is refused with the line. A mark that lasts has three moments; `at
 
 from __future__ import annotations
 
-import codecs
 import csv
 import json
 import re
@@ -26,8 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from data_module.errors import InputError
-from data_module.text.transcript_formats import SILENCES
+from data_module.errors import InputError, shown
+from data_module.files import read_text
+from data_module.text.transcript_formats import NUMBER, SILENCES
 from data_module.types import Array
 
 COLUMNS = ("time", "seconds", "second", "sec", "t", "timestamp", "beat", "beats", "onset", "emphasis", "start")
@@ -43,12 +43,15 @@ _LISTS = ("beats", "labels", "onsets", "strokes", "times")
 _WANTED = re.compile(r"beat|emphas|stroke|gesture|onset|apex", re.IGNORECASE)
 _ADVICE = ("give seconds, one a line; a table with a head (time,label); an Audacity label track; a Praat TextGrid "
            "(ELAN exports one); or a JSON list")
-_LARGEST = 1 << 26
-_MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_LINE = re.compile(rf"\s*(?P<time>{_NUMBER.pattern})(?:(?P<between>\s*[;,]\s*|\s+)(?P<rest>.*)|)")
+_LARGEST = 1e300
+"""Of a number in JSON: a larger whole number has no float."""
+_LATEST = 1e6
+"""Seconds (eleven days) into a recording: a later time is no moment of it."""
+# Possessive (++): what was matched is never given back, so that time grows with the length alone.
+_NUMBER = re.compile(NUMBER)
+_LINE = re.compile(rf"\s*+(?P<time>{NUMBER})(?:(?P<between>\s*[;,]\s*+|\s++)(?P<rest>.*)|)")
 # Of a TextGrid quoted text, numbers that stand alone and the flag count; the rest is there for people.
-_TOKEN = re.compile(rf'"(?P<text>(?:[^"]|"")*)"|(?<![^\s=])(?P<number>{_NUMBER.pattern})(?!\S)|(?P<flag><\w+>)')
+_TOKEN = re.compile(rf'"(?P<text>(?:[^"]++|"")*+)"|(?<![^\s=])(?P<number>{NUMBER})(?!\S)|(?P<flag><\w++>)')
 
 Mark = tuple[float, float]
 
@@ -84,7 +87,7 @@ class Choice:
 def read_labels(path: Path, choice: Choice | None = None) -> Labels:
     """The moments of one recording. InputError for a file of another kind, one without marks, or marks before 0."""
     choice = choice or Choice()
-    text = _text_of(path)
+    text = read_text(path, _ADVICE)
     if text.lstrip()[:1] in ("[", "{"):
         return _labels(path, _of_json(path, text), choice, "JSON")
     if "ooTextFile" in text[:200] or re.match(r'\s*"?Praat', text):
@@ -106,7 +109,7 @@ def read_labels(path: Path, choice: Choice | None = None) -> Labels:
 def is_table_of_recordings(path: Path) -> bool:
     """Whether a file is a table whose rows tell the recording that they belong to."""
     try:
-        head = _text_of(path).lstrip().splitlines()[:1]
+        head = read_text(path, _ADVICE).lstrip().splitlines()[:1]
     except InputError:
         return False
     return bool(head) and any(cell.strip().lower() in FILES for cell in re.split(r"[,;\t]", head[0]))
@@ -116,7 +119,7 @@ def read_table(path: Path, choice: Choice | None = None) -> dict[str, Labels]:
     """The moments of many recordings, by what the table calls each: a column of `FILES`, one mark a row."""
     choice = choice or Choice()
     marks: dict[str, list[Mark]] = {}
-    for name, mark in _of_table(path, _text_of(path), choice.column):
+    for name, mark in _of_table(path, read_text(path, _ADVICE), choice.column):
         marks.setdefault(name, []).append(mark)
     if not marks:
         raise InputError(path, "holds no labels", _ADVICE)
@@ -138,22 +141,6 @@ def find_labels(folder: Path, name: str) -> Path | None:
 
 # ---------------------------------------------------------------------------------------------------- what all share
 
-def _text_of(path: Path) -> str:
-    if not path.is_file():
-        raise InputError(path, "is no file" if path.exists() else "does not exist", "check the path")
-    if path.stat().st_size > _LARGEST:
-        raise InputError(path, f"is larger than {_LARGEST >> 20} MiB", _ADVICE)
-    data = path.read_bytes()
-    encoding = next((name for mark, name in _MARKED if data.startswith(mark)), "utf-8")
-    try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError:
-        text = "\0"
-    if "\0" in text:
-        raise InputError(path, "is not text", _ADVICE)
-    return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
 def _number(cell: str) -> float | None:
     value = float(cell) if _NUMBER.fullmatch(cell.strip()) else None
     return value if value is not None and np.isfinite(value) else None
@@ -163,6 +150,10 @@ def _labels(path: Path, marks: Sequence[Mark], choice: Choice, layout: str) -> L
     if not marks:
         raise InputError(path, "holds no labels", _ADVICE)
     start, end = np.array(marks, dtype=np.float64).T
+    with np.errstate(over="ignore"):
+        latest = float(np.abs(np.stack([start, end]) / choice.rate).max())
+    if not latest <= _LATEST:
+        raise InputError(path, f"has a label at {latest:g} s", "labels are seconds from 0; --label-fps for frames")
     if (end < start).any():
         first = marks[int(np.flatnonzero(end < start)[0])]
         raise InputError(path, f"has a label that ends before it starts ({first[0]:g} to {first[1]:g})", "repair it")
@@ -192,7 +183,8 @@ def _of_numbers(path: Path, rows: Sequence[tuple[int, str]]) -> tuple[list[Mark]
         if second is not None and "\t" not in (match["between"] or ""):
             # Start and end, or a number for each beat, or a count before the time: only a head can tell.
             raise InputError(path, f"line {number}: what the second number means is not told", _ADVICE)
-        marks.append((float(match["time"]), float(match["time"]) if second is None else second))
+        first = float(match["time"])
+        marks.append((first, first if second is None else second))
         lasting += second is not None
     if lasting not in (0, len(rows)):
         raise InputError(path, "has lines with one number and lines with two", _ADVICE)
@@ -204,8 +196,14 @@ def _of_numbers(path: Path, rows: Sequence[tuple[int, str]]) -> tuple[list[Mark]
 def _of_table(path: Path, text: str, column: str | None) -> Iterator[tuple[str, Mark]]:
     """(recording or "", mark) of each row; a row without a time carries no mark."""
     first = text.lstrip().split("\n", 1)[0]
-    delimiter = max(",;\t", key=first.count)
-    table = csv.DictReader(text.lstrip().split("\n"), delimiter=delimiter)
+    table = csv.DictReader(text.lstrip().split("\n"), delimiter=max(",;\t", key=first.count))
+    try:
+        yield from _of_rows(path, table, column, first)
+    except csv.Error as error:
+        raise InputError(path, f"line {table.line_num + 1}: is no row of a table ({error})", _ADVICE) from None
+
+
+def _of_rows(path: Path, table: csv.DictReader[str], column: str | None, first: str) -> Iterator[tuple[str, Mark]]:
     heads = {(head or "").strip().lower(): head for head in table.fieldnames or ()}
     wanted = (column.strip().lower(),) if column else COLUMNS
     key = next((heads[name] for name in wanted if name in heads), None)
@@ -243,8 +241,9 @@ def _json_mark(path: Path, item: Any, place: int) -> Mark:
         times = [start, item.get("end", start)]
     else:
         times = [item[0] if isinstance(item, list) and item else item] * 2
-    if not all(isinstance(time, int | float) and not isinstance(time, bool) and np.isfinite(time) for time in times):
-        raise InputError(path, f"[{place}]: {str(item)[:40]} tells no time", 'write 1.25 or {"time": 1.25}')
+    if not all(isinstance(time, int | float) and not isinstance(time, bool) and abs(time) <= _LARGEST
+               for time in times):
+        raise InputError(path, f"[{place}]: {shown(item)} tells no time", 'write 1.25 or {"time": 1.25}')
     return float(times[0]), float(times[1])
 
 
@@ -278,15 +277,21 @@ def _tiers(path: Path, text: str) -> dict[str, list[Mark]]:
 
     if "ooTextFile" not in take("text") or take("text") != "TextGrid":
         raise InputError(path, "is a file of Praat, but no TextGrid", "save it as a text file")
+    def count() -> int:
+        told = float(take("number"))
+        if not 0 <= told <= len(text):
+            raise InputError(path, f"announces {told:g} entries", "save it again")
+        return int(told)
+
     take("number"), take("number"), take("flag")
     tiers: dict[str, list[Mark]] = {}
-    for _ in range(int(float(take("number")))):
+    for _ in range(count()):
         kind, name = take("text"), take("text")
         if kind not in ("IntervalTier", "TextTier"):
             raise InputError(path, f"has a tier of an unknown kind, {kind[:30]!r}", "save it again")
         take("number"), take("number")
         own = tiers.setdefault(name, [])
-        for _ in range(int(float(take("number")))):
+        for _ in range(count()):
             start = float(take("number"))
             end = float(take("number")) if kind == "IntervalTier" else start
             if take("text").strip().lower() not in SILENCES:

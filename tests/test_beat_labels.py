@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import mir_eval
@@ -100,6 +101,28 @@ def test_what_is_no_label_file_is_refused_in_one_line(text: str, wrong: str, tmp
     assert "\n" not in str(caught.value) and str(file) in str(caught.value)
 
 
+@pytest.mark.parametrize(("text", "wrong"), [
+    ("1" * 16_000 + "x\n", "column"), ("time\n" + "1" * 130_000 + "x\n", "no time"),
+    (_LONG_GRID.replace("number = 1.25", "number = " + "1" * 16_000 + "x"), "expected"),
+    (_LONG_GRID + '"' * 20_001, None), ('[' * 900 + ']' * 900, "no time"),
+    ("time\n" + "1" * 140_000 + "\n", "field larger"), ("[1" + "0" * 400 + "]", "no time"),
+    ("[1e999]", "no time"), ("1e999\n", "at inf s"), ("1e200\t1e300\n", "1e"),
+    (_LONG_GRID.replace("number = 1.25", "number = 1e999"), "at inf s"),
+    (_LONG_GRID.replace("points: size = 3", "points: size = 1e999"), "announces inf"),
+])
+def test_huge_numbers_and_long_lines_cost_no_time(text: str, wrong: str | None, tmp_path: Path) -> None:
+    file = tmp_path / "labels"
+    file.write_text(text)
+    begun = time.monotonic()
+    if wrong is None:
+        assert read_labels(file).times == pytest.approx(TIMES)
+    else:
+        with pytest.raises(InputError, match=wrong) as caught:
+            read_labels(file)
+        assert len(str(caught.value)) < 500
+    assert time.monotonic() - begun < 0.5  # 16,000 digits took 8 s
+
+
 def test_choices(tmp_path: Path) -> None:
     file = tmp_path / "marks"
     file.write_text("10\t20\tb\n30\t30\tb\n")
@@ -172,8 +195,8 @@ def test_many_beats_match_anything_and_the_controls_say_so() -> None:
 def _clicks(path: Path, times: list[float], seconds: float) -> None:
     rng = np.random.default_rng(0)
     samples = 1e-4 * rng.standard_normal(round(16000 * seconds))
-    for time in times:
-        first = round(time * 16000)
+    for at in times:
+        first = round(at * 16000)
         samples[first:first + 800] += 0.3 * rng.standard_normal(800) * np.exp(-np.arange(800) / 200)
     soundfile.write(path, samples.clip(-1, 1), 16000)
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
+import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
-from data_module.files import write_bytes, write_text
+from data_module.errors import InputError
+from data_module.files import LOCK, lock, read_text, write_bytes, write_text
 
 
 def test_text_is_written_as_utf_8_with_the_line_ends_it_has(tmp_path: Path) -> None:
@@ -79,3 +84,117 @@ def test_a_bare_file_name_goes_to_the_current_folder(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     write_bytes("a.bin", b"x")
     assert (tmp_path / "a.bin").read_bytes() == b"x"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders are synced on POSIX alone")
+def test_content_is_synced_before_the_name_and_the_name_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    sync, replace = os.fsync, Path.replace
+
+    def fsync(handle: int) -> None:
+        kind = "folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else f"file of {os.fstat(handle).st_size}"
+        done.append(f"sync {kind}")
+        sync(handle)
+
+    def renamed(self: Path, target: Path) -> Path:
+        done.append("rename")
+        return replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(Path, "replace", renamed)
+    write_bytes(tmp_path / "a.bin", b"four")
+    assert done == ["sync file of 4", "rename", "sync folder"]
+
+
+def test_writing_leaves_the_mask_of_the_process_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It belongs to all threads: while one asks for it by setting it, files of the others are open to everybody."""
+    before = os.umask(0o077)
+    try:
+        monkeypatch.setattr(os, "umask", lambda mask: pytest.fail("the mask was set"))
+        write_bytes(tmp_path / "a.bin", b"x")
+        assert (tmp_path / "a.bin").stat().st_mode & 0o777 == 0o600
+    finally:
+        monkeypatch.undo()
+        os.umask(before)
+
+
+def test_a_text_is_read_in_every_encoding_with_one_kind_of_line_ends(tmp_path: Path) -> None:
+    file = tmp_path / "a.txt"
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        file.write_bytes("Füße\r\nzwei\rdrei\n".encode(encoding))
+        assert read_text(file, "save it again") == "Füße\nzwei\ndrei\n"
+
+
+@pytest.mark.parametrize(("data", "says"), [
+    (b"one\ntwo \xff\xfe\n", "line 2"), (b"one\n\0\0\n", "line 2"), (b"\xff\xfea", "not text"),
+])
+def test_what_is_no_text_is_refused_with_the_line(data: bytes, says: str, tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes(data)
+    with pytest.raises(InputError, match=says):
+        read_text(tmp_path / "a.txt", "save it again")
+
+
+def test_paths_that_hold_no_text_are_refused(tmp_path: Path) -> None:
+    for path, says in ((tmp_path, "folder"), (tmp_path / "none", "does not exist"), ("a\0b", "does not exist")):
+        with pytest.raises(InputError, match=says):
+            read_text(path, "save it again")
+
+
+_HOLD = """
+import sys, time
+from data_module.files import lock
+with lock(sys.argv[1], "a training", beside=sys.argv[2] == "beside"):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("place", ["inside", "beside"])
+def test_a_folder_that_another_process_holds_is_refused_until_it_dies(place: str, tmp_path: Path) -> None:
+    folder, beside = tmp_path / "work", place == "beside"
+    command = [sys.executable, "-c", _HOLD, str(folder), place]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None and other.stdout.readline() == "held\n"
+        with pytest.raises(InputError, match=f"work: is in use by a training \\(process {other.pid} on "), \
+                lock(folder, "another training", beside=beside):
+            pytest.fail("two hold it")
+        other.kill()
+    # Nothing was cleaned up, and nothing has to be.
+    with lock(folder, "another training", beside=beside):
+        pass
+    assert [file.name for file in tmp_path.rglob("*")] == ([] if beside else ["work"])
+
+
+def test_threads_hold_a_folder_one_after_the_other(tmp_path: Path) -> None:
+    inside, most, refused = 0, 0, 0
+    guard = threading.Lock()
+
+    def work() -> None:
+        nonlocal inside, most, refused
+        for _ in range(50):
+            try:
+                with lock(tmp_path / "w", "work"):
+                    with guard:
+                        inside += 1
+                        most = max(most, inside)
+                    time.sleep(0.001)
+                    with guard:
+                        inside -= 1
+            except InputError:
+                with guard:
+                    refused += 1
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == 1 and refused > 0
+
+
+def test_a_lock_is_let_go_after_an_error(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), lock(tmp_path, "work"):
+        raise KeyError
+    with lock(tmp_path, "work"):
+        assert (tmp_path / LOCK).is_file()
+    assert not (tmp_path / LOCK).exists()

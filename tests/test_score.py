@@ -187,10 +187,14 @@ def test_smplx_and_bvh_are_read_with_their_rates(truth: dict[str, Clip], tmp_pat
 @pytest.mark.parametrize(("told", "points", "says"), [
     ({"joints": ["Hips"]}, np.zeros((3, 1, 3)), "does not name joints and fps"),
     ({"joints": ["Hips"], "fps": 15}, np.zeros((3, 1, 3)), "no joint known as"),
-    ({"joints": ["Hips"], "fps": 15}, np.zeros((3, 2, 3)), r"has shape \(3, 2, 3\)"),
+    ({"joints": ["Hips"], "fps": 15}, np.zeros((3, 2, 3)), r"of shape \(3, 2, 3\)"),
     ({"joints": ["Hips"], "fps": 15}, np.full((3, 1, 3), np.nan), "not numbers"),
     ({"joints": ["Hips"], "fps": 15, "up": "left"}, np.zeros((3, 1, 3)), "up 'left'"),
     ({"joints": ["Hips"], "fps": "fast"}, np.zeros((3, 1, 3)), "frame rate of 'fast'"),
+    ({"joints": list(TED_JOINTS), "fps": 15}, np.zeros((3, 10, 3)), "all joints in one place in frame 0"),
+    ({"joints": list(TED_JOINTS), "fps": 15}, np.full((3, 10, 3), 1e300), "far too large"),
+    ({"joints": list(TED_JOINTS), "fps": 15}, np.full((3, 10, 3), "1"), "numbers"),
+    ({"joints": ["Hips"], "fps": 15, "up": ["+Y"]}, np.zeros((3, 1, 3)), "up"),
 ])
 def test_positions_that_cannot_be_used(told: dict[str, Any], points: Any, says: str, tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", points)

@@ -8,14 +8,13 @@ character's left to +X, which is also SMPL-X's rest pose.
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.arrays import read_npz
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.types import Motion, Skeleton
@@ -50,6 +49,12 @@ JOINTS = 55
 _PELVIS_BELOW_ORIGIN = 0.35
 """Metres: `trans` moves the body's origin, which lies about the breastbone, and our root is the pelvis."""
 
+_RATES = ("mocap_frame_rate", "mocap_framerate")
+_MOST_TURN = 1e3
+"""Radians: a hundred and sixty turns; the sine of a larger number has lost its digits."""
+_FARTHEST = 1e6
+"""Metres from the origin: beyond it a float has no millimetres."""
+
 
 def _build() -> Skeleton:
     names = tuple(name for name, _, _ in _BODY)
@@ -67,38 +72,30 @@ def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Mot
     fps: the frame rate, where the file has none or a wrong one. InputError names the file that is absent, is no .npz,
     lacks an array, or holds another shape. Nothing in it is unpickled.
     """
-    arrays = _arrays(path)
+    arrays = read_npz(path, ("poses", "trans", *_RATES), "fetch it again")
+    for name in ("poses", "trans"):
+        if name not in arrays or arrays[name].dtype.kind not in "fiu":
+            raise InputError(path, f"has no numbers called {name}", "SMPL-X files have poses and trans")
     poses, trans = arrays["poses"], arrays["trans"]
-    frames, joints = len(poses), len(SKELETON)
+    frames, joints = len(poses) if poses.ndim else 0, len(SKELETON)
     if poses.ndim < 2 or frames == 0 or poses.reshape(frames, -1).shape[1] < joints * 3:
         raise InputError(path, f"has poses of shape {poses.shape}", f"SMPL-X has [T, {JOINTS * 3}]")
     if trans.shape != (frames, 3):
         raise InputError(path, f"has trans of shape {trans.shape} for {frames} poses", "it should be [T, 3]")
-    rate = fps if fps is not None else arrays.get("mocap_frame_rate", arrays.get("mocap_framerate"))
-    if rate is None or np.size(rate) != 1 or not 0 < float(np.ravel(rate)[0]) < 1000:
+    rate = fps if fps is not None else _rate(arrays)
+    if rate is None or not 0 < rate < 1000:
         raise InputError(path, "has no usable mocap_frame_rate", "give the frame rate")
     values = poses.reshape(frames, -1)[:, :joints * 3].astype(np.float64)
     root = trans.astype(np.float64)
     if not (np.isfinite(values).all() and np.isfinite(root).all()):
         raise InputError(path, "has poses that are not numbers", "export it again")
+    if np.abs(values).max() > _MOST_TURN or np.abs(root).max() > _FARTHEST:
+        raise InputError(path, "has poses that are not angles, or a body far away", "export it in radians and metres")
     turns = rotation.continuous(rotation.from_exponential_map(values.reshape(frames, joints, 3)))
-    return Motion(SKELETON, turns, root - np.array([0.0, _PELVIS_BELOW_ORIGIN, 0.0]), float(np.ravel(rate)[0]))
+    return Motion(SKELETON, turns, root - np.array([0.0, _PELVIS_BELOW_ORIGIN, 0.0]), rate)
 
 
-def _arrays(path: str | os.PathLike[str]) -> Mapping[str, NDArray[Any]]:
-    wanted = ("poses", "trans", "mocap_frame_rate", "mocap_framerate")
-    try:
-        with np.load(Path(path), allow_pickle=False) as content:
-            if not isinstance(content, np.lib.npyio.NpzFile):
-                raise InputError(path, "is one array, not an .npz of SMPL-X", "give the .npz")
-            arrays = {name: content[name] for name in wanted if name in content.files}
-    except FileNotFoundError:
-        raise InputError(path, "does not exist", "check the path") from None
-    except (ValueError, EOFError, zipfile.BadZipFile):
-        raise InputError(path, "is not an .npz of plain arrays", "fetch it again") from None
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})", "give an .npz") from None
-    for name in ("poses", "trans"):
-        if name not in arrays or arrays[name].dtype.kind not in "fiu":
-            raise InputError(path, f"has no numbers called {name}", "SMPL-X files have poses and trans")
-    return arrays
+def _rate(arrays: Mapping[str, NDArray[Any]]) -> float | None:
+    """Frames a second as the file tells them, None where it does not."""
+    told = next((arrays[name] for name in _RATES if name in arrays), None)
+    return float(told.ravel()[0]) if told is not None and told.size == 1 and told.dtype.kind in "fiu" else None
