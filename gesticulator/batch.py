@@ -97,7 +97,8 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
                 raise InputError(path, "is a folder without sound files", f"give one with {', '.join(SOUNDS)}")
         elif set(name) & set("*?[") and not os.path.lexists(name):
             # A shell leaves a pattern as it is where it is quoted, and Windows always does.
-            inside = sorted(Path(match) for match in glob.glob(name, recursive=True) if Path(match).is_file())
+            matches = glob.glob(name, recursive=True)  # noqa: PTH207 - absolute patterns, and ** in one call
+            inside = sorted(Path(match) for match in matches if Path(match).is_file())
             if not inside:
                 raise InputError(name, "matches no file", "check the pattern")
         else:

@@ -16,7 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import NoReturn
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError, complain, one_line_errors
 
 PROGRAM = "gesticulator"
 GROUP = "gesticulator.commands"
@@ -79,7 +79,7 @@ def steady_streams() -> None:
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - to the end
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
 
@@ -111,7 +111,7 @@ def usage() -> str:
         try:
             known[name] = load(point).summary
         except InputError as error:
-            print(f"{PROGRAM}: {error}", file=sys.stderr)
+            complain(f"{PROGRAM}: {error}")
     width = max(map(len, known), default=0)
     lines = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in known.items())
     return (f"usage: {PROGRAM} VERB ...      ({PROGRAM} VERB --help tells of each)\n"

@@ -9,15 +9,15 @@ import argparse
 import sys
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING
 
-from data_module.errors import EXIT_BAD_INPUT, InputError, one_line
+from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
-from gesticulator.batch import STDIN, Job, plan
+from gesticulator.batch import Job, plan
 from gesticulator.cli import PROGRAM, Command
-from gesticulator.options import RANGES
+from gesticulator.options import FPS, RANGES
 
 if TYPE_CHECKING:
     from data_module.controls import Controls
@@ -43,8 +43,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     p.add_argument("speech", nargs="*", help="sound files (0.3 s to one hour), folders of them, patterns such as "
                    "'*.wav', or - for standard input")
-    out = p.add_argument_group("what is written", "A path that ends in / or is a folder takes a file for each recording "
-                               "by its name; anything else is the file itself. Missing folders are made.")
+    out = p.add_argument_group("what is written", "A path that ends in / or is a folder takes a file for each "
+                               "recording, by its name; anything else is the file itself. Missing folders are made.")
     out.add_argument("-o", "--output", metavar="FILE.bvh", help="the motion")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--explain", metavar="FILE.json", help="what was done: settings, blocks, their best lexemes")
@@ -66,7 +66,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
     for flag, what, unit in _CONTROLS:
         style.add_argument(f"--hand-{flag}", metavar=f"low|mid|high|{unit}|FILE.csv",
                            help=f"{what}: a level, a number, or a curve over time (columns time,value)")
-    style.add_argument("--fps", type=number("fps"), default=60.0, help="frames per second of the motion (default 60)")
+    style.add_argument("--fps", type=number("fps"), default=FPS,
+                       help=f"frames per second of the motion (default {FPS:g})")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
     p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle has, and do nothing else")
     p.add_argument("--threads", type=number("threads"), default=1, help="threads of torch (default 1)")
@@ -182,6 +183,19 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
                       gain=asked.gain, controls=controls)
 
 
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """As many threads in torch and in numpy's matrix products, whatever the environment says: the order in which sums
+    are added up, and with it the last bits of a result, depend on their number."""
+    import numpy  # noqa: F401 - its library must be loaded to be told
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    torch.set_num_threads(count)
+    with threadpool_limits(count):
+        yield
+
+
 def _list(system: Gesticulator, what: str) -> int:
     """Print the names, the one that is taken when none is told first marked."""
     names = system.speakers if what == "speakers" else system.interpreters
@@ -194,7 +208,7 @@ def _list(system: Gesticulator, what: str) -> int:
 def _conclude(count: int, done: int, quiet: bool) -> int:
     """Sum up a batch of `count` recordings of which `done` were done; the exit code."""
     if done < count:
-        print(f"{PROGRAM}: {done} of {count} recordings done, {count - done} failed", file=sys.stderr)
+        complain(f"{PROGRAM}: {done} of {count} recordings done, {count - done} failed")
         return EXIT_PART_FAILED if done else EXIT_BAD_INPUT
     _say(f"{count} recordings done", quiet)
     return 0
@@ -206,7 +220,7 @@ def _say(summary: str, quiet: bool) -> None:
 
 
 def _report(error: InputError | OSError) -> None:
-    print(f"{PROGRAM}: {one_line(error)}", file=sys.stderr)
+    complain(f"{PROGRAM}: {one_line(error)}")
 
 
 def _show_our_warnings() -> None:
@@ -218,7 +232,7 @@ def _show_our_warnings() -> None:
 
 
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
-    print(f"{PROGRAM}: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    complain(f"{PROGRAM}: warning: {' '.join(str(message).split())}")
 
 
 COMMAND = Command(

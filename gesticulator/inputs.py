@@ -26,7 +26,8 @@ LOWEST_RATE, HIGHEST_RATE = 1000, 768_000
 MOST_CHANNELS = 1024
 """More are samples and channels taken for each other."""
 FULL_SCALE = 16.0
-"""Floating-point samples up to here are a hot recording, and are clipped at 1; beyond, they are not in [-1, 1] at all."""
+"""Floating-point samples up to here are a recording that is too loud, and are clipped at 1; beyond, they have another
+scale."""
 
 
 def as_speech(given: Recording, sample_rate: float | None = None) -> Speech:
@@ -94,7 +95,7 @@ def as_transcript(text: Text, speech: Speech) -> Transcript:
     return Transcript(None, text, "none", "text")
 
 
-def texts_for(count: int, text: Text | None | Sequence[Text | None]) -> Sequence[Text | None]:
+def texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequence[Text | None]:
     """A text for each of several recordings; `InputError` where there is one for all, or another number of them."""
     if text is None:
         return [None] * count

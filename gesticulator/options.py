@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 HandControl: TypeAlias = "float | str | PathLike[str] | Curve | None"
 
 
+FPS = 60.0
+"""Frames per second of a performance when not told: the models' 20 fps frames, interpolated."""
+
+
 @dataclass(frozen=True)
 class Range:
     """The numbers that a setting takes: low to high, both included; whole: no fractions."""
@@ -82,8 +86,8 @@ class InferenceOptions:
     """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
     activity: float | None = None
     """How readily to gesture at all, 0 (stillness) to 1 (the gate never closes)."""
-    fps: float = 60.0
-    """Frames per second of the motion, 1 to 1000; the models' frames are interpolated."""
+    fps: float = FPS
+    """Frames per second of the motion, 1 to 1000."""
     gain: float = 0.0
     """Decibels by which the recording is amplified first, -60 to 60; beyond full scale it is clipped."""
     hand_height: HandControl = None

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 import torch
@@ -24,12 +24,15 @@ from data_module.types import Array, Motion, Speech
 from gesticulator import __version__
 from gesticulator import bundle as bundles
 from gesticulator.inputs import Recording, Text, amplified, as_speech, as_transcript, texts_for
+from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.prepare import control_rows, representation_of
 from gesticulator.rollout import OnBlock, Sampling, rollout
 from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
 from interpreters import LexemeInterpreter, QNetwork
+
+R = TypeVar("R", bound=Recording)
 
 
 class Gesticulator:
@@ -111,11 +114,11 @@ class Gesticulator:
                  **options: Unpack[InferenceArguments]) -> Performance: ...
 
     @overload
-    def __call__(self, speech: Sequence[Recording], sample_rate: float | None = None, *,
+    def __call__(self, speech: list[R] | tuple[R, ...], sample_rate: float | None = None, *,
                  text: Sequence[Text | None] | None = None, encoded: None = None, on_block: OnBlock | None = None,
                  **options: Unpack[InferenceArguments]) -> list[Performance]: ...
 
-    def __call__(self, speech: Recording | Sequence[Recording], sample_rate: float | None = None, *,
+    def __call__(self, speech: Recording | list[R] | tuple[R, ...], sample_rate: float | None = None, *,
                  text: Text | Sequence[Text | None] | None = None, encoded: SpeechFeatures | None = None,
                  on_block: OnBlock | None = None, **options: Unpack[InferenceArguments]
                  ) -> Performance | list[Performance]:
@@ -135,7 +138,7 @@ class Gesticulator:
         if isinstance(speech, list | tuple):
             if encoded is not None:
                 raise InputError("encoded", "is one for several recordings", "give one recording")
-            texts = texts_for(len(speech), text)  # type: ignore[arg-type]
+            texts = texts_for(len(speech), text)
             return [self._one(one, sample_rate, said, asked, None, on_block)
                     for one, said in zip(speech, texts, strict=True)]
         return self._one(speech, sample_rate, text, asked, encoded, on_block)  # type: ignore[arg-type]
@@ -164,14 +167,13 @@ class Gesticulator:
         sampling = Sampling(temperature, chosen.top, int(options.seed))
         made = rollout(self.bundle, system, who, sampling, activity).run(
             encoded, self._control_rows(controls, encoded), on_block)
-        settings = {"speaker": self.speakers[who], "interpreter": name if isinstance(name, str) else type(name).__name__,
-                    "words": self._reads(speech), "seed": int(options.seed), "temperature": float(temperature),
-                    "activity": float(activity), "fps": float(options.fps), "gain": float(options.gain),
-                    **_plain(controls)}
         return Performance(motion=self.to_motion(made.motion, encoded, who, options.fps), speech=speech,
                            blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
                            codes=made.codes, gate=made.gate, score_is="Q value" if by_value else "log-probability",
-                           made_by={"gesticulator": __version__, "bundle": self._bundle_name(), "settings": settings})
+                           made_by=self._made_by(replace(
+                               options, speaker=self.speakers[who], interpreter=name, temperature=temperature,
+                               activity=activity, controls=controls, hand_height=None, hand_speed=None,
+                               hand_radius=None), self._reads(speech)))
 
     def _one(self, speech: Recording, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
@@ -222,9 +224,19 @@ class Gesticulator:
         rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
         return rows.reshape(len(encoded.blocks), encoded.blocks.frames, -1)
 
-    def _bundle_name(self) -> dict[str, Any]:
-        """What tells one bundle from another."""
-        return {"preset": self.bundle.config.name, "lexicon": bundles.lexicon_hash(self.bundle.lexicon)[:12]}
+    def _made_by(self, options: InferenceOptions, words: bool) -> dict[str, Any]:
+        """What made a performance, in plain values. options: with nothing left to the bundle; words: they were read."""
+        name = options.interpreter if isinstance(options.interpreter, str) else type(options.interpreter).__name__
+        settings: dict[str, Any] = {
+            "speaker": options.speaker, "interpreter": name, "words": words, "seed": int(options.seed),
+            **{key: float(getattr(options, key)) for key in ("temperature", "activity", "fps", "gain")}}
+        controls = options.controls or Controls.free()
+        for feature, value in zip(FEATURES, (controls.height, controls.speed, controls.radius), strict=True):
+            if value is not None:
+                settings[f"hand_{feature}"] = ({"times": list(value.times), "values": list(value.values)}
+                                               if isinstance(value, Curve) else float(value))
+        bundle = {"preset": self.bundle.config.name, "lexicon": bundles.lexicon_hash(self.bundle.lexicon)}
+        return {"gesticulator": __version__, "bundle": bundle, "settings": settings}
 
     def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int, fps: float) -> Motion:
         """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2)."""
@@ -258,10 +270,3 @@ def _moved(bundle: bundles.Bundle, device: torch.device) -> bundles.Bundle:
             if isinstance(part, nn.Module):
                 part.to(device)
     return bundle
-
-
-def _plain(controls: Controls) -> Mapping[str, Any]:
-    """The hand controls for JSON: numbers, and curves as lists of times and values."""
-    asked = zip(FEATURES, (controls.height, controls.speed, controls.radius), strict=True)
-    return {f"hand_{name}": {"times": list(value.times), "values": list(value.values)} if isinstance(value, Curve)
-            else float(value) for name, value in asked if value is not None}
