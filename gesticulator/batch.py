@@ -141,7 +141,7 @@ def _check_place(target: Path) -> None:
     if target.is_dir():
         raise InputError(target, "is a folder", "choose another output")
     folder = target.parent
-    while not os.path.lexists(folder):
+    while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", "choose another output")

@@ -138,7 +138,7 @@ class Bundle:
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose as the models see it."""
         rest = self.statistics.normalise(self.statistics.rest_pose[speaker], speaker)
-        return torch.as_tensor(rest, dtype=torch.float32)
+        return torch.as_tensor(rest, dtype=torch.float32, device=self.lexicon.vectors.device)
 
     def rest_lexeme(self, speaker: int) -> int:
         """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); of RACER's codec, which has no
@@ -148,7 +148,7 @@ class Bundle:
             codes = self.lexicon.label(rest.expand(1, _LONG * self.lexicon.frames, -1))[0]
             return int(codes[_LONG // 2])
         distances = self.lexicon.quantizer.distances(self.lexicon.latents(rest.expand(1, self.lexicon.frames, -1)))[0]
-        return int(self.silent[int(distances[torch.as_tensor(self.silent)].argmin())])
+        return int(self.silent[int(distances[torch.as_tensor(self.silent, device=distances.device)].argmin())])
 
 
 def lexicon_hash(lexicon: Lexicon | RacerCodec) -> str:

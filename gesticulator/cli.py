@@ -79,15 +79,17 @@ def steady_streams() -> None:
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - to the end
+            nowhere = Path(os.devnull).open("w", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115
+            setattr(sys, name, nowhere)
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
 
 
 def installed() -> dict[str, EntryPoint]:
-    """The verbs' entry points in alphabetical order; where two packages add one name, this package's own counts."""
+    """The verbs' entry points, `DEFAULT` first, then by name; where two packages add one, this package's own counts."""
     points = sorted(entry_points(group=GROUP), key=lambda point: point.dist is not None and point.dist.name == PROGRAM)
-    return dict(sorted((point.name, point) for point in points))
+    by_name = {point.name: point for point in points}
+    return {name: by_name[name] for name in sorted(by_name, key=lambda name: (name != DEFAULT, name))}
 
 
 def load(point: EntryPoint) -> Command:

@@ -29,9 +29,6 @@ EXIT_PART_FAILED = 1
 INTERPRETERS = ("lstm", "cql", "statistical")
 _OUTPUTS = {"output": ".bvh", "preview": ".html", "explain": ".json"}
 """Argument that names a file to write -> its suffix."""
-_CONTROLS = (("height", "height of the right hand over the hips", "METRES"),
-             ("speed", "mean speed of the hands", "METRES/S"),
-             ("radius", "mean distance of the hands from the body's axis", "METRES"))
 
 
 def number(name: str) -> Callable[[str], float]:
@@ -41,10 +38,11 @@ def number(name: str) -> Callable[[str], float]:
 
 def arguments(p: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    p.add_argument("speech", nargs="*", help="sound files (0.3 s to one hour), folders of them, patterns such as "
-                   "'*.wav', or - for standard input")
+    p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE.bvh [options]"
+    p.add_argument("speech", nargs="*", metavar="SPEECH", help="sound files (0.3 s to one hour), folders of them, "
+                   "patterns such as '*.wav', or - for standard input")
     out = p.add_argument_group("what is written", "A path that ends in / or is a folder takes a file for each "
-                               "recording, by its name; anything else is the file itself. Missing folders are made.")
+                               "recording, by its\nname; anything else is the file itself. Missing folders are made.")
     out.add_argument("-o", "--output", metavar="FILE.bvh", help="the motion")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--explain", metavar="FILE.json", help="what was done: settings, blocks, their best lexemes")
@@ -54,23 +52,26 @@ def arguments(p: argparse.ArgumentParser) -> None:
     heard.add_argument("--gain", type=number("gain"), default=0.0, metavar="DB",
                        help="amplify the recording first, in decibels (default 0)")
     heard.add_argument("--any-length", action="store_true", help="take recordings of more than an hour, too")
-    style = p.add_argument_group("how it moves")
+    style = p.add_argument_group("how it moves", "VALUE is low, mid or high, a number, or a CSV file with the columns "
+                                 "time and value.")
     style.add_argument("--speaker", metavar="NAME", help="whose habits of moving (see --list speakers)")
-    style.add_argument("--interpreter", choices=INTERPRETERS, help="what chooses the lexemes: the LSTM of Rhythmic "
-                       "Gesticulator, RACER's Q-network (cql), or a speaker's frequencies alone")
-    style.add_argument("--seed", type=number("seed"), default=0, help="the same seed gives the same bytes (default 0)")
-    style.add_argument("--temperature", type=number("temperature"),
-                       help="how freely lexemes are sampled; 0 always takes the likeliest")
+    style.add_argument("--hand-height", metavar="VALUE", help="height of the right hand over the hips, metres")
+    style.add_argument("--hand-speed", metavar="VALUE", help="mean speed of the hands, metres per second")
+    style.add_argument("--hand-radius", metavar="VALUE", help="mean distance of the hands from the body's axis, metres")
     style.add_argument("--activity", type=number("activity"), metavar="0..1",
                        help="how readily to gesture at all; 0 is stillness, 1 never holds back")
-    for flag, what, unit in _CONTROLS:
-        style.add_argument(f"--hand-{flag}", metavar=f"low|mid|high|{unit}|FILE.csv",
-                           help=f"{what}: a level, a number, or a curve over time (columns time,value)")
-    style.add_argument("--fps", type=number("fps"), default=FPS,
+    style.add_argument("--interpreter", choices=INTERPRETERS, help="what chooses the lexemes: the LSTM of Rhythmic "
+                       "Gesticulator, RACER's Q-network (cql), or a speaker's frequencies alone")
+    style.add_argument("--temperature", type=number("temperature"), metavar="T",
+                       help="how freely lexemes are sampled; 0 always takes the likeliest")
+    style.add_argument("--seed", type=number("seed"), default=0, metavar="N",
+                       help="the same seed gives the same bytes (default 0)")
+    style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
     p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle has, and do nothing else")
-    p.add_argument("--threads", type=number("threads"), default=1, help="threads of torch (default 1)")
+    p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
+                   help="threads; bytes are the same for the same number (default 1, which is fastest for most)")
     p.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
     p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
 
@@ -139,13 +140,13 @@ def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls 
     """What the command asks of the style; None when it asks nothing."""
     from data_module.controls import controls_from
 
-    height, speed, radius = (getattr(asked, f"hand_{name}") for name, _, _ in _CONTROLS)
-    if height is None and speed is None and radius is None:
+    asked_for = asked.hand_height, asked.hand_speed, asked.hand_radius
+    if asked_for == (None, None, None):
         return None
     if system.bundle.levels is None:
         raise InputError("--hand-height, --hand-speed, --hand-radius", "are not heard by this bundle",
                          "use a bundle trained with style editing, or leave them out")
-    return controls_from(height, speed, radius, system.bundle.levels)
+    return controls_from(*asked_for, system.bundle.levels)
 
 
 def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None) -> str:

@@ -49,7 +49,7 @@ class Range:
             raise InputError(f"{name} {number!r}", f"is no {'whole ' if self.whole else ''}number",
                              f"choose {self.advice}")
         if not self.low <= number <= self.high:  # also NaN
-            shown = f"{number:g}" if abs(number) < 1e300 else "of that size"
+            shown = f"{number:g}" if not abs(number) > 1e300 or math.isinf(number) else "of that size"
             raise InputError(f"{name} {shown}", "is out of range", f"choose {self.advice}")
         return number
 

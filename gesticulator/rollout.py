@@ -96,7 +96,7 @@ class Rollout:
         generator, vectors = drawn.generator, drawn.lexicon.vectors
         style = b.style_text if encoded.text is not None and b.style_text is not None else drawn.style
         previous = b.rest_lexeme(self.speaker)
-        rest = b.rest_feature(self.speaker).to(self.device)
+        rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.lexicon.frames, -1)
         state = free_state = generator.first_state(rest[None], vectors[[previous]])
         inner = free = self.interpreter.start(self.speaker, previous)
