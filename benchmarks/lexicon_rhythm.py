@@ -25,9 +25,10 @@ from data_module.types import Array
 from eval import pmb
 from eval.bootstrap import interval
 from gesticulator import config as configs
+from gesticulator import presets
 from gesticulator.pipeline import FPS
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.train import Run, train_lexicon
+from gesticulator.stages import BLOCKS, LEXICON, Run
+from gesticulator.stages.corpus import Corpus
 
 _RIDGE = 10.0
 
@@ -63,11 +64,10 @@ def main() -> None:
     p.add_argument("--set", action="append", default=[], dest="settings")
     p.add_argument("--out", help="JSON file; a row is added under the settings' names")
     a = p.parse_args()
-    config = configs.with_settings(configs.preset(a.preset), a.settings)
+    config = configs.with_settings(presets.preset(a.preset), a.settings)
     store = Store.open(a.data)
     run = Run(config, store, Path(a.work), progress=False)
-    run.corpus = corpus = prepare(store, config, run.work, progress=False)
-    lexicon, _ = train_lexicon(run)
+    corpus, lexicon = run.get(BLOCKS), run.get(LEXICON)
     size = config.lexicon.size
     labels = lexicon.label(corpus.motion).numpy()
     weights = regression(corpus, labels, size)

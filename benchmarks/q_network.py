@@ -18,7 +18,7 @@ import torch
 from data_module.layers import freeze
 from eval.results import keep
 from gesticulator import bundle as bundles
-from interpreters import BlockFeatures, LexemeInterpreter
+from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.cql import QNetwork
 
 
@@ -64,7 +64,7 @@ def main() -> None:
                             network.lexemes, network.speakers))
     rows = {"Q-network, cached": row(network, blocks, window, 5), "Q-network, full": row(full, blocks, window, 5),
             "Q-network of the paper's size, cached": row(paper, blocks, window, 1),
-            "lstm": row(bundle.drawn.interpreter, blocks, window, 5)}
+            "lstm": row(bundle.block_models.interpreter, blocks, window, 5)}
     table = ["| ms a block, one thread | window filling | past the window |", "|---|---|---|"]
     table += [f"| {name} | {own['window filling']:.2f} | {own['past the window']:.2f} |" for name, own in rows.items()]
     if a.out:

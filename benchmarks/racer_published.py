@@ -15,7 +15,7 @@ from torch import Tensor
 
 from data_module.layers import parameter_count
 from eval.results import keep
-from gesticulator import config as configs
+from gesticulator import presets
 from interpreters.cql import ConservativeQ, QNetwork
 from lexicon.racer import FRAMES, RacerCodec
 
@@ -46,7 +46,7 @@ def main() -> None:
     a = p.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    config = configs.preset("racer-trinity")
+    config = presets.preset("racer-trinity")
     decisions, count, width = config.cql.decisions, a.windows, config.front_end.bands + 2
     codec = RacerCodec(config.racer, 3 * _JOINTS)
     time_axis = torch.linspace(0, 6.0, decisions * FRAMES)[None, :, None]

@@ -24,7 +24,6 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +42,7 @@ from eval.results import keep
 from eval.score import named
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
-from gesticulator.racer import train_reward
+from gesticulator.stages import REWARD_JUDGE
 
 SEEDS = 3
 RACER_FOLDER = "racer"
@@ -115,9 +114,8 @@ def ablate(bench: Bench, out: Path, *, only: Sequence[str] = (), seeds: int = SE
 
 def racer_ground(bench: Bench) -> bundles.Bundle:
     """What RACER's rows stand on where no bundle is given: the row "q-network" and a reward model to judge by."""
-    bundle, run, labelled = bundle_of(bench, "q-network", 1)
-    judge, _ = train_reward(run, bundle.drawn.lexicon, labelled, judge=True)
-    return replace(bundle, reward_judge=judge)
+    bundle, run, _ = bundle_of(bench, "q-network", 1)
+    return bundle.with_parts(reward_judge=run.get(REWARD_JUDGE))
 
 
 def run_racer(bench: Bench, folder: Path, only: Sequence[str], seeds: int, given: str | None) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -36,19 +36,24 @@ from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Corpus, prepare, weights_hash
-from gesticulator.racer import train_q_network, train_reward
 from gesticulator.speech_features import SpeechFeatures
-from gesticulator.train import (
+from gesticulator.stages import (
+    BLOCKS,
+    CONTRAST,
+    CORPUS,
+    ENCODER,
+    GATE,
+    LABELS,
+    LEXICON,
+    REWARD_JUDGE,
+    SPEECH,
+    TOKENS,
     Labelled,
     Run,
-    label,
-    train_encoder,
-    train_generator,
-    train_interpreter,
-    train_lexicon,
-    train_style,
+    Stage,
+    assemble,
 )
+from gesticulator.stages.corpus import Corpus, prepare, weights_hash
 from lexicon.autoencoder import Lexicon
 
 VERSION = 1
@@ -60,27 +65,16 @@ TRIAL = 4
 
 @dataclass
 class RowRun(Run):
-    """The run of a row. others: keys of a speech encoder and a lexicon that are not those of its own settings, if it
-    stands on such; they then shape its stages too."""
+    """The run of a row; it notes what each stage took."""
 
-    others: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
     """What each stage took; 0 where it was there."""
 
-    def key(self, stage: str) -> str:
-        """As the training command's; another one where this run stands on what that command would not have."""
-        plain = super().key(stage)
-        return configs.digest(plain, list(self.others)) if self.others else plain
-
-    def finished(self, stage: str) -> bool:
-        """Whether the work folder has the stage."""
-        return (self.work / f"{stage}-{self.key(stage)}" / "figures.json").exists()
-
-    def stage(self, name: str, model: nn.Module, train: Callable[[Path], dict[str, float]]) -> dict[str, float]:
-        """See `Run.stage`; the seconds are noted."""
-        began, there = time.monotonic(), self.finished(name)
-        figures = super().stage(name, model, train)
-        self.seconds[name] = 0.0 if there else round(time.monotonic() - began, 1)
+    def train_stage(self, stage: Stage[Any], model: nn.Module) -> dict[str, float]:
+        """See `Run.train_stage`; the seconds are noted."""
+        began, there = time.monotonic(), self.finished(stage)
+        figures = super().train_stage(stage, model)
+        self.seconds[stage.name] = 0.0 if there else round(time.monotonic() - began, 1)
         return figures
 
 
@@ -91,59 +85,42 @@ class Trial(RowRun):
     The steps are the first ones: an interpreter that later hears its own past costs up to half as much again.
     """
 
-    kept: Path = Path()
-    """The work folder of the row; nothing is written there."""
+    row: RowRun | None = None
+    """The run of the row; nothing is written to its work folder."""
 
-    def finished(self, stage: str) -> bool:
-        """Whether the row's work folder has the stage."""
-        return (self.kept / f"{stage}-{self.key(stage)}" / "figures.json").exists()
-
-    def stage(self, name: str, model: nn.Module, train: Callable[[Path], dict[str, float]]) -> dict[str, float]:
+    def train_stage(self, stage: Stage[Any], model: nn.Module) -> dict[str, float]:
         """The model as it begins, after a few steps."""
-        self.seconds.setdefault(name, 0.0)
-        if not self.finished(name):
-            folder = self.work / name
+        assert self.row is not None and stage.train is not None
+        self.seconds.setdefault(stage.name, 0.0)
+        if not self.row.finished(stage):
+            folder = self.work / stage.name
             folder.mkdir(exist_ok=True)
-            train(folder)
+            stage.train(self, model, folder)
         freeze(model)
         return {}
 
-    def fit(self, stage: str, model: nn.Module, make_batch: fitting.MakeBatch, losses: fitting.Losses, folder: Path,
-            validate: fitting.Validate, before_step: Callable[[int], None] | None = None) -> dict[str, float]:
+    def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> dict[str, float]:
         """Times a few steps; nothing is validated."""
         schedule, times = self.schedule(stage), []
 
         def timed(step: int) -> None:
-            if before_step is not None:
-                before_step(step)
+            if task.before_step is not None:
+                task.before_step(step)
             times.append(time.monotonic())
 
-        fitting.fit(stage, model, make_batch, losses, schedule, folder, seed=self.seed(stage), before_step=timed,
-                    checkpoint_seconds=float("inf"), progress=False, stop_after=TRIAL + 1)
+        fitting.fit(stage.name, model, replace(task, validate=None, before_step=timed), schedule, folder,
+                    fitting.FitOptions(seed=self.seed(stage), checkpoint_seconds=float("inf"), progress=False,
+                                       stop_after=TRIAL + 1))
         steps = np.diff(times)[1:] if len(times) > 2 else np.diff(times)
-        self.seconds[stage] = round(schedule.steps * float(median(steps)), 1) if len(steps) else 0.0
+        self.seconds[stage.name] = round(schedule.steps * float(median(steps)), 1) if len(steps) else 0.0
         return {}
 
 
-def fitted(run: RowRun, lexicon: Lexicon, labelled: Labelled, encoder: SpeechEncoder | None) -> bundles.Bundle:
+def fitted(run: RowRun, lexicon: Lexicon, key: str) -> bundles.Bundle:
     """Every stage after the lexicon that the settings ask for, as a bundle to play with."""
-    config, text = run.config, bool(run.config.text.encoder) and run.corpus.words is not None
-    lstm, _ = train_interpreter(run, lexicon, labelled)
-    reads = text and config.interpreter.reads
-    read = train_interpreter(run, lexicon, labelled, text=True)[0] if reads else None
-    generator, _ = train_generator(run, lexicon, labelled)
-    style, _ = train_style(run, lexicon, generator, labelled)
-    style_read = None
-    if text and config.style.text_features:
-        style_read, _ = train_style(run, lexicon, generator, labelled, text=True)
-    acted: dict[str, Any] = {}
-    if config.schedules.cql.steps:
-        acted["reward"], _ = train_reward(run, lexicon, labelled)
-        acted["q_network"], _ = train_q_network(run, lexicon, labelled, acted["reward"], lstm)
-    return bundles.Bundle(
-        config, run.corpus.statistics, lexicon, generator, lstm, style, labelled.inventory, labelled.silent, {}, {},
-        encoder=encoder, interpreter_text=read, style_text=style_read,
-        text=bundles.TextSource.of(config, run.corpus.text_width), **acted)
+    for node in (LEXICON, TOKENS):
+        run.provide(node, lexicon, key)
+    return assemble(run, leave_out=(SPEECH, CONTRAST, GATE, REWARD_JUDGE))
 
 
 # -------------------------------------------------------------------------------------------------- what all rows share
@@ -191,11 +168,8 @@ class Bench:
         if not any(info.split == "test" for info in store.recordings):
             raise InputError(store.path, "has no test split", "build the store again")
         first = Run(base, store, work, progress=progress, speech=tuple(speech))
-        first.corpus = prepare(store, base, work, workers=workers, progress=progress)
-        encoder = train_encoder(first)[0] if base.front_end.name == "vqwav2vec" else None
-        bench = cls(first, encoder, by, limit, workers)
-        first.corpus = bench.corpus(base)
-        return bench
+        first.workers = workers
+        return cls(first, first.get(ENCODER), by, limit, workers)
 
     def corpus(self, config: Config) -> Corpus:
         """The store as these settings cut it; that of the preset and the last other one stay in memory."""
@@ -210,13 +184,12 @@ class Bench:
     @cached_property
     def judge(self) -> tuple[Lexicon, Labelled]:
         """The lexicon of the preset as it is, and the corpus as it reads it: all motion is judged by it."""
-        lexicon, _ = train_lexicon(self.first)
-        return lexicon, label(self.first, lexicon)
+        return self.first.get(LEXICON), self.first.get(LABELS)
 
     @property
     def shared(self) -> str:
         """Hash of what all rows share; figures of one folder must agree in it."""
-        return configs.digest(VERSION, self.first.store.fingerprint, self.first.config, self.first.key("lexicon"),
+        return configs.digest(VERSION, self.first.store.fingerprint, self.first.config, self.first.key(LEXICON),
                               weights_hash(self.encoder) if self.encoder else "", [one.sha256 for one in self.by],
                               [[one.name, one.frames] for one in self.by], self.limit)
 
@@ -226,27 +199,32 @@ class Bench:
         config = configured(base.config, name)
         before = Run(config, base.store, base.work, base.device, base.progress, base.speech)
         own = RowRun(replace(config, seed=seed), base.store, base.work, base.device, base.progress, base.speech)
-        made = (base.key("contrast"), before.key("lexicon"))
-        if made != (own.key("contrast"), own.key("lexicon")):
-            own.others = made
+        for run in (before, own):
+            run.provide(ENCODER, self.encoder, base.key(ENCODER))
+        for node in (LEXICON, TOKENS):
+            own.provide_key(node, before.key(LEXICON))
         return before, own
 
     def cut(self, before: Run, own: RowRun) -> None:
         """Give both runs of a row the store as their settings cut it."""
-        before.corpus = own.corpus = self.corpus(own.config)
+        corpus = self.corpus(own.config)
+        for run in (before, own):
+            for node in (BLOCKS, CORPUS):
+                run.provide(node, corpus, run.key(node))
 
     def recordings(self, split: str) -> list[int]:
         """Recordings of a split that are long enough for shares and speeds (all, where none is), `limit` at most."""
         seconds = {info.name: info.seconds for info in self.first.store.recordings}
-        own = self.first.corpus.recordings(split)
-        own = ([number for number in own if seconds[self.first.corpus.names[number]] >= SHORTEST] or own)[:self.limit]
+        own = self.first.get(CORPUS).recordings(split)
+        names = self.first.get(CORPUS).names
+        own = ([number for number in own if seconds[names[number]] >= SHORTEST] or own)[:self.limit]
         if not own:
             raise InputError(self.first.store.path, f"has no recording in its {split} split", "build the store again")
         return own
 
     def loaded(self, number: int) -> Recording:
         """A recording with its sound and motion."""
-        return self.first.store.load(self.first.corpus.names[number])
+        return self.first.store.load(self.first.get(CORPUS).names[number])
 
     def heard(self, system: Gesticulator, recording: Recording) -> SpeechFeatures:
         """What a system hears of a recording; kept for the preset's own way of hearing and for the last other one."""
@@ -270,12 +248,12 @@ class Bench:
 
     def speaker(self, recording: Recording) -> int:
         """The performer's number."""
-        return int(self.first.corpus.speaker_of[self.first.corpus.names.index(recording.info.name)])
+        return int(self.first.get(CORPUS).speaker_of[self.first.get(CORPUS).names.index(recording.info.name)])
 
     def groups(self, split: str) -> list[str]:
         """For each recording of a split which others share its sound or text."""
         known = {info.name: info.group or info.name for info in self.first.store.recordings}
-        return [known[self.first.corpus.names[number]] for number in self.recordings(split)]
+        return [known[self.first.get(CORPUS).names[number]] for number in self.recordings(split)]
 
     def real(self, split: str) -> list[list[Array]]:
         """For each recording of a split the performer's features, one of each network."""
@@ -293,13 +271,19 @@ def counted(bench: Bench, name: str, seed: int) -> dict[str, float]:
     """Seconds that each stage of a row would take, 0 where it is finished; found by a few steps of each."""
     before, run = bench.runs(name, seed)
     bench.cut(before, run)
+    there = before.finished(LEXICON)
     with tempfile.TemporaryDirectory() as folder:
-        first, rest = (Trial(own.config, own.store, Path(folder), own.device, False, own.speech, others, kept=own.work)
-                       for own, others in ((before, ()), (run, run.others)))
-        first.corpus = rest.corpus = run.corpus
-        there = first.finished("lexicon")
-        lexicon, _ = train_lexicon(before if there else first)
+        trials = []
+        for own in (RowRun(before.config, before.store, before.work, before.device, False, before.speech), run):
+            trial = Trial(own.config, own.store, Path(folder), own.device, False, own.speech, row=own)
+            trial.provide(ENCODER, bench.encoder, bench.first.key(ENCODER))
+            for node in (BLOCKS, CORPUS):
+                trial.provide(node, before.get(CORPUS), before.key(node))
+            trials.append(trial)
+        first, rest = trials
+        lexicon = before.get(LEXICON) if there else first.get(LEXICON)
         if not there:  # what is labelled must use the lexemes, or none of them could be found silent
-            lexicon.start_codebook(run.corpus.motion[torch.as_tensor(run.corpus.select("train"))], 0)
-        fitted(rest, lexicon, label(rest, lexicon), bench.encoder)
+            corpus = before.get(CORPUS)
+            lexicon.start_codebook(corpus.motion[torch.as_tensor(corpus.select("train"))], 0)
+        fitted(rest, lexicon, before.key(LEXICON))
         return {"lexicon": first.seconds.get("lexicon", 0.0), **rest.seconds}

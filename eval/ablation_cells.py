@@ -20,7 +20,7 @@ import io
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -52,9 +52,21 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Statistics, representation_of
-from gesticulator.train import Labelled, label, train_lexicon
-from interpreters import BlockFeatures
+from gesticulator.stages import (
+    CORPUS,
+    GENERATOR,
+    INTERPRETER,
+    INTERPRETER_TEXT,
+    LABELS,
+    LEXICON,
+    Q_NETWORK,
+    REWARD,
+    STYLE,
+    STYLE_TEXT,
+    Labelled,
+)
+from gesticulator.statistics import Statistics, representation_of
+from interpreters.base import BlockFeatures
 from interpreters.style import StyleInterpreter
 
 SHOWN_SEED = 1
@@ -124,7 +136,7 @@ def seen(bench: Bench, name: str, motion: Motion, said: Said, truth: Motion | No
     own = policies.motion_values(clip, motion, motion if truth is None else truth, seed=place)
     if truth is None:
         own |= {"maje": float("nan"), "mad": float("nan")}
-    blocks = blocks_of(motion, said.blocks, first.config, first.corpus.statistics, speaker)
+    blocks = blocks_of(motion, said.blocks, first.config, first.get(CORPUS).statistics, speaker)
     latents = lexicon.latents(blocks)
     nearest = lexicon.quantizer.labels(latents).numpy()
     fits = lexemes is not None and len(lexemes) == len(nearest)
@@ -177,7 +189,7 @@ def summary(bench: Bench, clips: Sequence[Seen], real: Sequence[Sequence[Array]]
 
 def accuracy(bench: Bench, system: Gesticulator, interpreter: str, recording: int) -> Values:
     """Free-running and teacher-forced (RG Table 6); only of a row over the judge's lexicon."""
-    corpus, (_, labelled) = bench.first.corpus, bench.judge
+    corpus, (_, labelled) = bench.first.get(CORPUS), bench.judge
     chooser = system.interpreter(interpreter, bool(corpus.has_text[recording]))
     own = labelled.hinted[corpus.blocks_of(recording)[1:]]
     free, forced = (lexeme_accuracy(likeliest(chooser, corpus, labelled.hinted, labelled.silent, recording, teacher),
@@ -188,10 +200,10 @@ def accuracy(bench: Bench, system: Gesticulator, interpreter: str, recording: in
 def played(bench: Bench, name: str, bundle: bundles.Bundle, over_judge: bool, seed: int,
            show: Callable[[str, Motion], None]) -> list[Seen]:
     """A row's motion for the split's speech, shown and measured. over_judge: the row has the judge's lexicon."""
-    row, corpus = ROWS[name], bench.first.corpus
+    row, corpus = ROWS[name], bench.first.get(CORPUS)
     if row.style == "random":
         width = bundle.config.generator.style_width
-        bundle = replace(bundle, style=cast(StyleInterpreter, RandomStyle(width, seed)), style_text=None)
+        bundle = bundle.with_parts(style=cast(StyleInterpreter, RandomStyle(width, seed)), style_text=None)
     system = Gesticulator(bundle)
     out = []
     for k, number in enumerate(tqdm(bench.recordings(row.split), desc=f"{name}, seed {seed}",
@@ -213,15 +225,15 @@ def played(bench: Bench, name: str, bundle: bundles.Bundle, over_judge: bool, se
 def row_key(bench: Bench, name: str, seed: int) -> str:
     """Hash of everything that shapes a cell."""
     row, (before, run) = ROWS[name], bench.runs(name, seed)
-    stages = ("interpreter", "interpreter_text", "generator", "style", "style_text", "reward", "cql")
+    stages = (INTERPRETER, INTERPRETER_TEXT, GENERATOR, STYLE, STYLE_TEXT, REWARD, Q_NETWORK)
     config = run.config
-    return configs.digest(bench.shared, before.key("lexicon"), [run.key(stage) for stage in stages], row.interpreter,
+    return configs.digest(bench.shared, before.key(LEXICON), [run.key(stage) for stage in stages], row.interpreter,
                           row.style, config.selection, config.silence, config.statistical, config.motion,
                           _names(bench, row.split))
 
 
 def _names(bench: Bench, split: str) -> list[str]:
-    return [bench.first.corpus.names[number] for number in bench.recordings(split)]
+    return [bench.first.get(CORPUS).names[number] for number in bench.recordings(split)]
 
 
 @dataclass(frozen=True)
@@ -287,10 +299,10 @@ def bundle_of(bench: Bench, name: str, seed: int) -> tuple[bundles.Bundle, RowRu
     before, run = bench.runs(name, seed)
     bench.cut(before, run)
     began = time.monotonic()
-    lexicon, _ = train_lexicon(before)
+    lexicon = before.get(LEXICON)
     run.seconds["lexicon"] = round(time.monotonic() - began, 1)
-    labelled = label(run, lexicon)
-    return fitted(run, lexicon, labelled, bench.encoder), run, labelled
+    bundle = fitted(run, lexicon, before.key(LEXICON))
+    return bundle, run, run.get(LABELS)
 
 
 def cell(bench: Bench, name: str, seed: int, out: Path) -> dict[str, Any]:
@@ -302,7 +314,7 @@ def cell(bench: Bench, name: str, seed: int, out: Path) -> dict[str, Any]:
     began, row = time.monotonic(), ROWS[name]
     bundle, run, _ = bundle_of(bench, name, seed)
     trained = sum(own for stage, own in run.seconds.items() if stage != "lexicon")
-    over_judge = bench.runs(name, seed)[0].key("lexicon") == bench.first.key("lexicon")
+    over_judge = bench.runs(name, seed)[0].key(LEXICON) == bench.first.key(LEXICON)
     place = Kept.of(bench, name, seed, key)
     place.begin()
     clips = played(bench, name, bundle, over_judge, seed, place.show if seed == SHOWN_SEED else _unshown)
@@ -398,7 +410,7 @@ def system(bench: Bench, name: str, folder: Path, out: Path) -> dict[str, Any]:
     InputError when none is.
     """
     files, _ = find_motions(folder)
-    numbers = {bench.first.corpus.names[number]: k for k, number in enumerate(bench.recordings("test"))}
+    numbers = {bench.first.get(CORPUS).names[number]: k for k, number in enumerate(bench.recordings("test"))}
     theirs = {clip: file for clip, file in files.items() if clip in numbers}
     if not theirs:
         raise InputError(folder, "holds no motion for a test recording", f"name files {next(iter(numbers))}.bvh and so "

@@ -44,6 +44,7 @@ from eval.results import dumped
 from eval.strips import draw_strip, frame_times, save_strip
 from gesticulator import config as configs
 from gesticulator.pipeline import Gesticulator
+from gesticulator.stages import CORPUS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -108,7 +109,7 @@ def onset_intervals(ground: Ground) -> Drawn:
 
 def lexicon(ground: Ground) -> Drawn:
     """RG Fig. 6 and 8b."""
-    (judge, labelled), corpus = ground.bench.judge, ground.bench.first.corpus
+    (judge, labelled), corpus = ground.bench.judge, ground.bench.first.get(CORPUS)
     own = np.flatnonzero(corpus.select("train")) if corpus.select("train").dtype == bool else corpus.select("train")
     few = np.sort(np.random.default_rng(0).permutation(own)[:POINTS])
     latents = judge.latents(corpus.motion[few]).double().numpy()
@@ -175,7 +176,7 @@ def curves(ground: Ground) -> Drawn:
 
 def clusters(ground: Ground) -> Drawn:
     """RG Fig. 14."""
-    bench, corpus, frames = ground.bench, ground.bench.first.corpus, ground.bench.first.config.rhythm.frames
+    bench, corpus, frames = ground.bench, ground.bench.first.get(CORPUS), ground.bench.first.config.rhythm.frames
     groups = np.unique(bench.groups("test"), return_inverse=True)[1]
     own = [np.asarray(corpus.blocks_of(number)) for number in bench.recordings("test")]
     spoken = [~np.asarray(corpus.silent)[blocks].astype(bool) for blocks in own]

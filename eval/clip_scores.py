@@ -31,8 +31,8 @@ from eval.beat_consistency import consistency, mean_score, motion_joint_beats
 from eval.joint_error import motion_error
 from eval.mismatch import wrapped
 from eval.smoothness import motion_smoothness
-from gesticulator.prepare import representation_of
 from gesticulator.speech_features import encode_speech, front_end_for
+from gesticulator.statistics import representation_of
 
 if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
@@ -230,7 +230,7 @@ def told(bundle: Bundle, motion: Motion, spoken: Spoken) -> Told:
     else:
         features = (poses - poses.mean(axis=(0, 1))) / bundle.statistics.deviation
     seen = torch.as_tensor(features, dtype=torch.float32)
-    latents = bundle.drawn.lexicon.latents(seen)
+    latents = bundle.block_models.lexicon.latents(seen)
     return Told(latents.double().numpy(), bundle.lexicon.quantizer.labels(latents).numpy(),
                 _reward(bundle, seen, spoken))
 

@@ -40,9 +40,11 @@ from eval.parts import hinted_labels
 from eval.results import publish
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.prepare import Corpus, prepare, representation_of
-from gesticulator.train import lexicon_figures
-from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter, select
+from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.lexicon import lexicon_figures
+from gesticulator.statistics import representation_of
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
+from interpreters.lstm import LstmInterpreter
 
 REAL_FPS = 15.0
 _HANDS = ("RightHand", "LeftHand")
@@ -107,7 +109,7 @@ def stroke_kinds(recording: Recording, edges: Array) -> NDArray[np.int64]:
 @torch.no_grad()
 def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor) -> dict[str, NDArray[np.float32]]:
     """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m]."""
-    latents = bundle.drawn.lexicon.latents(motion)
+    latents = bundle.block_models.lexicon.latents(motion)
     labels = bundle.lexicon.quantizer.labels(latents)
     one = int(np.mean([bundle.inventory.frequencies[name] for name in bundle.speakers], axis=0).argmax())
     codes = {"unquantised": latents, "quantised": bundle.lexicon.vectors[labels],
@@ -150,7 +152,7 @@ def lexicon_table(bundle: bundles.Bundle, corpus: Corpus, recordings: Sequence[R
         for name, error in reconstructions(bundle, torch.as_tensor(centred, dtype=torch.float32)).items():
             table[f"real take (BEAT), {name}"] = interval([float(error.mean())]).to_dict()
     return {"errors": table, "variance": float(unknown.var(0).mean()),
-            **lexicon_figures(bundle.drawn.lexicon, corpus.motion[test])}
+            **lexicon_figures(bundle.block_models.lexicon, corpus.motion[test])}
 
 
 # --------------------------------------------------------------------------------------------------- accuracy
@@ -318,7 +320,7 @@ def figures(store: Store, system: Gesticulator, work: Path, progress: bool = Tru
     for name, interpreter in deaf.items():
         rows[name] = play(system, recordings, interpreter, progress, name)
     out["accuracy"] = accuracy_table(bundle, corpus, hinted, {
-        "lstm": bundle.drawn.interpreter, **read, "previous lexeme and speaker": by_table, **deaf})
+        "lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": by_table, **deaf})
     if take is not None:
         motion, speech = take
         made = system(speech)

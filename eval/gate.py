@@ -40,7 +40,7 @@ from eval.results import publish
 from gesticulator.bundle import Bundle
 from gesticulator.pipeline import Gesticulator
 from gesticulator.speech_features import encode_speech, front_end_for
-from interpreters import BlockFeatures
+from interpreters.base import BlockFeatures
 
 GATE, LOUDNESS, SILENCE, PERFORMER = "gate", "loudness alone", "detected silence alone", "performer alone"
 ACTIVITIES = (0.0, 0.25, 0.5, 0.75, 1.0)

@@ -43,7 +43,7 @@ from data_module.types import Array, Blocks, Motion
 from eval.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
-from gesticulator.prepare import representation_of
+from gesticulator.statistics import representation_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,7 +78,7 @@ def read_blocks(bundle: Bundle, recording: Recording, blocks: Blocks | None = No
         features = bundle.statistics.normalise(poses, bundle.speakers.index(recording.info.speaker))
     else:
         features = (poses - poses.mean(axis=(0, 1))) / bundle.statistics.deviation
-    latents = bundle.drawn.lexicon.latents(torch.as_tensor(features, dtype=torch.float32))
+    latents = bundle.block_models.lexicon.latents(torch.as_tensor(features, dtype=torch.float32))
     return ReadBlocks(own, latents, bundle.lexicon.quantizer.labels(latents).numpy())
 
 

@@ -33,8 +33,8 @@ from eval.bootstrap import interval
 from eval.results import publish
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.train import Run, label, train_interpreter
+from gesticulator.stages import CORPUS, INTERPRETER, LEXICON, TOKENS, Run
+from gesticulator.stages.corpus import Corpus, prepare, weights_hash
 from interpreters.lstm import LstmInterpreter
 from lexicon.inventory import nearest_silent
 
@@ -44,7 +44,7 @@ _MEL = ("front_end.name=mel", "front_end.bands=32")
 
 def hinted_labels(bundle: bundles.Bundle, corpus: Corpus) -> NDArray[np.int64]:
     """[N] lexemes of all blocks, silent blocks with the silent lexeme nearest to their own (RG 6.4.1)."""
-    labels = bundle.drawn.lexicon.label(corpus.motion).numpy()
+    labels = bundle.block_models.lexicon.label(corpus.motion).numpy()
     nearest = nearest_silent(bundle.lexicon.vectors.double().numpy(), bundle.silent)
     return np.where(corpus.silent, nearest[labels], labels) if bundle.config.silence.hint else labels
 
@@ -116,13 +116,14 @@ def parts(store: Store, bundle: bundles.Bundle, work: Path, *, progress: bool = 
         out["text"] = table({
             "text": teacher_forced(bundle.interpreter_text, corpus, labels, spoken, temperature=drawn_at),
             "wrong text": wrongly_read(bundle.interpreter_text, corpus, labels, spoken, drawn_at),
-            "audio only": teacher_forced(bundle.drawn.interpreter, corpus, labels, spoken, temperature=drawn_at)},
+            "audio only": teacher_forced(bundle.block_models.interpreter, corpus, labels, spoken,
+                                         temperature=drawn_at)},
             (("text", "wrong text"), ("text", "audio only")), sizes)
     if bundle.encoder is not None:
         every = corpus.recordings("test")
         mel, mel_corpus = _on_mel(store, bundle, work, workers, progress)
         out["speech levels"] = table({
-            "vqwav2vec": teacher_forced(bundle.drawn.interpreter, corpus, labels, every, temperature=drawn_at),
+            "vqwav2vec": teacher_forced(bundle.block_models.interpreter, corpus, labels, every, temperature=drawn_at),
             "mel": teacher_forced(mel, mel_corpus, labels, every, temperature=drawn_at)},
             (("vqwav2vec", "mel"),), [len(corpus.blocks_of(r)) - 1 for r in every])
     return out
@@ -130,12 +131,13 @@ def parts(store: Store, bundle: bundles.Bundle, work: Path, *, progress: bool = 
 
 def _on_mel(store: Store, bundle: bundles.Bundle, work: Path, workers: int, progress: bool
             ) -> tuple[LstmInterpreter, Corpus]:
-    run = Run(configs.with_settings(bundle.config, _MEL), store, work, progress=progress)
-    run.corpus = prepare(store, run.config, work, workers=workers, progress=progress)
     # The same silent lexemes as the bundle's, by hand or found, so that both rows are taught the same labels.
-    run.config = configs.with_settings(run.config, [f"silence.lexemes={bundle.silent.tolist()}"])
-    model, _ = train_interpreter(run, bundle.drawn.lexicon, label(run, bundle.lexicon))
-    return model, run.corpus
+    config = configs.with_settings(bundle.config, [*_MEL, f"silence.lexemes={bundle.silent.tolist()}"])
+    run = Run(config, store, work, progress=progress, workers=workers)
+    lexicon = bundle.block_models.lexicon
+    for node in (LEXICON, TOKENS):
+        run.provide(node, lexicon, weights_hash(lexicon))
+    return run.get(INTERPRETER), run.get(CORPUS)
 
 
 def markdown(result: dict[str, Any]) -> str:

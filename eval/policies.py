@@ -44,11 +44,13 @@ from eval.parts import hinted_labels, table
 from eval.results import publish
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.racer import features_of, reward_table, takes_of, taught_reward
 from gesticulator.speech_features import SpeechFeatures
-from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter, select
+from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.q_network import features_of, takes_of
+from gesticulator.stages.reward import reward_table, taught_reward
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.episodes import Take
+from interpreters.lstm import LstmInterpreter
 
 Lexemes = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -25,7 +25,6 @@ another lexicon. Fewer than three seeds decide nothing and are marked.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import os
 import sys
 import tempfile
@@ -60,18 +59,12 @@ from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Corpus, prepare, weights_hash
-from gesticulator.racer import (
-    decoded_lexemes,
-    features_of,
-    new_q_network,
-    q_batch,
-    reward_table,
-    takes_of,
-    taught_reward,
-)
 from gesticulator.speech_features import SpeechFeatures
-from gesticulator.train import Run
+from gesticulator.stages import CORPUS, Run
+from gesticulator.stages.corpus import Corpus, prepare, weights_hash
+from gesticulator.stages.lexicon import decoded_lexemes
+from gesticulator.stages.q_network import features_of, new_q_network, q_batch, takes_of
+from gesticulator.stages.reward import reward_table, taught_reward
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
 from interpreters.episodes import Episodes, SilentLexemes, Take, build, distance_rewards
@@ -173,26 +166,27 @@ class Bench:
         """From a bundle over a lexicon with both reward models; InputError for another, and without test speech."""
         if bundle.reward is None or bundle.reward_judge is None:
             raise InputError("the bundle", "lacks one of the two reward models", "train with schedules.reward.steps")
-        lexicon = bundle.drawn.lexicon
+        lexicon = bundle.block_models.lexicon
         run = Run(configs.with_settings(bundle.config, preset), store, work, progress=progress)
-        run.corpus = prepare(store, run.config, work, bundle.encoder, workers=os.cpu_count() or 1, progress=progress)
-        labels = hinted_labels(bundle, run.corpus)
-        ground = Ground.of(bundle, run.corpus, labels, limit)
+        corpus = prepare(store, run.config, work, bundle.encoder, workers=os.cpu_count() or 1, progress=progress)
+        run.provide(CORPUS, corpus)
+        labels = hinted_labels(bundle, corpus)
+        ground = Ground.of(bundle, corpus, labels, limit)
         if not ground.takes:
             raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
         silent = SilentLexemes(bundle.silent, nearest_silent(lexicon.vectors.double().numpy(), bundle.silent))
-        takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(run.corpus, labels, "train")]
-        parts = (lexicon, bundle.drawn.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder)
+        takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(corpus, labels, "train")]
+        parts = (lexicon, bundle.block_models.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder)
         shapes = configs.digest(VERSION, store.fingerprint, [weights_hash(part) for part in parts if part is not None],
                                 bundle.silent.tolist(), bundle.config.silence.mask)
-        tables = {"": reward_table(bundle.reward, lexicon, run.corpus),
-                  "judge_": reward_table(bundle.reward_judge, lexicon, run.corpus)}
+        tables = {"": reward_table(bundle.reward, lexicon, corpus),
+                  "judge_": reward_table(bundle.reward_judge, lexicon, corpus)}
         return cls(bundle, run, takes, silent, ground, tables, shapes)
 
     @property
     def corpus(self) -> Corpus:
         """The store's blocks."""
-        return self.run.corpus
+        return self.run.get(CORPUS)
 
     def taught(self, config: Config) -> RewardTable | Centred:
         """The training reward as policies are taught it under the settings."""
@@ -254,7 +248,7 @@ def acted(bench: Bench, config: Config) -> Episodes:
     key = configs.digest(bench.shapes, told, config.statistical, config.seed)
     file = bench.run.work / f"racer-ablation-{key}.npz"
     if not file.exists():
-        lexicon, lstm = bench.bundle.drawn.lexicon, bench.bundle.drawn.interpreter
+        lexicon, lstm = bench.bundle.block_models.lexicon, bench.bundle.block_models.interpreter
         build(bench.takes, told, bench.taught(config).sequence, silent=bench.silent, vectors=lexicon.vectors.numpy(),
               interpreters={"sampled": lstm, "statistical": bench.bundle.statistical()},
               features=features_of(bench.corpus), seed=config.seed).save(file)
@@ -266,7 +260,8 @@ def rewarded(bench: Bench, config: Config) -> tuple[Episodes, Rewards]:
     episodes = acted(bench, config)
     if config.episodes.reward == "contrastive":
         return episodes, bench.taught(config)
-    table = rescaled(distance_rewards(decoded_lexemes(bench.bundle.drawn.lexicon), bench.corpus.motion), episodes)
+    lexicon = bench.bundle.block_models.lexicon
+    table = rescaled(distance_rewards(decoded_lexemes(lexicon), bench.corpus.motion), episodes)
     own = [replace(e, reward=table.numpy()[e.blocks, e.actions].astype(np.float32)) for e in episodes.episodes]
     return Episodes(own, cloned=episodes.cloned, stretch=episodes.stretch), Known(table)
 
@@ -362,7 +357,7 @@ TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 def untrained(bench: Bench, name: str, seed: int) -> QNetwork:
     """The network that a row begins with, the same for all rows of a seed."""
     torch.manual_seed(seed)
-    return new_q_network(with_config(bench.run, bench.config(name)), bench.bundle.drawn.lexicon, bench.bundle.silent)
+    return new_q_network(bench.config(name), bench.corpus, bench.bundle.vectors, bench.bundle.silent)
 
 
 def policy_for(training: str, config: Config, network: QNetwork) -> QNetwork | ActorCritic:
@@ -385,20 +380,14 @@ def trained(bench: Bench, name: str, seed: int) -> tuple[QNetwork | ActorCritic,
         learner = TRAININGS[row.training](bench, config, network, seed)
         began = time.monotonic()  # without the data set, or the network that it begins as
         with tempfile.TemporaryDirectory() as folder:
-            fitting.fit(f"{name}, seed {seed}", learner.model, learner.make_batch, learner.model.losses,
-                        config.schedules.cql, Path(folder), seed=seed, before_step=learner.before_step,
-                        checkpoint_seconds=float("inf"), progress=bench.run.progress)
+            fitting.fit(f"{name}, seed {seed}", learner.model,
+                        fitting.Task(learner.make_batch, before_step=learner.before_step), config.schedules.cql,
+                        Path(folder), fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"),
+                                                         progress=bench.run.progress))
         policy = learner.model.online if isinstance(learner.model, ConservativeQ) else learner.model
         _save(policy, file)
     freeze(policy)
     return policy, time.monotonic() - began
-
-
-def with_config(run: Run, config: Config) -> Run:
-    """The same run with other settings, over the corpus as it is."""
-    own = dataclasses.replace(run, config=config)
-    own.corpus = run.corpus
-    return own
 
 
 def _save(policy: nn.Module, file: Path) -> None:
@@ -422,8 +411,8 @@ def judged(bench: Bench, policy: Policy, valued: Rewards | None, gamma: float) -
     training = [take.lexemes for take in bench.takes]
     rows = []
     for place, take in enumerate(ground.takes):
-        values = policies.lexeme_values(chosen, place, ground, dict(bench.tables), bench.bundle.drawn.interpreter,
-                                        training)
+        values = policies.lexeme_values(chosen, place, ground, dict(bench.tables),
+                                        bench.bundle.block_models.interpreter, training)
         nll, gap = policies.conservative_gaps(forced[place][1], take.lexemes[1:], ground.allowed(take)[1:])
         rows.append(values | {"nll": nll, "gap": gap} | calibration(take, *free[place], valued, gamma))
     return chosen, rows
@@ -486,8 +475,8 @@ def with_motion(bench: Bench, found: dict[str, Any], by: Sequence[gesture_featur
 
     The distance in the first network has a value for each recording by the jackknife.
     """
-    key = configs.digest(found["key"], weights_hash(bench.bundle.drawn.generator),
-                         weights_hash(bench.bundle.drawn.style), [one.sha256 for one in by], MOTION, "jackknife")
+    key = configs.digest(found["key"], weights_hash(bench.bundle.block_models.generator),
+                         weights_hash(bench.bundle.block_models.style), [one.sha256 for one in by], MOTION, "jackknife")
     if found.get("motion", {}).get("key") == key:
         return found
     recordings, heard = bench.played

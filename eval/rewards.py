@@ -38,8 +38,10 @@ from data_module.types import Array
 from eval.bootstrap import interval
 from eval.results import publish
 from gesticulator import bundle as bundles
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.racer import block_audio, decoded_blocks, reward_table, takes_of, token_labels
+from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.lexicon import decoded_blocks, token_labels
+from gesticulator.stages.q_network import takes_of
+from gesticulator.stages.reward import block_audio, reward_table
 from interpreters.episodes import Take
 from interpreters.reward import RewardModel, RewardTable
 

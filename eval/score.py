@@ -792,7 +792,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
         bundle = bundles.load(bundles.SHIPPED if arguments.bundle == "shipped" else arguments.bundle)
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
-        _ = bundle.drawn
+        _ = bundle.block_models
     folders, left_out = read_all(arguments)
     networks = networks_of(arguments.fgd, arguments.work, arguments.truth)
     ground = common_ground(folders, rate, piece)

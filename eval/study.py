@@ -45,7 +45,7 @@ from eval import anova, video
 from eval.results import keep
 from eval.strips import figure_points
 from gesticulator.export import sound
-from gesticulator.sounds import SUFFIXES
+from gesticulator.stages.sounds import SUFFIXES
 
 ASPECTS = {
     "human_likeness": "How human-like does the figure move? Please leave the speech aside for this question.",

@@ -22,18 +22,18 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import load_file
 
 from data_module.errors import InputError, one_line_errors
-from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder
+from data_module.speech.speech_encoder import PredictiveCoding
 from data_module.store import Store
 from eval.bootstrap import interval
 from eval.results import publish
-from gesticulator import config as configs
+from gesticulator import presets
 from gesticulator.config import Config
 from gesticulator.fit import generator_for
-from gesticulator.sounds import Crops
-from gesticulator.train import Run, pretrain
+from gesticulator.stages import Run
+from gesticulator.stages.sounds import Crops
+from gesticulator.stages.speech import speech_stage
 
 _CROPS = 12
 """Crops of each test recording."""
@@ -53,10 +53,7 @@ def trained(config: Config, store: Store, language: str, other: Store | None, wo
     more = (_sound_of(other, place),) if other is not None else ()
     run = Run(config, store, place, progress=progress, speech=more)
     held = names_of(store, "val", language) or names_of(store, "train", language)[:1]
-    pretrain(run, names_of(store, "train", language), held)
-    model = PredictiveCoding(SpeechEncoder(config.encoder), config.encoder)
-    model.load_state_dict(load_file(place / f"speech-{run.key('speech')}" / "weights.safetensors"))
-    return model.eval()
+    return run.get(speech_stage(lambda run: names_of(store, "train", language), lambda run: held, [language])).eval()
 
 
 def _sound_of(store: Store, place: Path) -> Path:
@@ -75,7 +72,7 @@ def accuracies(model: PredictiveCoding, store: Store, names: Sequence[str], leng
     """[recordings] percent of rows told right, the mean over steps ahead; the same crops and negatives every time."""
     out = []
     for place, name in enumerate(names):
-        crops = Crops.of_store(store, [name], (), length).drawn(generator_for(11, place), _CROPS)
+        crops = Crops.of_store(store, [name], (), length).sample(generator_for(11, place), _CROPS)
         torch.manual_seed(place)
         out.append(100 * float(model.accuracy({"samples": torch.as_tensor(crops)}).mean()))
     return np.array(out)
@@ -128,7 +125,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if not names_of(source, split, arguments.language):
                 raise InputError(source.path, f"has no {arguments.language} recording in its {split} split",
                                  "check --language")
-        config = configs.preset(arguments.preset)
+        config = presets.preset(arguments.preset)
         speech = dataclasses.replace(config.schedules.speech, steps=arguments.steps)
         config = dataclasses.replace(config, schedules=dataclasses.replace(config.schedules, speech=speech))
         result = figures(config, store, arguments.language, other, Path(arguments.work))

@@ -18,6 +18,7 @@ from gesticulator import __version__
 from gesticulator.batch import Job, plan
 from gesticulator.cli import PROGRAM, Command
 from gesticulator.options import FPS, RANGES
+from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from data_module.controls import Controls
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from gesticulator.pipeline import Gesticulator
 
 EXIT_PART_FAILED = 1
-INTERPRETERS = ("lstm", "cql", "statistical")
 _OUTPUTS = {"output": ".bvh", "preview": ".html", "explain": ".json"}
 """Argument that names a file to write -> its suffix."""
 
@@ -60,8 +60,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
     style.add_argument("--hand-radius", metavar="VALUE", help="mean distance of the hands from the body's axis, metres")
     style.add_argument("--activity", type=number("activity"), metavar="0..1",
                        help="how readily to gesture at all; 0 is stillness, 1 never holds back")
-    style.add_argument("--interpreter", choices=INTERPRETERS, help="what chooses the lexemes: the LSTM of Rhythmic "
-                       "Gesticulator, RACER's Q-network (cql), or a speaker's frequencies alone")
+    style.add_argument("--interpreter", choices=INTERPRETERS, help="what chooses the lexemes: " + ", ".join(
+        f"{name} ({entry.about})" for name, entry in INTERPRETERS.items()))
     style.add_argument("--temperature", type=number("temperature"), metavar="T",
                        help="how freely lexemes are sampled; 0 always takes the likeliest")
     style.add_argument("--seed", type=number("seed"), default=0, metavar="N",
@@ -157,7 +157,7 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
     spent = time.perf_counter() - begin
     written = ", ".join(str(made.save(target)) for target in job.targets)
     return (f"{job.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
-            f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.lexicon.vectors)} lexemes, "
+            f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.vectors)} lexemes, "
             f"real-time factor {spent / speech.duration:.3f} -> {written}"
             + "".join(f"\n  {note}" for note in made.notes))
 

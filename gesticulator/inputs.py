@@ -6,15 +6,17 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.speech.audio import SHORTEST, load_speech
-from data_module.text.transcript import FORMATS, Transcript, read_transcript
 from data_module.types import Samples, Speech
+
+if TYPE_CHECKING:
+    from data_module.text.transcript import Transcript
 
 Recording: TypeAlias = "Speech | str | os.PathLike[str] | NDArray[Any]"
 """A recording: a `Speech`, the path of a sound file, or samples [n] or [n, channels]."""
@@ -84,6 +86,8 @@ def as_transcript(text: Text, speech: Speech) -> Transcript:
 
     `InputError` for words that are none, and for a `str` that is the name of a file.
     """
+    from data_module.text.transcript import FORMATS, Transcript, read_transcript
+
     if not isinstance(text, str):
         return read_transcript(Path(text), speech)
     names_file = Path(text[-80:]).suffix.lower() in FORMATS and (len(text.split()) < 2 or os.path.isfile(text))  # noqa: PTH113

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from data_module.controls import Controls, Curve
-    from interpreters import LexemeInterpreter
+    from interpreters.base import LexemeInterpreter
 
 HandControl: TypeAlias = "float | str | PathLike[str] | Curve | None"
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 import torch
@@ -18,19 +18,21 @@ from data_module.blocks import denormalise
 from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, resample
-from data_module.text.transcript import with_transcript
-from data_module.text.word_vectors import WordEncoder
 from data_module.types import Array, Motion, Speech
 from gesticulator import __version__
-from gesticulator import bundle as bundles
+from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
+from gesticulator.bundle import load as load_bundle
 from gesticulator.inputs import Recording, Text, amplified, as_speech, as_transcript, texts_for
 from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions
 from gesticulator.performance import Performance
-from gesticulator.prepare import control_rows, representation_of
 from gesticulator.rollout import OnBlock, Sampling, rollout
 from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
-from interpreters import LexemeInterpreter, QNetwork
+from gesticulator.statistics import control_rows, representation_of
+
+if TYPE_CHECKING:
+    from data_module.text.word_vectors import WordEncoder
+    from interpreters.base import LexemeInterpreter
 
 R = TypeVar("R", bound=Recording)
 
@@ -38,11 +40,11 @@ R = TypeVar("R", bound=Recording)
 class Gesticulator:
     """A loaded bundle that turns speech into gesture, block by block (RG 6, Eq. 15)."""
 
-    def __init__(self, bundle: bundles.Bundle, device: str | torch.device = "cpu") -> None:
+    def __init__(self, bundle: Bundle, device: str | torch.device = "cpu") -> None:
         """bundle: its models are moved to the device. device: what torch calls it, such as "cpu" or "cuda"."""
         self.device = _usable(device)
         self.bundle = _moved(bundle, self.device)
-        self._front_end = front_end_for(bundle.config, bundle.encoder)
+        self._front_end = front_end_for(self.bundle.config, self.bundle.encoder)
         self._words: WordEncoder | None = None
 
     @classmethod
@@ -53,7 +55,7 @@ class Gesticulator:
         Bytes are the same from run to run on one machine with one device and one number of threads.
         """
         device = _usable(device)  # before the work of loading
-        return cls(bundles.load(Path(path) if path is not None else bundles.SHIPPED), device)
+        return cls(load_bundle(Path(path) if path is not None else SHIPPED), device)
 
     @property
     def speakers(self) -> tuple[str, ...]:
@@ -77,21 +79,16 @@ class Gesticulator:
     @property
     def reads_text(self) -> bool:
         """True when the bundle has an interpreter that reads the words."""
-        return self.bundle.interpreter_text is not None
+        return "interpreter_text" in self.bundle.parts
 
     def interpreter(self, name: str, text: bool = False) -> LexemeInterpreter:
         """The lexeme interpreter of that name over the bundle's lexicon; with `text`, the one that reads the words."""
-        b = self.bundle
-        there: dict[str, LexemeInterpreter | None] = {
-            "lstm": b.interpreter_text if text and b.interpreter_text else b.interpreter, "cql": b.q_network}
-        found = b.statistical() if name == "statistical" else there.get(name)
-        if found is None:
-            raise InputError(f"interpreter {name}", "is not in the bundle",
-                             f"choose among {', '.join(b.interpreters)}")
-        return found
+        return self.bundle.interpreter_named(name, text)
 
     def word_encoder(self) -> WordEncoder:
         """The word encoder that the bundle was trained on, opened once."""
+        from data_module.text.word_vectors import WordEncoder
+
         if self._words is None:
             if self.bundle.text is None:
                 raise InputError("text", "is not read by this bundle", "use a bundle trained with text")
@@ -105,6 +102,8 @@ class Gesticulator:
         """Speech with the words of a text (`str`) or of a transcript's file, and a line on how their times were got."""
         if not self.reads_text:
             raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+        from data_module.text.transcript import with_transcript
+
         spoken, timing = with_transcript(speech, as_transcript(text, speech))
         return spoken, timing.note
 
@@ -160,7 +159,7 @@ class Gesticulator:
         encoded = self.encode_speech(speech) if encoded is None else encoded
         name = options.interpreter or self.bundle.interpreters[0]
         system = self.interpreter(name, self._reads(speech)) if isinstance(name, str) else name
-        by_value = isinstance(system, QNetwork)
+        by_value = getattr(system, "gives_values", False)
         temperature = options.temperature
         if temperature is None:
             temperature = chosen.q_temperature if by_value else chosen.temperature
@@ -192,7 +191,7 @@ class Gesticulator:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
 
     def _check_activity(self, activity: float) -> None:
-        if 0 < activity < 1 and self.bundle.gate is None:
+        if 0 < activity < 1 and "gate" not in self.bundle.parts:
             raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
 
     def controls(self, options: InferenceOptions) -> Controls:
@@ -235,7 +234,7 @@ class Gesticulator:
             if value is not None:
                 settings[f"hand_{feature}"] = ({"times": list(value.times), "values": list(value.values)}
                                                if isinstance(value, Curve) else float(value))
-        bundle = {"preset": self.bundle.config.name, "lexicon": bundles.lexicon_hash(self.bundle.lexicon)}
+        bundle = {"preset": self.bundle.config.name, "lexicon": lexicon_hash(self.bundle.vectors)}
         return {"gesticulator": __version__, "bundle": bundle, "settings": settings}
 
     def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int, fps: float) -> Motion:
@@ -263,10 +262,27 @@ def _usable(device: str | torch.device) -> torch.device:
     return found
 
 
-def _moved(bundle: bundles.Bundle, device: torch.device) -> bundles.Bundle:
+def _moved(bundle: Bundle, device: torch.device) -> Bundle:
     """The bundle with its models on the device; itself on the CPU."""
-    if device.type != "cpu":
-        for part in vars(bundle).values():
-            if isinstance(part, nn.Module):
-                part.to(device)
-    return bundle
+    if device.type == "cpu":
+        return bundle
+    return replace(bundle, vectors=bundle.vectors.to(device), parts=_PartsOn(device, bundle.parts))
+
+
+class _PartsOn(Mapping[str, nn.Module]):
+    """The models of a bundle, each moved to a device when it is asked for first."""
+
+    def __init__(self, device: torch.device, parts: Mapping[str, nn.Module]) -> None:
+        self._device, self._parts = device, parts
+
+    def __getitem__(self, name: str) -> nn.Module:
+        return self._parts[name].to(self._device)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._parts
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._parts)
+
+    def __len__(self) -> int:
+        return len(self._parts)

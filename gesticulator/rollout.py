@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -13,9 +14,10 @@ from torch import Tensor
 from gesticulator.bundle import Bundle
 from gesticulator.performance import BEST
 from gesticulator.speech_features import SpeechFeatures
-from interpreters import BlockFeatures, LexemeInterpreter, select
-from interpreters.gate import opened
-from lexicon.racer import RacerCodec
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
+
+if TYPE_CHECKING:
+    from lexicon.racer import RacerCodec
 
 OnBlock = Callable[[int, int], None]
 """Called after each block with how many are done, and how many there are."""
@@ -62,7 +64,7 @@ class Played:
 def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling, activity: float
             ) -> Rollout | CodecRollout:
     """The loop that the bundle's lexicon needs. speaker: its index; activity: how readily to gesture, 0 to 1."""
-    kind = CodecRollout if isinstance(bundle.lexicon, RacerCodec) else Rollout
+    kind = CodecRollout if bundle.config.tokens == "racer" else Rollout
     return kind(bundle, interpreter, speaker, sampling, activity)
 
 
@@ -84,7 +86,7 @@ class Rollout:
         self.bundle, self.interpreter, self.speaker = bundle, interpreter, speaker
         self.sampling, self.activity = sampling, activity
         self.rng = np.random.default_rng(sampling.seed)
-        self.device = bundle.lexicon.vectors.device
+        self.device = bundle.vectors.device
         self.quiet_low = None if bundle.statistics.quiet_low is None else self._tensor(bundle.statistics.quiet_low)
 
     @torch.inference_mode()
@@ -92,26 +94,26 @@ class Rollout:
             ) -> Played:
         """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
         b, count = self.bundle, len(encoded.blocks)
-        drawn = b.drawn
-        generator, vectors = drawn.generator, drawn.lexicon.vectors
-        style = b.style_text if encoded.text is not None and b.style_text is not None else drawn.style
+        generator, style = b.generator_and_style(encoded.text is not None)
+        gate = b.gate if self.activity < 1 else None
+        vectors = b.vectors
         previous = b.rest_lexeme(self.speaker)
         rest = b.rest_feature(self.speaker)
-        past = rest.expand(1, b.lexicon.frames, -1)
+        past = rest.expand(1, b.frames, -1)
         state = free_state = generator.first_state(rest[None], vectors[[previous]])
         inner = free = self.interpreter.start(self.speaker, previous)
         style_state = style.start(self.speaker)
-        gate_state = None if b.gate is None else b.gate.start(self.speaker)
-        guidance, rest_decay = b.config.selection.guidance, b.config.silence.settle
+        gate_state = None if gate is None else gate.start(self.speaker)
+        guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
         low, high = self._tensor(b.statistics.bounds)
         made = Played.empty(count, len(vectors), past.shape[1:], style.code_width)
         resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
         for i in range(count):
             features = self._features(encoded, i, asked)
             closed = self.activity == 0
-            if b.gate is not None and gate_state is not None and self.activity < 1:
-                made.gate[i], gate_state = b.gate.step(gate_state, features)
-                closed = not opened(float(made.gate[i]), self.activity)
+            if gate is not None and gate_state is not None:
+                made.gate[i], gate_state = gate.step(gate_state, features)
+                closed = not gate.opened(float(made.gate[i]), self.activity)
             # Style guidance: beyond what the models do when asked, away from what they do unasked.
             scores, inner = self.interpreter.step(inner, features, previous)
             if asked is not None:
@@ -165,11 +167,10 @@ class CodecRollout(Rollout):
     def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
             ) -> Played:
         """Every code in turn; nothing can be asked of the style."""
-        codec = self.bundle.lexicon
-        assert isinstance(codec, RacerCodec)
+        codec = cast("RacerCodec", self.bundle.lexicon)
         count = len(encoded.blocks)
         rest = previous = self.bundle.rest_lexeme(self.speaker)
-        made = Played.empty(count, len(codec.vectors), (0, 0), 0)
+        made = Played.empty(count, len(self.bundle.vectors), (0, 0), 0)
         state = self.interpreter.start(self.speaker, previous)
         for i in range(count):
             scores, state = self.interpreter.step(state, self._features(encoded, i, asked), previous)

@@ -9,25 +9,9 @@ from torch import Tensor, nn
 
 from data_module.layers import BlockLinear, repeat_frames
 from interpreters.base import BlockFeatures
+from interpreters.settings import StyleConfig
 
 Hidden = tuple[Tensor, Tensor]
-
-
-@dataclass(frozen=True)
-class StyleConfig:
-    """Sizes of the style interpreter."""
-
-    audio_features: int = 128
-    audio_bottleneck: int = 0
-    width: int = 256
-    layers: int = 1
-    text_features: int = 0
-    """d_t~ of Eq. 19; 0 leaves the text out (RG 6.3, Table 3)."""
-    text_blocks: int = 1
-    text_bottleneck: int = 0
-    use_speaker: bool = False
-    """Eq. 19 has no I."""
-    dropout: float = 0.1
 
 
 @dataclass(frozen=True)

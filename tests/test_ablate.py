@@ -22,7 +22,7 @@ from eval.ablations import CONTROLS, ELSEWHERE, OURS, RACER, REFERENCES, ROWS, S
 from generator import losses
 from gesticulator import config as configs
 from gesticulator.config import Config
-from gesticulator.train import Run
+from gesticulator.stages import Run
 
 SHORT = ("schedules.speech.steps=1", "schedules.contrast.steps=1", "schedules.lexicon.steps=20",
          "schedules.generator.steps=6", "schedules.interpreter.steps=4", "schedules.style.steps=4")

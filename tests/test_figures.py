@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from eval import figures
 from eval.accuracy import lexeme_accuracy
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import prepare
+from gesticulator.stages.corpus import prepare
 
 
 class Oracle:
@@ -102,7 +101,7 @@ def test_words_are_read_only_by_the_row_that_is_to_read(tiny_store: Path, tiny_b
     store, system = Store.open(tiny_store), Gesticulator.from_pretrained(tiny_bundle)
     recording = store.load(store.of_split("test")[0].name)
     assert recording.speech.words
-    deaf = Gesticulator(replace(system.bundle, interpreter_text=None, style_text=None, text=None))
+    deaf = Gesticulator(system.bundle.with_parts(interpreter_text=None, style_text=None, text=None))
     heard, read, never = (figures.play(own, [recording], "lstm", False, "", words=words)[0].hand_speed
                           for own, words in ((system, False), (system, True), (deaf, True)))
     np.testing.assert_array_equal(heard, never)

@@ -187,7 +187,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for index in range(2):
         writer.add(recording(bundle, index))
     writer.finish(["take0", "take1"])
-    for name, own in (("with", bundle), ("without", replace(bundle, gate=None))):
+    for name, own in (("with", bundle), ("without", bundle.with_parts(gate=None))):
         bundles.save(own, tmp_path / name, "a card")
     data, out = ["--data", str(tmp_path / "store")], tmp_path / "new" / "gate.json"
     assert figures.main([*data, "--bundle", str(tmp_path / "with"), "--out", str(out)]) == 0

@@ -8,7 +8,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interpreters import INTERPRETERS, BlockFeatures, LexemeInterpreter, select
+from interpreters import INTERPRETERS
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.cql import QConfig, QNetwork
 from interpreters.lstm import LstmConfig, LstmInterpreter
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
@@ -81,7 +82,7 @@ def test_contract(name: str) -> None:
     assert later.shape == (SIZE,)
 
 
-@pytest.mark.parametrize("changes", [{}, {"text_features": 4, "use_control": True}, {"text_reading": 6},
+@pytest.mark.parametrize("changes", [{}, {"text_features": 4, "use_control": True}, {"text_head": 6},
                                      {"text_features": 4, "text_blocks": 3, "text_bottleneck": 2, "layers": 2}])
 def test_lstm_streams_as_it_trains(changes: dict[str, object]) -> None:
     model = lstm(**changes).eval()
@@ -122,7 +123,7 @@ def test_lstm_reads_its_own_block_and_the_next_only_when_it_is_to(blocks: int) -
 
 def test_one_that_reads_begins_as_the_one_that_does_not() -> None:
     deaf, reads = lstm(use_control=True).eval(), lstm(use_control=True, text_features=5, text_blocks=3).eval()
-    reads.begin_as(deaf)
+    reads.init_from_audio_only(deaf)
     arguments = (torch.tensor([[0, 3, 2]]), windows(1, 3, AUDIO), torch.tensor([[0.0, 1.0]]), None)
     texts = [windows(seed, 3) for seed in (2, 3)]
     control = torch.randn(1, 3, FRAMES, CONTROL)
@@ -137,8 +138,8 @@ def test_one_that_reads_begins_as_the_one_that_does_not() -> None:
 
 
 def test_a_reading_head_adds_to_the_voice_and_nothing_else_learns() -> None:
-    deaf, reads = lstm().eval(), lstm(text_reading=6, text_bottleneck=3)
-    reads.begin_as(deaf)
+    deaf, reads = lstm().eval(), lstm(text_head=6, text_bottleneck=3)
+    reads.init_from_audio_only(deaf)
     arguments = (torch.tensor([[0, 3, 2]]), windows(1, 3, AUDIO), torch.tensor([[0.0, 1.0]]))
     text = windows(2, 3)
     torch.testing.assert_close(reads.eval().scores(*arguments, text=text)[0], deaf.scores(*arguments)[0])

@@ -20,8 +20,8 @@ from eval.figures import measure
 from generator.model import Generator, GeneratorConfig, GumbelCodes
 from generator.position import positional_block
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Sequence, Windows, with_silence
-from interpreters import BlockFeatures
+from gesticulator.stages.corpus import Sequence, Windows, with_silence
+from interpreters.base import BlockFeatures
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
 from lexicon.autoencoder import Lexicon, LexiconConfig
 from lexicon.inventory import count

@@ -15,7 +15,7 @@ from data_module.store import Store
 from eval import parts
 from gesticulator import bundle as bundles
 from gesticulator.config import with_settings
-from gesticulator.prepare import Corpus
+from gesticulator.stages.corpus import Corpus
 from interpreters.lstm import LstmConfig
 
 FRAMES, SIZE = 2, 4

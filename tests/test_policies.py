@@ -24,8 +24,8 @@ from eval import gesture_features, policies
 from eval.figures import Clip
 from eval.policies import Anything, Ground, Policy, Told
 from gesticulator import bundle as bundles
-from gesticulator.prepare import prepare
-from gesticulator.racer import block_audio
+from gesticulator.stages.corpus import prepare
+from gesticulator.stages.reward import block_audio
 from interpreters.cql import QConfig, QNetwork
 from interpreters.episodes import Take
 from interpreters.reward import RewardConfig, RewardModel, RewardTable
@@ -350,7 +350,7 @@ def test_the_command(tiny_store: Path, bundle: bundles.Bundle, work: Path, tmp_p
 @pytest.mark.parametrize("lacking", ["q_network", "reward", "reward_judge", "interpreter"])
 def test_what_lacks_a_part_is_refused(tiny_store: Path, bundle: bundles.Bundle, work: Path, lacking: str) -> None:
     with pytest.raises(InputError, match="Q-network"):
-        policies.policies(Store.open(tiny_store), dataclasses.replace(bundle, **{lacking: None}), work, [],
+        policies.policies(Store.open(tiny_store), bundle.with_parts(**{lacking: None}), work, [],
                           progress=False)
 
 

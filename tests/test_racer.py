@@ -14,20 +14,12 @@ from data_module.motion.bvh import read_bvh
 from data_module.store import Store
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
-from gesticulator import infer, train
+from gesticulator import infer, presets, train
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.racer import (
-    RewardWindows,
-    block_audio,
-    decoded_blocks,
-    decoded_lexemes,
-    groups,
-    q_batch,
-    reward_table,
-    takes_of,
-    token_labels,
-)
+from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.lexicon import decoded_blocks, decoded_lexemes, token_labels
+from gesticulator.stages.q_network import q_batch, takes_of
+from gesticulator.stages.reward import RewardWindows, block_audio, groups, reward_table
 from interpreters.episodes import Episodes
 from interpreters.reward import RewardConfig
 from lexicon.racer import RacerCodec
@@ -174,7 +166,7 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
     frames = codec.decode(codec.vectors[codes])[0, 8:].numpy().astype(np.float64)
     poses = system.bundle.statistics.denormalise(frames, system.speaker_index(None))
     # The frames of the motion at 20 fps are the decoded ones, but for the smoothing.
-    from gesticulator.prepare import representation_of
+    from gesticulator.statistics import representation_of
 
     wanted = representation_of(system.bundle.config).motion(poses[:-16], 20.0)
     gap = np.abs(np.einsum("tjq,tjq->tj", made.motion.rotations[1:len(wanted) + 1], wanted.rotations))
@@ -201,14 +193,14 @@ def test_what_racer_has_not_is_said(arguments: list[str], said: str, native: Pat
 
 
 def test_a_codec_needs_its_frame_rate(tiny_store: Path, tmp_path: Path) -> None:
-    config = configs.with_settings(configs.preset("tiny"), ["tokens=racer", "front_end.name=mel"])
+    config = configs.with_settings(presets.preset("tiny"), ["tokens=racer", "front_end.name=mel"])
     with pytest.raises(InputError, match="fixed rate"):
         train.train(config, Store.open(tiny_store), tmp_path / "b", tmp_path / "w", progress=False)
 
 
 def test_published_sizes(tmp_path: Path) -> None:
     for name, steps in (("racer-trinity", 13_000), ("racer-chinese", 2_800)):
-        config = configs.preset(name)
+        config = presets.preset(name)
         assert (config.racer.width, config.racer.size, config.cql.width, config.cql.heads) == (512, 512, 768, 12)
         assert config.cql.decisions == 15 and config.cql.decisions * config.rhythm.frames == 120
         assert config.rhythm.frames / config.rhythm.fps == pytest.approx(0.4) and config.schedules.cql.steps == steps

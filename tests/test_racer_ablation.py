@@ -18,7 +18,8 @@ from eval import gesture_features, policies
 from eval import racer_ablation as ablations
 from eval.racer_ablation import OURS, ROWS, Bench
 from gesticulator import bundle as bundles
-from gesticulator.config import LITERAL, preset, to_dict, with_settings
+from gesticulator.config import to_dict, with_settings
+from gesticulator.presets import LITERAL, preset
 from interpreters.actor_critic import ActorCritic
 from interpreters.cql import ConservativeQ, QNetwork
 from interpreters.episodes import BEHAVIOURS, Episode, Episodes
@@ -289,7 +290,7 @@ def test_what_cannot_be_run(tiny_store: Path, tiny_bundle: Path, tmp_path: Path,
         assert word in capsys.readouterr().err
     with pytest.raises(SystemExit):
         ablations.main([])
-    bundle = dataclasses.replace(bundles.load(tiny_bundle), reward_judge=None)
+    bundle = bundles.load(tiny_bundle).with_parts(reward_judge=None)
     with pytest.raises(InputError, match="reward models"):
         Bench.of(Store.open(tiny_store), bundle, tmp_path, PRESET)
 

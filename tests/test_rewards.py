@@ -18,8 +18,9 @@ from data_module.store import Store
 from eval import rewards
 from eval.rewards import Asked
 from gesticulator import bundle as bundles
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.racer import takes_of, token_labels
+from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.lexicon import token_labels
+from gesticulator.stages.q_network import takes_of
 from interpreters.episodes import Take
 from interpreters.reward import RewardConfig, RewardModel
 
@@ -301,4 +302,4 @@ def test_a_bundle_without_both_models_is_refused(tiny_store: Path, bundle: bundl
                                                  ) -> None:
     without: dict[str, Any] = {lacking: None}
     with pytest.raises(InputError, match="reward models"):
-        rewards.rewards(Store.open(tiny_store), dataclasses.replace(bundle, **without), work, progress=False)
+        rewards.rewards(Store.open(tiny_store), bundle.with_parts(**without), work, progress=False)

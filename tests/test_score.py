@@ -35,8 +35,8 @@ from eval.results import plain
 from eval.rewards import Asked
 from eval.score import FLOOR, STILL, TRUTH, common_ground, flags, markdown, mean_pose
 from gesticulator import bundle as bundles
-from gesticulator.prepare import prepare
-from gesticulator.racer import token_labels
+from gesticulator.stages.corpus import prepare
+from gesticulator.stages.lexicon import token_labels
 
 SECONDS, FPS, RATE = 4.0, 20.0, 16000
 NETWORKS = {"raw, 12 frames": RawFeatures(12), "raw, 20 frames": RawFeatures(20)}
@@ -486,7 +486,7 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     own, same = table["rows"][TRUTH], table["rows"]["same"]
     assert own["lexeme_accuracy"]["mean"] == 100.0 and same["reward"] == own["reward"]
     assert -1.0 <= own["reward"]["mean"] <= 1.0 and table["rows"]["shuffled"]["lexeme_accuracy"]["mean"] < 100.0
-    deaf = score.score(ground, {}, replace(bundle, reward_judge=None), with_controls=False)["rows"]["same"]
+    deaf = score.score(ground, {}, bundle.with_parts(reward_judge=None), with_controls=False)["rows"]["same"]
     assert "the bundle has no judging reward model" in deaf["reward"]["reason"]
     assert deaf["lexeme_accuracy"]["mean"] == 100.0
     # By another way: the corpus as the stages train on it.

@@ -19,6 +19,7 @@ from data_module.types import Array
 from eval import audio_clusters, speech_levels
 from eval.probes import Judged, Spoken, Tokens, grouped, probe_frames, probe_words, same_word, tokens_of
 from gesticulator import config as configs
+from gesticulator import presets
 
 BLOCKS, FRAMES = 60, 10
 
@@ -260,7 +261,7 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     store = Store.open(tiny_store)
     recording = store.load(store.names[0])
     recording = replace(recording, speech=replace(recording.speech, samples=recording.speech.samples[:16000 * 8]))
-    config = configs.preset("tiny")
+    config = presets.preset("tiny")
     torch.manual_seed(1)
     encoder = SpeechEncoder(EncoderConfig(width=4)).eval()
     heard = speech_levels.listen(recording, config, {"": encoder})

@@ -23,8 +23,8 @@ from data_module.store import Store
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
-from gesticulator import infer, train
-from gesticulator.prepare import Windows, prepare, sequences, with_silence
+from gesticulator import infer, presets, train
+from gesticulator.stages.corpus import Windows, prepare, sequences, with_silence
 
 SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter_text": 10, "interpreter": 10, "gate": 6,
          "reward": 6, "reward_judge": 6, "cql": 14, "generator": 12, "style": 8, "style_text": 8}
@@ -34,7 +34,7 @@ SHORT = [f"schedules.{stage}.steps={steps}" for stage, steps in SIZES.items()
 
 
 def short() -> configs.Config:
-    return configs.with_settings(configs.preset("tiny"), SHORT)
+    return configs.with_settings(presets.preset("tiny"), SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -147,14 +147,14 @@ MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_
 def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[str], tiny_store: Path, work: Path
                                                      ) -> None:
     store = Store.open(tiny_store)
-    base = train.Run(configs.preset("tiny"), store, work)
+    base = train.Run(presets.preset("tiny"), store, work)
     assert len({base.key(stage) for stage in train.STAGES}) == len(train.STAGES)
     other = train.Run(configs.with_settings(base.config, [setting]), store, work)
     assert {stage for stage in train.STAGES if base.key(stage) != other.key(stage)} == stages
 
 
 def test_the_hint_shapes_what_is_taught_with_it(tiny_store: Path, work: Path) -> None:
-    base, other = (train.Run(configs.with_settings(configs.preset("tiny"), [f"silence.hint={hint}"]),
+    base, other = (train.Run(configs.with_settings(presets.preset("tiny"), [f"silence.hint={hint}"]),
                              Store.open(tiny_store), work) for hint in ("true", "false"))
     changed = {stage for stage in train.STAGES if base.key(stage) != other.key(stage)}
     assert changed >= READ and not changed & {*MADE, "lexicon", "speech", "contrast"}
@@ -163,7 +163,7 @@ def test_the_hint_shapes_what_is_taught_with_it(tiny_store: Path, work: Path) ->
 def test_with_mel_bands_the_words_shape_only_what_reads_them(tiny_store: Path, work: Path) -> None:
     keys = []
     for setting in ("text.bridge=0.15", "text.bridge=0.2"):
-        config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel", setting])
+        config = configs.with_settings(presets.preset("tiny"), ["front_end.name=mel", setting])
         run = train.Run(config, Store.open(tiny_store), work)
         keys.append({stage: run.key(stage) for stage in train.STAGES if stage not in ("speech", "contrast")})
     assert {stage for stage in keys[0] if keys[0][stage] != keys[1][stage]} == {"interpreter_text", "style_text"}
@@ -180,7 +180,7 @@ def test_more_speech_shapes_the_encoder_and_what_follows(tiny_store: Path, work:
     store = Store.open(tiny_store)
 
     def keys(*folders: Path) -> dict[str, str]:
-        run = train.Run(configs.preset("tiny"), store, work, speech=folders)
+        run = train.Run(presets.preset("tiny"), store, work, speech=folders)
         return {stage: run.key(stage) for stage in train.STAGES}
 
     none, one, copy, other = (keys(), keys(tone(tmp_path / "a" / "x.wav", 200)),
@@ -238,7 +238,7 @@ def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: P
 
 
 def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, work: Path) -> None:
-    config = configs.preset("tiny")
+    config = presets.preset("tiny")
     corpus = prepare(Store.open(tiny_store), config, work, progress=False)
     labels = np.arange(len(corpus.silent)) % config.lexicon.size
     nearest = np.full(config.lexicon.size, 3)
@@ -260,7 +260,7 @@ def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, 
 
 
 def test_windows_tile_every_block_and_short_recordings_are_marked(tiny_store: Path, work: Path) -> None:
-    corpus = prepare(Store.open(tiny_store), configs.preset("tiny"), work, progress=False)
+    corpus = prepare(Store.open(tiny_store), presets.preset("tiny"), work, progress=False)
     labels = np.zeros(len(corpus.silent), dtype=np.int64)
     numbers = np.arange(len(labels)) + 1
     parts = sequences(corpus, labels, "train", numbers)
@@ -274,7 +274,7 @@ def test_windows_tile_every_block_and_short_recordings_are_marked(tiny_store: Pa
 
 
 def test_statistics_undo_themselves_and_centre_each_speaker(tiny_store: Path, work: Path) -> None:
-    corpus = prepare(Store.open(tiny_store), configs.preset("tiny"), work, progress=False)
+    corpus = prepare(Store.open(tiny_store), presets.preset("tiny"), work, progress=False)
     s = corpus.statistics
     poses = np.random.default_rng(0).normal(size=(7, s.deviation.size))
     np.testing.assert_allclose(s.denormalise(s.normalise(poses, 0), 0), poses, atol=1e-12)
@@ -285,7 +285,7 @@ def test_statistics_undo_themselves_and_centre_each_speaker(tiny_store: Path, wo
 
 
 def test_the_silent_hint_names_a_silent_lexeme_on_silent_blocks_alone(tiny_store: Path, work: Path) -> None:
-    config = configs.preset("tiny")
+    config = presets.preset("tiny")
     for hint in (True, False):
         own = configs.with_settings(config, [f"silence.hint={str(hint).lower()}"])
         run = train.Run(own, Store.open(tiny_store), work, progress=False)
@@ -303,7 +303,7 @@ def test_the_silent_hint_names_a_silent_lexeme_on_silent_blocks_alone(tiny_store
 
 
 def prepared(tiny_store: Path, work: Path, *settings: str) -> train.Run:
-    run = train.Run(configs.with_settings(configs.preset("tiny"), settings), Store.open(tiny_store), work,
+    run = train.Run(configs.with_settings(presets.preset("tiny"), settings), Store.open(tiny_store), work,
                     progress=False)
     run.corpus = prepare(run.store, run.config, work, progress=False)
     return run

@@ -12,11 +12,12 @@ from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder
 from data_module.store import Store
 from eval import two_languages
 from gesticulator import config as configs
+from gesticulator import presets
 
 
 @pytest.fixture(scope="module")
 def config() -> configs.Config:
-    tiny = configs.preset("tiny")
+    tiny = presets.preset("tiny")
     speech = dataclasses.replace(tiny.schedules.speech, steps=3)
     return dataclasses.replace(tiny, schedules=dataclasses.replace(tiny.schedules, speech=speech))
 

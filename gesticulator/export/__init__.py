@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
-from gesticulator.export.bvh import write_bvh_file
-from gesticulator.export.html import write_preview
-from gesticulator.export.plan import write_plan
 
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
 
-WRITERS: dict[str, Callable[[Path, Performance], Path]] = {
-    ".bvh": write_bvh_file,
-    ".html": write_preview,
-    ".json": write_plan,
+WRITERS = {
+    ".bvh": "gesticulator.export.bvh:write_bvh_file",
+    ".html": "gesticulator.export.html:write_preview",
+    ".json": "gesticulator.export.plan:write_plan",
 }
-"""Suffix -> writer(path, performance), which returns the path."""
+"""Suffix -> module and name of writer(path, performance) -> path; imported when something is written."""
 
 
 def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Path]:
@@ -30,7 +28,9 @@ def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Pa
     if writer is None:
         said = f"'{target.suffix}' is no format that can be written" if target.suffix else "has no suffix"
         raise InputError(target, said, f"use one of {', '.join(sorted(WRITERS))}")
-    return writer
+    module, name = writer.split(":")
+    found: Callable[[Path, Performance], Path] = getattr(import_module(module), name)
+    return found
 
 
 def write(path: str | os.PathLike[str], performance: Performance) -> Path:

@@ -58,7 +58,7 @@ class Crops:
         sizes = np.array([len(part) for part in parts])
         return cls(np.concatenate(parts), np.cumsum(sizes) - sizes, sizes - length + 1, length)
 
-    def drawn(self, rng: np.random.Generator, count: int) -> NDArray[np.float32]:
+    def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float32]:
         """[count, length] crops, every beginning equally likely."""
         ends = np.cumsum(self.room)
         place = rng.integers(ends[-1], size=count)

@@ -1,4 +1,4 @@
-"""From a store to what the stages train on: blocks of motion, speech and words, cached by what shapes them."""
+"""The corpus: blocks of motion, speech and words of a whole store, cached by what shapes them."""
 
 from __future__ import annotations
 
@@ -21,73 +21,18 @@ from data_module import blocks as block_module
 from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
-from data_module.motion.representation import REPRESENTATIONS, Representation
 from data_module.speech.features import Normaliser, reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder, word_frames
 from data_module.types import Array
-from gesticulator import config as configs
-from gesticulator.config import Config, ControlConfig
-from gesticulator.fit import Batch
+from gesticulator.config import Config, digest
+from gesticulator.models import Sizes
 from gesticulator.speech_features import encode, front_end_for, three_blocks, word_table
+from gesticulator.stages.base import Node, Run
+from gesticulator.statistics import Statistics, representation_of
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
-
-CONTROL_WIDTH = 2 * len(controls.FEATURES)
-"""2 F: what is asked of each feature, and whether it is asked."""
-
-
-def representation_of(config: Config) -> Representation:
-    """How motion becomes numbers under these settings; InputError for a name that is unknown."""
-    name = config.motion.representation
-    if name not in REPRESENTATIONS:
-        raise InputError("motion.representation", f"is {name!r}", f"choose among {', '.join(REPRESENTATIONS)}")
-    return REPRESENTATIONS[name]
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """What turns poses and features into numbers near 1, measured on the training split.
-
-    speakers: names in order. mean_pose: [speakers, D_m] vectors of the representation; rest_pose: [speakers, D_m] the
-    same in silence. deviation: [D_m]. bounds: [2, D_m] the least and the most of the normalised training data, but for
-    one frame in a thousand at either end. low, high: normalisers of the audio features. quiet_low, quiet_high:
-    [3K, d] the normalised features of a settled silence. levels: the features of style that can be asked for.
-    A pose becomes (pose - mean_pose[speaker]) / deviation: without the speaker's own mean every lexeme would be a
-    speaker.
-    """
-
-    speakers: tuple[str, ...]
-    mean_pose: Array
-    rest_pose: Array
-    deviation: Array
-    bounds: Array
-    low: Normaliser
-    high: Normaliser
-    quiet_low: Array | None = None
-    quiet_high: Array | None = None
-    levels: controls.Levels | None = None
-
-    @property
-    def present(self) -> Tensor:
-        """[D_m] 1 where any training motion ever moved, 0 for joints that no source has."""
-        return torch.as_tensor(self.bounds[0] < self.bounds[1], dtype=torch.float32)
-
-    def normalise(self, poses: Array, speaker: int) -> Array:
-        """Vectors [..., D_m] to normalised features."""
-        return (poses - self.mean_pose[speaker]) / self.deviation
-
-    def denormalise(self, features: Array, speaker: int) -> Array:
-        """The inverse of `normalise`."""
-        return features * self.deviation + self.mean_pose[speaker]
-
-
-def control_rows(levels: controls.Levels, values: Array, given: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """[..., 2 F] of features in their units [..., F] and which are asked for [..., F]: standardised, 0 where free."""
-    scaled = (values - levels.mean) / levels.spread * given
-    return np.concatenate([scaled, np.broadcast_to(given, scaled.shape)], axis=-1).astype(np.float32)
-
 
 @dataclass(frozen=True)
 class Corpus:
@@ -207,7 +152,7 @@ def _run(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int) ->
 
 def cut(store: Store, config: Config, folder: Path, *, workers: int = 1, progress: bool = True) -> tuple[Path, ...]:
     """The blocks of every recording, one file each, in a folder named by the hash of what shapes them."""
-    key = configs.digest(store.fingerprint, configs.to_dict(config.rhythm), config.motion.representation,
+    key = digest(store.fingerprint, config.rhythm, config.motion.representation,
                          config.control.window, config.text.bridge)
     cache = folder / f"blocks-{key}"
     cache.mkdir(parents=True, exist_ok=True)
@@ -219,17 +164,17 @@ def cut(store: Store, config: Config, folder: Path, *, workers: int = 1, progres
 
 def weights_hash(module: torch.nn.Module) -> str:
     """A short hash of a module's weights in half precision, as a bundle keeps them."""
-    digest = hashlib.sha256()
+    sha = hashlib.sha256()
     for key, value in sorted(module.state_dict().items()):
-        digest.update(key.encode() + value.detach().cpu().half().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:16]
+        sha.update(key.encode() + value.detach().cpu().half().contiguous().numpy().tobytes())
+    return sha.hexdigest()[:16]
 
 
 def encode_all(files: tuple[Path, ...], config: Config, encoder: SpeechEncoder | None = None, *, workers: int = 1,
              progress: bool = True) -> tuple[Path, ...]:
     """The audio features of blocks that are cut, one file each, in a folder named by the front end's hash."""
     cut_folder = files[0].parent
-    key = configs.digest(cut_folder.name, configs.to_dict(config.front_end), weights_hash(encoder) if encoder else "")
+    key = digest(cut_folder.name, config.front_end, weights_hash(encoder) if encoder else "")
     cache = cut_folder.parent / f"features-{key}"
     cache.mkdir(parents=True, exist_ok=True)
     out = tuple(cache / file.name for file in files)
@@ -243,7 +188,7 @@ def read_words(store: Store, config: Config, folder: Path, *, progress: bool = T
     if not config.text.encoder:
         return {}
     encoder = WordEncoder.open(config.text.encoder)
-    key = configs.digest(store.fingerprint, encoder.name, encoder.fingerprint)
+    key = digest(store.fingerprint, encoder.name, encoder.fingerprint)
     cache = folder / f"words-{key}.npz"
     if not cache.exists():
         vectors: dict[str, NDArray[Any]] = {}
@@ -334,21 +279,21 @@ def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[n
         poses = np.concatenate([arrays["motion"] for arrays in own]).astype(np.float64)
         silent = np.concatenate([arrays["silent"] for arrays in own])
         mean[speaker] = poses.mean(axis=(0, 1))
-        still = _settled(silent)
+        still = settled(silent)
         rest[speaker] = poses[still, -1].mean(axis=0) if still.any() else mean[speaker]
         centred.append((poses - mean[speaker]).reshape(-1, width))
     deviation = np.concatenate(centred).std(axis=0)
     present = np.stack([loaded[i]["mask"] for i in train]).any(axis=0)
     deviation = np.where(present, np.maximum(deviation, config.motion.least_deviation), 1.0)
     bounds = np.percentile(np.concatenate(centred) / deviation, [0.1, 99.9], axis=0)
-    quiet = [_settled(loaded[i]["silent"], 1) for i in train]
+    quiet = [settled(loaded[i]["silent"], 1) for i in train]
     normalisers, silences = [], []
     for level in ("low", "high"):
         rows = [encoded[i].get(level, encoded[i]["low"]) for i in train]
         normaliser = Normaliser.fit(np.concatenate(rows).astype(np.float32))
-        settled = np.concatenate([own[which] for own, which in zip(rows, quiet, strict=True)]).astype(np.float32)
+        silences_heard = np.concatenate([own[which] for own, which in zip(rows, quiet, strict=True)]).astype(np.float32)
         normalisers.append(normaliser)
-        silences.append(normaliser.apply(settled).mean(axis=0, dtype=np.float64) if len(settled)
+        silences.append(normaliser.apply(silences_heard).mean(axis=0, dtype=np.float64) if len(silences_heard)
                         else np.zeros(rows[0].shape[1:]))
     levels = controls.Levels.fit(np.concatenate([loaded[i]["control"] for i in train]).reshape(
         -1, len(controls.FEATURES)).astype(np.float64))
@@ -356,7 +301,7 @@ def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[n
                       silences[1], levels)
 
 
-def _settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:
+def settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:
     """Silent blocks with `wait` silent ones before them: the arms have come to rest by then."""
     settled = silent.copy()
     for back in range(1, wait + 1):
@@ -365,142 +310,22 @@ def _settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:
     return settled
 
 
-@dataclass(frozen=True)
-class Sequence:
-    """A recording as a row of blocks, inserted silence included. All arrays are [M].
-
-    motion: block numbers; held: the pose at the end of that block is held instead (inserted silence);
-    audio: block numbers of the audio windows; style: style code numbers, 0 for inserted silence.
-    """
-
-    recording: int
-    motion: NDArray[np.int64]
-    held: NDArray[np.bool_]
-    audio: NDArray[np.int64]
-    lexeme: NDArray[np.int64]
-    style: NDArray[np.int64]
+def sizes(config: Config, corpus: Corpus, **more: Any) -> Sizes:
+    """What shapes the models over a corpus; more: fields of `Sizes` that the corpus does not know."""
+    return Sizes(config, corpus.motion.shape[-1], corpus.low.shape[-1], corpus.high.shape[-1],
+                 corpus.high is not corpus.low, len(corpus.statistics.speakers), corpus.text_width,
+                 corpus.statistics.present, **more)
 
 
-def sequences(corpus: Corpus, labels: NDArray[np.int64], split: str, style_numbers: NDArray[np.int64],
-              with_text: bool = False) -> list[Sequence]:
-    """The recordings of a split as they are; only those with words when asked."""
-    out = []
-    for recording in corpus.recordings(split, with_text):
-        own = corpus.blocks_of(recording)
-        out.append(Sequence(recording, own, np.zeros(len(own), bool), own, labels[own], style_numbers[own]))
-    return out
+def _blocks(run: Run) -> Corpus:
+    corpus = prepare(run.store, run.config, run.work, workers=run.workers, progress=run.progress)
+    if run.config.text.encoder and corpus.words is None:
+        raise InputError(run.store.path, "has no recording with words",
+                         "set text.encoder= (nothing) to train without text")
+    return corpus
 
 
-def with_silence(parts: list[Sequence], corpus: Corpus, nearest_silent: NDArray[np.int64], share: float, longest: int,
-                 rng: np.random.Generator) -> list[Sequence]:
-    """Insert runs of 1 to `longest` silent blocks after silent ones until they make up `share` of all (RG 6.4.1).
-
-    An inserted block hears noise of the same recording (a settled silence; its quietest block when it has none), holds
-    the last pose, carries the zero style code and the silent lexeme nearest to the lexeme before.
-    """
-    total = sum(len(part.motion) for part in parts)
-    places = [(p, int(at)) for p, part in enumerate(parts) for at in np.flatnonzero(corpus.silent[part.motion])]
-    budget = round(share * total / (1 - share)) if places else 0
-    runs: dict[tuple[int, int], int] = {}
-    for index in rng.permutation(len(places)):
-        if budget <= 0:
-            break
-        runs[places[index]] = min(int(rng.integers(1, longest + 1)), budget)
-        budget -= runs[places[index]]
-    return [_inserted(part, {at: count for (p, at), count in runs.items() if p == own}, corpus, nearest_silent, rng)
-            for own, part in enumerate(parts)]
-
-
-def _inserted(part: Sequence, runs: dict[int, int], corpus: Corpus, nearest_silent: NDArray[np.int64],
-              rng: np.random.Generator) -> Sequence:
-    if not runs:
-        return part
-    noise = part.audio[_settled(corpus.silent[part.audio], 1)]
-    if len(noise) == 0:
-        noise = part.audio[[int(corpus.low[part.audio].mean(dim=(1, 2)).argmin())]]
-    columns: dict[str, list[int]] = {"motion": [], "held": [], "audio": [], "lexeme": [], "style": []}
-    for at in range(len(part.motion)):
-        rows = [(part.motion[at], False, part.audio[at], part.lexeme[at], part.style[at])]
-        rows += [(part.motion[at], True, int(rng.choice(noise)), nearest_silent[part.lexeme[at]], 0)
-                 for _ in range(runs.get(at, 0))]
-        for row in rows:
-            for key, value in zip(columns, row, strict=True):
-                columns[key].append(int(value))
-    arrays = {key: np.array(values) for key, values in columns.items()}
-    return Sequence(part.recording, arrays["motion"], arrays["held"].astype(bool), arrays["audio"], arrays["lexeme"],
-                    arrays["style"])
-
-
-class Windows:
-    """Windows of a seed block and N more over sequences, drawn at any start, or tiled without overlap.
-
-    text: batches carry word vectors. control: the settings by which features of style are asked for in windows that
-    are drawn; None asks for nothing.
-    """
-
-    def __init__(self, corpus: Corpus, parts: list[Sequence], blocks: int, *, text: bool = False,
-                 control: ControlConfig | None = None) -> None:
-        self.corpus, self.parts, self.length = corpus, parts, blocks + 1
-        self.text, self.control = text, control
-        self.starts = np.array([(p, s) for p, part in enumerate(parts)
-                                for s in range(max(1, len(part.motion) - blocks))], dtype=np.int64)
-        if len(self.starts) == 0:
-            raise InputError("store", "has no recording for this split", "build the store again")
-
-    def drawn(self, rng: np.random.Generator, count: int) -> Batch:
-        """A batch of `count` windows at random."""
-        starts = self.starts[rng.integers(len(self.starts), size=count)]
-        given = None
-        if self.control is not None:
-            given = rng.random((count, len(controls.FEATURES))) < self.control.asked
-            given &= rng.random((count, 1)) >= self.control.free
-            given &= np.isin(controls.FEATURES, self.control.features)
-        return self.batch(starts, given)
-
-    def tiled(self, size: int) -> Iterable[Batch]:
-        """Every block (but seeds), in batches; the last window of a recording may overlap the one before."""
-        places = []
-        for p, part in enumerate(self.parts):
-            last = max(0, len(part.motion) - self.length)
-            places += [(p, start) for start in sorted({*range(0, last + 1, self.length - 1), last})]
-        tiles = np.array(places, dtype=np.int64)
-        for at in range(0, len(tiles), size):
-            yield self.batch(tiles[at:at + size])
-
-    def batch(self, starts: NDArray[np.int64], given: NDArray[np.bool_] | None = None) -> Batch:
-        """The windows at (part, start) [B, 2]: everything that any stage's losses ask for.
-
-        given: [B, F] which features of style are asked for; None asks for none.
-        """
-        corpus = self.corpus
-        rows: dict[str, list[NDArray]] = {key: [] for key in ("motion", "held", "audio", "lexeme", "style", "valid")}
-        recordings = []
-        for p, start in starts:
-            part = self.parts[p]
-            index = np.arange(start, start + self.length)
-            inside = np.minimum(index, len(part.motion) - 1)
-            for key in ("motion", "held", "audio", "lexeme", "style"):
-                rows[key].append(getattr(part, key)[inside])
-            rows["valid"].append((index == inside).astype(np.float32))
-            recordings.append(part.recording)
-        stacked = {key: torch.as_tensor(np.stack(values)) for key, values in rows.items()}
-        motion = corpus.motion[stacked["motion"]]
-        held = stacked["held"][:, :, None, None]
-        motion = torch.where(held, motion[:, :, -1:].expand_as(motion), motion)
-        speaker = torch.as_tensor(corpus.speaker_of[recordings])
-        low = corpus.low[stacked["audio"]].float()
-        batch = {
-            "motion": motion, "audio": low, "audio_low": low, "block": stacked["motion"],
-            "audio_high": low if corpus.high is corpus.low else corpus.high[stacked["audio"]].float(),
-            "lexeme_index": stacked["lexeme"], "style": stacked["style"], "valid": stacked["valid"],
-            "mask": corpus.mask[recordings],
-            "speaker": torch.nn.functional.one_hot(speaker, len(corpus.statistics.speakers)).float(),
-        }
-        if self.text:
-            batch["text"] = corpus.text(stacked["audio"])
-        if given is not None:
-            assert corpus.statistics.levels is not None
-            values = corpus.control[stacked["motion"].numpy()]
-            asked = np.broadcast_to(given[:, None, None], values.shape)
-            batch["control"] = torch.as_tensor(control_rows(corpus.statistics.levels, values, asked))
-        return batch
+BLOCKS: Node[Corpus] = Node(
+    "blocks", settings=("rhythm", "motion.representation", "motion.least_deviation", "control.window", "text"),
+    make=_blocks)
+"""The corpus before it is heard: motion, stretched sound and words (and mel features, which need no training)."""
