@@ -20,8 +20,8 @@ from performances import perform
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
-from data_module.performer.types import PlayedStroke
-from data_module.store import Recording, RecordingInfo, Store, StoreWriter, Truth
+from data_module.store import Recording, RecordingInfo, Store, StoreWriter
+from data_module.truth import PlayedStroke, Truth
 from data_module.types import Blocks, Motion, Speech, Word
 from eval import lexicon_map as maps
 from gesticulator import bundle as bundles

@@ -20,7 +20,8 @@ from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
 from data_module.performer.plan import BRAKE, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet
-from data_module.performer.types import Played, PlayedStroke, Spoken
+from data_module.performer.types import Played, Spoken
+from data_module.truth import PlayedStroke
 from data_module.types import Array, Motion
 
 FPS = 60.0
