@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
@@ -79,32 +80,35 @@ def arguments(p: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     """Do every recording; exit code 0, 1 where a part of them failed, 2 where none could be done."""
     jobs = [] if asked.list else _plan(asked)
-    with warnings.catch_warnings():
-        _show_our_warnings()
-        ready = jobs if len(jobs) < 2 else [job for job in jobs if _found(job)]
-        if len(jobs) == 1:
-            _check(jobs[0])
-        if not ready and not asked.list:
-            return _conclude(len(jobs), 0, asked.quiet)
-        with _threads(int(asked.threads)):
-            from gesticulator.pipeline import Gesticulator
+    alone = len(jobs) == 1
+    done = 0
+    with _our_warnings():
+        ready = [job for job in jobs if _went_well(partial(_check, job, asked), alone)]
+        if ready or asked.list:
+            with _threads(int(asked.threads)):
+                from gesticulator.pipeline import Gesticulator
 
-            system = Gesticulator.from_pretrained(asked.bundle)
-            if asked.list:
-                return _list(system, asked.list)
-            system.speaker_index(asked.speaker)
-            controls = asked_controls(system, asked)
-            if len(jobs) == 1:
-                _say(perform(jobs[0], system, asked, controls), asked.quiet)
-                return 0
-            done = 0
-            for job in ready:
-                try:
-                    _say(perform(job, system, asked, controls), asked.quiet)
-                    done += 1
-                except (InputError, OSError) as error:
-                    _report(error)
-            return _conclude(len(jobs), done, asked.quiet)
+                system = Gesticulator.from_pretrained(asked.bundle)
+                if asked.list:
+                    return _list(system, asked.list)
+                system.speaker_index(asked.speaker)
+                controls = asked_controls(system, asked)
+                done = sum(_went_well(partial(perform, job, system, asked, controls), alone) for job in ready)
+    return 0 if alone else _conclude(len(jobs), done, asked.quiet)
+
+
+def _went_well(step: Callable[[], None], alone: bool) -> bool:
+    """Whether a step did its work. A fault of one recording among several is told; that of the only one is raised."""
+    try:
+        step()
+    except BrokenPipeError:  # whoever read the summaries has gone: no recording's fault
+        raise
+    except (InputError, OSError) as error:
+        if alone:
+            raise
+        complain(f"{PROGRAM}: {one_line(error)}")
+        return False
+    return True
 
 
 def _plan(asked: argparse.Namespace) -> list[Job]:
@@ -114,7 +118,7 @@ def _plan(asked: argparse.Namespace) -> list[Job]:
     return plan(asked.speech, outputs, asked.text)
 
 
-def _check(job: Job) -> None:
+def _check(job: Job, asked: argparse.Namespace) -> None:
     """`InputError` where the recording cannot be done, as far as is known without reading it."""
     from data_module.speech.audio import check_file
 
@@ -124,16 +128,6 @@ def _check(job: Job) -> None:
         check_file(job.source)
     elif sys.stdin is None or sys.stdin.isatty():
         raise InputError("standard input", "is a terminal", f"pipe a recording into {PROGRAM}, or name a file")
-
-
-def _found(job: Job) -> bool:
-    """True where the recording may be done; what is wrong is told."""
-    try:
-        _check(job)
-    except InputError as error:
-        _report(error)
-        return False
-    return True
 
 
 def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls | None:
@@ -149,17 +143,18 @@ def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls 
     return controls_from(*asked_for, system.bundle.levels)
 
 
-def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None) -> str:
-    """Do one recording; the summary."""
+def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None) -> None:
+    """Do one recording and print its summary."""
     speech = _load(job, asked)
     begin = time.perf_counter()
     made = _performed(job, speech, system, asked, controls)
     spent = time.perf_counter() - begin
     written = ", ".join(str(made.save(target)) for target in job.targets)
-    return (f"{job.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
-            f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.vectors)} lexemes, "
-            f"real-time factor {spent / speech.duration:.3f} -> {written}"
-            + "".join(f"\n  {note}" for note in made.notes))
+    if not asked.quiet:
+        print(f"{job.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
+              f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.vectors)} lexemes, "
+              f"real-time factor {spent / speech.duration:.3f} -> {written}"
+              + "".join(f"\n  {note}" for note in made.notes), flush=True)
 
 
 def _load(job: Job, asked: argparse.Namespace) -> Speech:
@@ -192,9 +187,13 @@ def _threads(count: int) -> Iterator[None]:
     import torch
     from threadpoolctl import threadpool_limits
 
+    before = torch.get_num_threads()
     torch.set_num_threads(count)
-    with threadpool_limits(count):
-        yield
+    try:
+        with threadpool_limits(count):
+            yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _list(system: Gesticulator, what: str) -> int:
@@ -211,25 +210,20 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
     if done < count:
         complain(f"{PROGRAM}: {done} of {count} recordings done, {count - done} failed")
         return EXIT_PART_FAILED if done else EXIT_BAD_INPUT
-    _say(f"{count} recordings done", quiet)
+    if not quiet:
+        print(f"{count} recordings done", flush=True)
     return 0
 
 
-def _say(summary: str, quiet: bool) -> None:
-    if not quiet:
-        print(summary, flush=True)
-
-
-def _report(error: InputError | OSError) -> None:
-    complain(f"{PROGRAM}: {one_line(error)}")
-
-
-def _show_our_warnings() -> None:
+@contextmanager
+def _our_warnings() -> Iterator[None]:
     """Only our own warnings concern the user, a line each; those of libraries do not."""
-    warnings.simplefilter("ignore")
-    for name in ("data_module", "gesticulator"):
-        warnings.filterwarnings("default", module=name)
-    warnings.showwarning = _say_warning
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name in ("data_module", "gesticulator"):
+            warnings.filterwarnings("default", module=name)
+        warnings.showwarning = _say_warning
+        yield
 
 
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
