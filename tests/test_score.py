@@ -33,7 +33,7 @@ from eval.foreign import Clip, read_motion
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.gesture_features import RawFeatures
-from eval.rewards import Asked
+from eval.probes.rewards import RewardProbe
 from eval.score import FLOOR, STILL, TRUTH, Flag, Scores, flags, mean_of, tables
 from eval.stats import Interval
 from eval.table import Marked, load, save
@@ -500,7 +500,7 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     # By another way: the corpus as the stages train on it.
     assert bundle.reward_judge is not None
     corpus = prepare(store, bundle.config, tmp_path, bundle.encoder, progress=False)
-    asks = Asked.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
+    asks = RewardProbe.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
     blocks = corpus.blocks_of(corpus.names.index(next(iter(some))))
     values = []
     for end in range(len(blocks)):

@@ -1,4 +1,4 @@
-"""`python -m eval.gate --bundle DIR --data STORE [--out FILE.json]`: does the gate know when people gesture?
+"""Does the gate know when people gesture, and what does it do? `gesticulator probe gate --data STORE [--bundle DIR]`
 
 Theory: the gate (RG 8, third limitation) says how likely a gesture is on each block. The truth is the performer: a
 block is active when its own motion has a lexeme that is not silent. Two things are asked of the probability. Does it
@@ -19,7 +19,6 @@ the blocks that it closed, each beside the same blocks of the same speech withou
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -31,15 +30,16 @@ from sklearn.metrics import roc_auc_score
 from tqdm import tqdm
 
 from data_module.blocks import cut
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.speech.silence import FRAME, frame_levels
 from data_module.store import SPLITS, Recording, Store
 from data_module.types import Array, Speech
-from eval.bootstrap import Interval, interval
+from eval import stats
 from eval.draw.lexicon_map import block_of_frames, evenly
 from eval.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
-from eval.results import publish
+from eval.stats import Interval, mean_interval
+from eval.table import Column, Table
 from gesticulator.bundle import Bundle
 from gesticulator.pipeline import Gesticulator
 from gesticulator.speech_features import encode_speech, front_end_for
@@ -102,20 +102,15 @@ def brier(active: Flags, probability: Array | float, weights: Array | None = Non
     return float(np.average((probability - active.astype(np.float64)) ** 2, weights=weights))
 
 
-def resampled(owner: NDArray[np.int64], statistic: Callable[[Array], float], seed: int = 0, draws: int = DRAWS
-              ) -> Interval:
+def resampled(owner: NDArray[np.int64], statistic: Callable[[Array], float], draws: int = DRAWS) -> Interval:
     """A statistic of pooled blocks with its bootstrap interval, groups of recordings being what is drawn.
 
     owner: [N] the group of each block, 0 to G - 1; statistic(weights [N]) counts a block as often as its group was
     drawn.
     """
     groups = int(owner.max()) + 1
-    rng = np.random.default_rng(seed)
-    drawn = [statistic(np.bincount(rng.integers(groups, size=groups), minlength=groups)[owner].astype(np.float64))
-             for _ in range(draws)]
-    finite = [value for value in drawn if np.isfinite(value)]
-    low, high = np.percentile(finite, [2.5, 97.5]) if finite else (float("nan"), float("nan"))
-    return Interval(statistic(np.ones(len(owner))), float(low), float(high), groups)
+    return stats.of_set(lambda chosen: statistic(np.bincount(chosen, minlength=groups)[owner].astype(np.float64)),
+                        groups, draws=draws, basic=False)
 
 
 def knowledge(judged: Sequence[Judged], draws: int = DRAWS) -> dict[str, Any]:
@@ -136,19 +131,19 @@ def knowledge(judged: Sequence[Judged], draws: int = DRAWS) -> dict[str, Any]:
     for name, score in scores.items():
         inside = [[auc(own.active, own.scores[name]) for own in judged if own.group == group] for group in groups]
         rows[name] = {
-            "auc": resampled(owner, area(score), draws=draws).to_dict(),
-            "auc_within_recordings": interval([_mean(values) for values in inside],
-                                              np.bincount(owner, minlength=len(groups))).to_dict()}
+            "auc": resampled(owner, area(score), draws=draws),
+            "auc_within_recordings": mean_interval([_mean(values) for values in inside],
+                                              np.bincount(owner, minlength=len(groups)))}
         if name != GATE:
-            rows[name]["gate_leads_by"] = resampled(owner, lead(score), draws=draws).to_dict()
+            rows[name]["gate_leads_by"] = resampled(owner, lead(score), draws=draws)
     return {
         "recordings": len(judged), "groups": len(groups), "blocks": len(active), "active": float(active.mean()),
         "auc": rows,
         "calibration": {
-            "error": resampled(owner, lambda w: calibration_error(active, said, w), draws=draws).to_dict(),
-            "brier": resampled(owner, lambda w: brier(active, said, w), draws=draws).to_dict(),
+            "error": resampled(owner, lambda w: calibration_error(active, said, w), draws=draws),
+            "brier": resampled(owner, lambda w: brier(active, said, w), draws=draws),
             "brier_of_the_base_rate": brier(active, float(active.mean())),
-            "bins": [vars(own) for own in calibration(active, said)]},
+            "bins": calibration(active, said)},
     }
 
 
@@ -170,18 +165,18 @@ def judge(system: Gesticulator, recording: Recording) -> Judged:
     """The gate and its controls on one recording, block by block as in use."""
     bundle, speech = system.bundle, recording.speech
     gate = gate_of(bundle, "--bundle")
-    heard = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
-    read = encode_motion(bundle, recording.motion, heard.blocks, recording.info.speaker)
+    encoded = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
+    read = encode_motion(bundle, recording.motion, encoded.blocks, recording.info.speaker)
     known = recording.info.speaker in bundle.speakers
     who = system.speaker_index(recording.info.speaker if known else None)
-    state, said = gate.start(who), np.empty(len(heard.blocks))
-    for i, window in enumerate(heard.low):
+    state, said = gate.start(who), np.empty(len(encoded.blocks))
+    for i, window in enumerate(encoded.low):
         low = torch.as_tensor(bundle.statistics.low.apply(window), dtype=torch.float32)
         said[i], state = gate.step(state, BlockFeatures(low, low))
     habit = 1.0 - float(bundle.inventory.frequencies[bundle.speakers[who]][bundle.silent].sum())
-    quiet = heard.blocks.silent
+    quiet = encoded.blocks.silent
     return Judged(recording.info.group or recording.info.name, ~np.isin(read.labels, bundle.silent), {
-        GATE: said, LOUDNESS: loudness(speech, heard.blocks.edges), SILENCE: (~quiet).astype(np.float64),
+        GATE: said, LOUDNESS: loudness(speech, encoded.blocks.edges), SILENCE: (~quiet).astype(np.float64),
         PERFORMER: np.full(len(said), habit)})
 
 
@@ -224,14 +219,14 @@ def row(played: Sequence[Played], ungated: Sequence[Played]) -> dict[str, Any]:
     still, same = np.array(pairs).T
     shut = [int(own.closed.sum()) for own in played]
     return {
-        "gesturing": interval(share, sizes).to_dict(),
-        "gesturing_change": interval(share - [own.gesturing.mean() for own in ungated], sizes).to_dict(),
-        "hand_speed": interval(mean, sizes).to_dict(),
-        "hand_speed_change": interval(mean - [own.speed.mean() for own in ungated], sizes).to_dict(),
+        "gesturing": mean_interval(share, sizes),
+        "gesturing_change": mean_interval(share - [own.gesturing.mean() for own in ungated], sizes),
+        "hand_speed": mean_interval(mean, sizes),
+        "hand_speed_change": mean_interval(mean - [own.speed.mean() for own in ungated], sizes),
         "closed_blocks": sum(shut),
-        "closed_speed": interval(still, shut).to_dict(),
-        "closed_speed_without": interval(same, shut).to_dict(),
-        "closed_speed_change": interval(still - same, shut).to_dict(),
+        "closed_speed": mean_interval(still, shut),
+        "closed_speed_without": mean_interval(same, shut),
+        "closed_speed_change": mean_interval(still - same, shut),
     }
 
 
@@ -260,12 +255,12 @@ def performed(bundle: Bundle, recording: Recording) -> Played:
                   recording.motion.fps)
 
 
-# ---------------------------------------------------------------------------------------------------- report
+# ---------------------------------------------------------------------------------------------------- tables
 
 def figures(system: Gesticulator, recordings: Sequence[Recording], progress: bool = True) -> dict[str, Any]:
-    """Every table, as plain values."""
-    judged = [judge(system, own) for own in tqdm(recordings, desc="gate", disable=not progress)]
-    played = {activity: [play(system, own, activity) for own in
+    """Everything that the tables show."""
+    judged = [judge(system, recording) for recording in tqdm(recordings, desc="gate", disable=not progress)]
+    played = {activity: [play(system, recording, activity) for recording in
                          tqdm(recordings, desc=f"activity {activity:g}", disable=not progress)]
               for activity in ACTIVITIES}
     own = [performed(system.bundle, recording) for recording in recordings]
@@ -274,60 +269,49 @@ def figures(system: Gesticulator, recordings: Sequence[Recording], progress: boo
                          **{f"{activity:g}": row(made, played[1.0]) for activity, made in played.items()}}}
 
 
-def _cell(value: Mapping[str, float], digits: int = 2) -> str:
-    if not np.isfinite(value["mean"]):
-        return "-"
-    return f"{value['mean']:.{digits}f} [{value['low']:.{digits}f}, {value['high']:.{digits}f}]"
+KNOWS = {"auc": Column("AUC", digits=3, good="high"), "auc_within_recordings": Column("in one recording", digits=3),
+         "gate_leads_by": Column("the gate leads by", digits=3)}
+BINS_SHOWN = {"blocks": Column("blocks"), "said": Column("said, mean"), "happened": Column("active")}
+USE = {"gesturing": Column("blocks gesturing", "share", 3), "gesturing_change": Column("against no gate", digits=3),
+       "hand_speed": Column("hands", "m/s"), "hand_speed_change": Column("against no gate", "m/s"),
+       "closed_blocks": Column("closed blocks"), "closed_speed": Column("hands there, median", "m/s", 3),
+       "closed_speed_without": Column("there without the gate", "m/s", 3),
+       "closed_speed_change": Column("difference", "m/s", 3)}
+_UNPAIRED = ("gesturing_change", "hand_speed_change", "closed_speed_without", "closed_speed_change")
+"""Columns that compare with playing without the gate, which the performer has no part in."""
 
 
-def markdown(result: Mapping[str, Any]) -> str:
-    """The tables of `figures` for a reader."""
-    k = result["knowledge"]
-    c = k["calibration"]
-    lines = [f"{k['recordings']} recordings ({k['groups']} with speech of their own), {result['seconds']:.0f} s, "
-             f"{k['blocks']} blocks, {100 * k['active']:.0f} % with a gesture by the performer. Bootstrap 95 % "
-             "intervals over recordings.", "",
-             "| what tells gesture from stillness | AUC | in one recording | the gate leads by |", "|---|---|---|---|"]
-    lines += [f"| {name} | {_cell(own['auc'], 3)} | {_cell(own['auc_within_recordings'], 3)} | "
-              f"{_cell(own['gate_leads_by'], 3) if 'gate_leads_by' in own else ''} |" for name, own in k["auc"].items()]
-    lines += ["", f"Calibration error {_cell(c['error'], 3)}; Brier score {_cell(c['brier'], 3)}, and "
-              f"{c['brier_of_the_base_rate']:.3f} for always saying the base rate.", "",
-              "| probability said | blocks | said, mean | active |", "|---|---|---|---|"]
-    lines += [f"| {own['low']:.1f} to {own['high']:.1f} | {own['blocks']} | {own['said']:.2f} | {own['happened']:.2f} |"
-              for own in c["bins"]]
-    lines += ["", "| activity | blocks gesturing, % | against no gate | hands, m/s | against no gate | closed blocks | "
-              "hands there, median m/s | there without the gate | difference |",
-              "|---|---|---|---|---|---|---|---|---|"]
-    for name, own in result["activity"].items():
-        share, change = ({key: 100 * value for key, value in own[f"gesturing{end}"].items()} for end in ("", "_change"))
-        paired = [_cell(share, 1), _cell(change, 1), _cell(own["hand_speed"]), _cell(own["hand_speed_change"]),
-                  str(own["closed_blocks"]), _cell(own["closed_speed"], 3), _cell(own["closed_speed_without"], 3),
-                  _cell(own["closed_speed_change"], 3)]
-        if name == "performer":
-            paired[1] = paired[3] = paired[6] = paired[7] = ""
-        lines.append(f"| {name} | {' | '.join(paired)} |")
-    return "\n".join(lines) + "\n"
+def tables(result: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Table]:
+    """What the gate knows, whether it is calibrated, and what it does."""
+    known = result["knowledge"]
+    error, brier_score = (known["calibration"][key].text(3) for key in ("error", "brier"))
+    about = (f"{known['recordings']} recordings ({known['groups']} with speech of their own), {result['seconds']:.0f} "
+             f"s, {known['blocks']} blocks, {100 * known['active']:.0f} % with a gesture by the performer.")
+    calibrated = (f"Calibration error {error}; Brier score {brier_score}, and "
+                  f"{known['calibration']['brier_of_the_base_rate']:.3f} for always saying the base rate.")
+    bins = {f"{own.low:.1f} to {own.high:.1f}": {key: getattr(own, key) for key in BINS_SHOWN}
+            for own in known["calibration"]["bins"]}
+    use = {name: {key: value for key, value in own.items() if name != "performer" or key not in _UNPAIRED}
+           for name, own in result["activity"].items()}
+    return [Table("What tells gesture from stillness", KNOWS, known["auc"], "score", [about], facts),
+            Table("Calibration", BINS_SHOWN, bins, "probability said", [calibrated]),
+            Table("The gate in use", USE, use, "activity")]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    p = argparse.ArgumentParser("eval.gate", description="Does the gate know when people gesture, and what does it do?")
-    p.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
-    p.add_argument("--data", required=True, metavar="STORE")
-    p.add_argument("--split", default="test", choices=SPLITS)
-    p.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
-    p.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
-    arguments = p.parse_args(argv)
-    with one_line_errors("eval.gate"):
-        torch.set_num_threads(1)
-        store = Store.open(arguments.data)
-        system = Gesticulator.from_pretrained(arguments.bundle)
-        gate_of(system.bundle, arguments.bundle or "the shipped bundle")
-        result = figures(system, [store.load(info.name) for info in evenly(store, arguments.split, arguments.limit)])
-        result["store"] = {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split}
-        publish(result, markdown(result), arguments.out)
-    return 0
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """A store, a bundle and which recordings."""
+    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+    parser.add_argument("--data", required=True, metavar="STORE")
+    parser.add_argument("--split", default="test", choices=SPLITS)
+    parser.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """Judge a bundle's gate; InputError when it has none."""
+    torch.set_num_threads(1)
+    store = Store.open(arguments.data)
+    system = Gesticulator.from_pretrained(arguments.bundle)
+    gate_of(system.bundle, arguments.bundle or "the shipped bundle")
+    result = figures(system, [store.load(info.name) for info in evenly(store, arguments.split, arguments.limit)])
+    return tables(result, {"store": {"name": store.corpus, "fingerprint": store.fingerprint,
+                                     "split": arguments.split}})

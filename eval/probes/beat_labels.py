@@ -1,8 +1,8 @@
 """Beats against beats that people marked by hand: are the beats that are found the ones that people gesture on?
 
-    python -m eval.beat_labels --labels FILE|DIR --store STORE [--recording NAME ...] [--out FILE.json]
-    python -m eval.beat_labels --labels FILE --sound FILE.wav [--motion FILE.bvh]
-    python -m eval.beat_labels --labels TABLE.csv --column emphasis --motion DIR
+    gesticulator probe beat-labels --labels FILE|DIR --store STORE [--recording NAME ...]
+    gesticulator probe beat-labels --labels FILE --sound FILE.wav [--motion FILE.bvh]
+    gesticulator probe beat-labels --labels TABLE.csv --column emphasis --motion DIR
 
 Theory: RG cuts speech and motion at onsets of the sound, and says itself (limitation 1) that gesture beats need not
 lie there; McClave (1994) found beats of the hands on unstressed syllables too. Labels are moments that somebody took
@@ -41,7 +41,6 @@ from __future__ import annotations
 import argparse
 import math
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,18 +49,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.motion.motion_beats import MODES, motion_beats
 from data_module.speech.audio import load_speech
 from data_module.speech.beats import detect_onsets, find_beats
 from data_module.store import Store
 from data_module.types import Array, BeatFlag, Motion, Speech
 from eval import label_files
-from eval.bootstrap import interval
 from eval.foreign import MOTIONS, find_sound, read_motion
 from eval.label_files import AT, Choice, Labels
 from eval.metrics import pmb
-from eval.results import keep
+from eval.stats import Interval, mean_interval
+from eval.table import Cell, Column, Table
 
 TOLERANCES = (0.1, 0.2)
 """Seconds to either side of a label."""
@@ -171,11 +170,10 @@ def _counts(clip: Found, tolerance: float) -> tuple[Array, Array, Array, Array]:
     return count(clip.times), count(clip.times[of_found >= 0]), count(clip.labels), count(clip.labels[of_labels])
 
 
-def _ratio(hits: Array, total: Array, seed: int) -> dict[str, float]:
+def _ratio(hits: Array, total: Array, seed: int) -> Interval:
     """sum(hits) / sum(total) with its interval over pieces; pieces without anything to count are left out."""
     some = total > 0
-    told = interval(hits[some] / total[some], total[some], seed=seed).to_dict()
-    return {("pieces" if key == "clips" else key): value for key, value in told.items()}
+    return mean_interval(hits[some] / total[some], total[some], seed=seed)
 
 
 def _any_shift(clip: Found, rng: np.random.Generator) -> float:
@@ -234,31 +232,28 @@ def _row(clips: Sequence[Found], tolerances: Sequence[float], seed: int) -> dict
             "tolerances": {f"{value:g}": scores(clips, value, seed) for value in tolerances}}
 
 
-def markdown(result: Mapping[str, Any]) -> str:
-    """The tables for a reader, one a tolerance."""
-    lines = [f"{result['labels']} labels ({', '.join(result['layouts'])}) in {len(result['recordings'])} recordings, "
-             f"{result['seconds'] / 60:.2f} min. Intervals: bootstrap 95 % by pieces of {PIECE:g} s.", ""]
+COLUMNS = {"per_second": Column("found", "Hz"), "precision": Column("precision", digits=3),
+           "recall": Column("recall", digits=3), "f": Column("F", digits=3, good="high"),
+           **{name: Column(f"F, {name}", digits=3) for name in CONTROLS}, "p_value": Column("p", digits=3),
+           "offset_ms": Column("offset", "ms", 0), "reached by": Column("reached by")}
+
+
+def tables(result: Mapping[str, Any]) -> list[Table]:
+    """One table a tolerance."""
+    about = (f"{result['labels']} labels ({', '.join(result['layouts'])}) in {len(result['recordings'])} recordings, "
+             f"{result['seconds'] / 60:.2f} min. Intervals are by pieces of {PIECE:g} s.")
+    facts = {key: value for key, value in result.items() if key != "rows"}
+    out: list[Table] = []
     for tolerance in next(iter(result["rows"].values()))["tolerances"]:
-        lines += [f"| within {tolerance} s | found a second | precision | recall | F | even | shifted | nearby | p "
-                  "| offset, ms | reached by |", "|---|---|---|---|---|---|---|---|---|---|---|"]
+        rows: dict[str, dict[str, Cell]] = {}
         for name, row in result["rows"].items():
             own = row["tolerances"][tolerance]
-            cells = [name, f"{row['per_second']:.2f}", *(_cell(own[key]) for key in ("precision", "recall", "f")),
-                     *(f"{own['controls'][key]:.3f}" for key in CONTROLS), f"{own['p_value']:.3f}",
-                     _offset_cell(row["offset_ms"]), ", ".join(own["reached by"]) or own.get("why", "")]
-            lines.append("| " + " | ".join(cells) + " |")
-        lines.append("")
-    return "\n".join(lines)
-
-
-def _cell(told: Mapping[str, float]) -> str:
-    if not np.isfinite(told["mean"]):
-        return "undefined"
-    return f"{told['mean']:.3f} [{told['low']:.3f}, {told['high']:.3f}]"
-
-
-def _offset_cell(value: float) -> str:
-    return f"{value:+.0f}" if np.isfinite(value) else "undefined"
+            rows[name] = {"per_second": row["per_second"], "offset_ms": row["offset_ms"], **own["controls"],
+                          **{key: own[key] for key in ("precision", "recall", "f", "p_value")},
+                          "reached by": ", ".join(own["reached by"]) or own.get("why", "")}
+        out.append(Table(f"Within {tolerance} s", COLUMNS, rows, "detector", [] if out else [about],
+                         {} if out else facts))
+    return out
 
 
 # ---------------------------------------------------------------------------------------------------- what is read
@@ -334,46 +329,35 @@ def _plain(name: str) -> str:
     return last.stem if last.suffix.lower() in label_files.OTHERS else last.name
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    arguments = _parser().parse_args(argv)
-    with one_line_errors("eval.beat_labels"):
-        choice = Choice(arguments.at, arguments.tier, arguments.column, arguments.label_fps)
-        labels_of = labels_by_name(Path(arguments.labels), choice)
-        if arguments.store:
-            if arguments.sound or arguments.motion:
-                raise InputError("--store", "holds sound and motion", "leave --sound and --motion out")
-            clips = from_store(Store.open(arguments.store), arguments.recording, labels_of)
-        else:
-            sound, motion = (Path(told) if told else None for told in (arguments.sound, arguments.motion))
-            clips = from_files(sound, motion, labels_of, arguments.fps, arguments.leave_out)
-        result = judge(clips, arguments.tolerance, arguments.seed)
-        if arguments.out:
-            keep(result, markdown(result), arguments.out)
-        print(markdown(result))
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser("eval.beat_labels", description="Beats against beats that people marked by hand.")
-    p.add_argument("--labels", required=True, metavar="FILE|DIR", help="marks of one recording, a table of recordings, "
-                   "or a folder of files named like the recordings")
-    p.add_argument("--store", metavar="STORE", help="whose sound and motion are judged")
-    p.add_argument("--recording", action="append", metavar="NAME", help="of the store; default: all with labels")
-    p.add_argument("--sound", metavar="FILE|DIR", help="instead of a store")
-    p.add_argument("--motion", metavar="FILE|DIR", help="BVH, SMPL-X npz or positions npy, alone or beside --sound")
-    p.add_argument("--fps", type=float, help="of the motion, where its file is wrong")
-    p.add_argument("--leave-out", metavar="REGEX", help="motions of a folder that are not judged")
-    p.add_argument("--tolerance", type=float, nargs="+", default=list(TOLERANCES), metavar="SECONDS")
-    p.add_argument("--at", choices=AT, default="start", help="which moment of a mark that lasts (default: start)")
-    p.add_argument("--tier", help="of a TextGrid with several")
-    p.add_argument("--column", help="of a table with several times")
-    p.add_argument("--label-fps", type=float, default=1.0, metavar="RATE",
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Labels, and what they belong to."""
+    add = parser.add_argument
+    add("--labels", required=True, metavar="FILE|DIR", help="marks of one recording, a table of recordings, "
+        "or a folder of files named like the recordings")
+    add("--store", metavar="STORE", help="whose sound and motion are judged")
+    add("--recording", action="append", metavar="NAME", help="of the store; default: all with labels")
+    add("--sound", metavar="FILE|DIR", help="instead of a store")
+    add("--motion", metavar="FILE|DIR", help="BVH, SMPL-X npz or positions npy, alone or beside --sound")
+    add("--fps", type=float, help="of the motion, where its file is wrong")
+    add("--leave-out", metavar="REGEX", help="motions of a folder that are not judged")
+    add("--tolerance", type=float, nargs="+", default=list(TOLERANCES), metavar="SECONDS")
+    add("--at", choices=AT, default="start", help="which moment of a mark that lasts (default: start)")
+    add("--tier", help="of a TextGrid with several")
+    add("--column", help="of a table with several times")
+    add("--label-fps", type=float, default=1.0, metavar="RATE",
                    help="when the labels are no seconds: their count a second (frames 20, milliseconds 1000)")
-    p.add_argument("--seed", type=int, default=0)
-    p.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
-    return p
+    add("--seed", type=int, default=0)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """Judge every detector; InputError for labels that belong to nothing."""
+    choice = Choice(arguments.at, arguments.tier, arguments.column, arguments.label_fps)
+    labels_of = labels_by_name(Path(arguments.labels), choice)
+    if arguments.store:
+        if arguments.sound or arguments.motion:
+            raise InputError("--store", "holds sound and motion", "leave --sound and --motion out")
+        clips = from_store(Store.open(arguments.store), arguments.recording, labels_of)
+    else:
+        sound, motion = (Path(told) if told else None for told in (arguments.sound, arguments.motion))
+        clips = from_files(sound, motion, labels_of, arguments.fps, arguments.leave_out)
+    return tables(judge(clips, arguments.tolerance, arguments.seed))

@@ -1,4 +1,4 @@
-"""`python -m eval.corpus --data FOLDER --out FILE.json`: is the scripted performer good enough to learn from?
+"""Is the scripted performer good enough to learn from? `gesticulator probe corpus --data FOLDER`
 
 Everything is measured on the finished files (BVH, FLAC and the truth in JSON), as a stranger would: motion beats are
 found anew on the motion, and set beside a real take when one is given. Theory: a stroke's beat is where its arms brake
@@ -21,16 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from data_module.errors import InputError, one_line_errors
-from data_module.files import write_text
+from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.bvh import BvhWarning, read_bvh
 from data_module.motion.motion_beats import acting_positions, acting_speed, beats_of_speed, motion_beats
 from data_module.speech.audio import load_speech
 from data_module.speech.beats import detect_onsets
 from data_module.types import Array, Motion, Speech
-from eval.bootstrap import interval
-from eval.metrics import pmb
+from eval.clip import Rhythm, rhythm
+from eval.stats import Interval, mean_interval
+from eval.table import Cell, Column, Table
 
 TOLERANCE = 0.02
 """Seconds: how near a motion beat must be to its plan."""
@@ -52,9 +52,7 @@ class Take:
     split: str
     misses: Array
     shifted_misses: Array
-    pmb: float
-    chance: float
-    p_value: float
+    rhythm: Rhythm
     beats_per_second: float
     speeds: Array
     heights: Array
@@ -161,12 +159,12 @@ def measure(name: str, motion: Motion, speech: Speech, truth: Mapping[str, Any] 
     beats = motion_beats(motion)
     onsets = detect_onsets(speech.samples, speech.sample_rate)
     duration = min(motion.duration, speech.duration)
-    matched, luck = pmb.pmb(beats, onsets), pmb.chance(beats, onsets, duration)
+    matched = rhythm(beats, onsets, duration)
     seam, away = _seams(motion, joints, strokes)
     times = np.array([s["syllable"] for s in strokes])
     return Take(
         name, str(truth["split"]) if truth else "real", stroke_misses(motion, strokes),
-        stroke_misses(motion, strokes, shift=7.3), matched, luck.mean, luck.p_value, len(beats) / motion.duration,
+        stroke_misses(motion, strokes, shift=7.3), matched, len(beats) / motion.duration,
         (np.linalg.norm(np.diff(hands, axis=0), axis=-1) * motion.fps).ravel().astype(np.float32),
         (hands[..., 1] - positions[:, table["Hips"], None, 1]).ravel().astype(np.float32),
         in_torso(positions, table), seam, away,
@@ -190,14 +188,10 @@ def measure_folder(folder: Path, limit: int | None = None) -> list[Take]:
     return takes
 
 
-def _figure(values: Sequence[float] | Array, weights: Sequence[float] | Array | None = None) -> dict[str, float]:
-    return interval(np.asarray(values, dtype=np.float64), weights).to_dict()
-
-
-def _pooled(takes: Sequence[Take], field: str, levels: Sequence[float] = PERCENTILES) -> dict[str, dict[str, float]]:
+def _pooled(takes: Sequence[Take], field: str, levels: Sequence[float] = PERCENTILES) -> dict[str, Interval]:
     """Mean over recordings of each percentile, with its interval."""
     rows = np.array([np.percentile(getattr(take, field), levels) for take in takes if len(getattr(take, field))])
-    return {f"{level:g}": _figure(rows[:, k]) for k, level in enumerate(levels)} if len(rows) else {}
+    return {f"{level:g}": mean_interval(rows[:, k]) for k, level in enumerate(levels)} if len(rows) else {}
 
 
 def longest_repetition(clips: Sequence[str]) -> int:
@@ -216,26 +210,27 @@ def summary(takes: Sequence[Take]) -> dict[str, Any]:
     counts = [len(take.misses) for take in takes]
     out: dict[str, Any] = {
         "recordings": len(takes), "strokes": sum(counts),
-        "pmb_percent": _figure([take.pmb for take in takes]),
-        "pmb_chance_percent": _figure([take.chance for take in takes]),
-        "pmb_above_chance": _figure([pmb.above_chance(take.pmb, take.chance) for take in takes]),
-        "pmb_p": float(combine_pvalues([take.p_value for take in takes]).pvalue),
-        "motion_beats_per_second": _figure([take.beats_per_second for take in takes]),
+        "pmb_percent": mean_interval([take.rhythm.pmb for take in takes]),
+        "pmb_chance_percent": mean_interval([take.rhythm.chance for take in takes]),
+        "pmb_above_chance": mean_interval([take.rhythm.above_chance / 100.0 for take in takes]),
+        "pmb_p": float(combine_pvalues([take.rhythm.p_value for take in takes]).pvalue),
+        "motion_beats_per_second": mean_interval([take.beats_per_second for take in takes]),
         "hand_speed_m_s": _pooled(takes, "speeds"),
-        "share_under_0.1_m_s": _figure([float((take.speeds < STILL).mean()) for take in takes]),
+        "share_under_0.1_m_s": mean_interval([float((take.speeds < STILL).mean()) for take in takes]),
         "hand_height_over_hips_m": _pooled(takes, "heights", (5, 50, 95)),
-        "hand_in_torso": _figure([take.in_torso for take in takes]),
+        "hand_in_torso": mean_interval([take.in_torso for take in takes]),
         "angular_acceleration_15fps_rad_s2": _pooled(takes, "acceleration", (50, 95, 99)),
     }
     if sum(counts):
         playing = [take for take in takes if len(take.misses)]
         out |= {
-            "beats_within_20_ms": _figure([float((t.misses <= TOLERANCE).mean()) for t in playing],
-                                          [float(len(t.misses)) for t in playing]),
-            "beats_within_20_ms_by_chance": _figure([float((t.shifted_misses <= TOLERANCE).mean()) for t in playing]),
+            "beats_within_20_ms": mean_interval([float((t.misses <= TOLERANCE).mean()) for t in playing],
+                                                [float(len(t.misses)) for t in playing]),
+            "beats_within_20_ms_by_chance": mean_interval(
+                [float((t.shifted_misses <= TOLERANCE).mean()) for t in playing]),
             "median_miss_ms": 1000.0 * float(np.median(np.concatenate([t.misses for t in playing]))),
             "seam_over_away_angular_acceleration": {
-                str(level): _figure([float(np.percentile(t.seam, level) / np.percentile(t.away, level))
+                str(level): mean_interval([float(np.percentile(t.seam, level) / np.percentile(t.away, level))
                                      for t in playing if len(t.seam) and len(t.away)]) for level in (50, 95)},
             "longest_clip_repetition": max(longest_repetition(t.clips) for t in playing),
             "gain_r2": _gain_figure(playing),
@@ -243,7 +238,7 @@ def summary(takes: Sequence[Take]) -> dict[str, Any]:
     return out
 
 
-def _gain_figure(takes: Sequence[Take]) -> dict[str, float]:
+def _gain_figure(takes: Sequence[Take]) -> Interval:
     """R2 on the split "test", fitted on the others; without such a split every fifth recording is held out."""
     held = [take.split == "test" for take in takes]
     if not any(held) or all(held):
@@ -251,72 +246,78 @@ def _gain_figure(takes: Sequence[Take]) -> dict[str, float]:
     train = [(t.features, t.gains) for t, out in zip(takes, held, strict=True) if not out]
     test = [(t.features, t.gains) for t, out in zip(takes, held, strict=True) if out]
     if not train or not test:
-        return _figure([])
-    return _figure(gain_r2(train, test), [float(len(g)) for _, g in test if len(g)])
+        return mean_interval([])
+    return mean_interval(gain_r2(train, test), [float(len(g)) for _, g in test if len(g)])
 
 
 def acceptance(figures: Mapping[str, Any], real: Mapping[str, Any] | None = None) -> dict[str, bool]:
     """Which of the corpus's acceptance figures are met."""
     met = {
-        "95 % of motion beats within 20 ms of plan": figures["beats_within_20_ms"]["mean"] >= 0.95,
+        "95 % of motion beats within 20 ms of plan": figures["beats_within_20_ms"].mean >= 0.95,
         "PMB above chance at 0.1 s of 0.3 or more, p < 0.01":
-            figures["pmb_above_chance"]["mean"] >= 0.3 and figures["pmb_p"] < 0.01,
+            figures["pmb_above_chance"].mean >= 0.3 and figures["pmb_p"] < 0.01,
         "seams no worse than elsewhere (95th percentile)":
-            figures["seam_over_away_angular_acceleration"]["95"]["mean"] <= 1.0,
-        "hand in torso under 0.5 %": figures["hand_in_torso"]["mean"] < 0.005,
-        "stroke size from audio, R2 of 0.4 or more": figures["gain_r2"]["mean"] >= 0.4,
+            figures["seam_over_away_angular_acceleration"]["95"].mean <= 1.0,
+        "hand in torso under 0.5 %": figures["hand_in_torso"].mean < 0.005,
+        "stroke size from audio, R2 of 0.4 or more": figures["gain_r2"].mean >= 0.4,
         "no clip twice in a row": figures["longest_clip_repetition"] <= 1,
     }
     if real is not None:
         ours, theirs = (f["angular_acceleration_15fps_rad_s2"] for f in (figures, real))
         met["angular acceleration within twice the real take's"] = all(
-            ours[level]["mean"] <= 2.0 * theirs[level]["mean"] for level in ours)
+            ours[level].mean <= 2.0 * theirs[level].mean for level in ours)
     return met
 
 
-def _print(name: str, figures: Mapping[str, Any]) -> None:
-    print(f"{name}: {figures['recordings']} recordings, {figures['strokes']} strokes")
-    for key, value in figures.items():
-        if isinstance(value, dict) and "mean" in value:
-            print(f"  {key}: {value['mean']:.3f} [{value['low']:.3f}, {value['high']:.3f}] n={value['clips']}")
-        elif isinstance(value, dict):
-            print(f"  {key}: " + " / ".join(f"{v['mean']:.2f}" for v in value.values()) + f"  at {', '.join(value)} %")
-        elif key not in ("recordings", "strokes"):
-            print(f"  {key}: {value:.4g}")
+TITLES = {"pmb_percent": "PMB at 0.1 s, %", "pmb_chance_percent": "its chance level, %",
+          "pmb_above_chance": "PMB above chance", "pmb_p": "p of PMB, combined",
+          "motion_beats_per_second": "motion beats, Hz", "share_under_0.1_m_s": "share of hands under 0.1 m/s",
+          "hand_in_torso": "share of hands in the torso", "beats_within_20_ms": "motion beats within 20 ms of plan",
+          "beats_within_20_ms_by_chance": "the same by chance", "median_miss_ms": "median miss, ms",
+          "longest_clip_repetition": "longest run of one clip", "gain_r2": "stroke size from audio, R2",
+          "hand_speed_m_s": "hand speed, m/s", "hand_height_over_hips_m": "hand height over hips, m",
+          "angular_acceleration_15fps_rad_s2": "angular acceleration at 15 fps, rad/s2",
+          "seam_over_away_angular_acceleration": "angular acceleration, seams over the rest"}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Measure a data set and write the figures as JSON."""
-    parser = argparse.ArgumentParser(prog="python -m eval.corpus", description=__doc__.split("\n\n")[0])
-    parser.add_argument("--data", type=Path, required=True, metavar="FOLDER", help="NAME.bvh, NAME.flac, NAME.json")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.json")
-    parser.add_argument("--limit", type=int, help="measure this many recordings, evenly chosen (default: all)")
-    parser.add_argument("--real", type=Path, metavar="TAKE.bvh", help="a real take to set beside")
-    parser.add_argument("--real-fps", type=float, help="its frame rate, when its header is wrong")
-    parser.add_argument("--real-wav", type=Path, metavar="WAV", help="its sound")
-    arguments = parser.parse_args(argv)
-    with one_line_errors(parser.prog):
-        if (arguments.real is None) != (arguments.real_wav is None):
-            raise InputError("--real", "needs --real-wav, and the other way round", "give both or neither")
-        if arguments.limit is not None and arguments.limit < 1:
-            raise InputError("--limit", "must be 1 or more", "leave it out to measure all")
-        figures = summary(measure_folder(arguments.data, arguments.limit))
-        real = None
-        if arguments.real is not None:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore" if arguments.real_fps else "default", BvhWarning)
-                motion = read_bvh(arguments.real, fps=arguments.real_fps)
-            real = summary([measure(REAL_NAME, motion, load_speech(arguments.real_wav))])
-        met = acceptance(figures, real) if figures["strokes"] else {}
-        _print("corpus", figures)
-        if real is not None:
-            _print(REAL_NAME, real)
-        for line, good in met.items():
-            print(f"  {'met' if good else 'NOT met'}: {line}")
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        write_text(arguments.out, json.dumps({"corpus": figures, REAL_NAME: real, "acceptance": met}, indent=1) + "\n")
-    return 0
+def tables(figures: Mapping[str, Mapping[str, Any]], met: Mapping[str, bool]) -> list[Table]:
+    """Every figure of the corpus and, where given, of a real take; and which acceptance figures are met."""
+    rows: dict[str, dict[str, Cell]] = {}
+    for name, summed in figures.items():
+        for key, value in summed.items():
+            if key in TITLES:
+                each = {f", {level} %": one for level, one in value.items()} if isinstance(value, dict) else {"": value}
+                for suffix, one in each.items():
+                    rows.setdefault(TITLES[key] + suffix, {})[name] = one
+    counts = "; ".join(f"{name}: {own['recordings']} recordings, {own['strokes']} strokes"
+                       for name, own in figures.items())
+    accepted: dict[str, dict[str, Cell]] = {claim: {"met": "yes" if good else "NO"} for claim, good in met.items()}
+    return [Table("A data set as a stranger would measure it", {name: Column(name, digits=3) for name in figures}, rows,
+                  "figure", [f"{counts}. Where a percentile is named, the mean over recordings of that percentile."]),
+            *([Table("Acceptance", {"met": Column("met")}, accepted, "figure")] if met else [])]
 
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """A data set, and a real take beside it."""
+    add = parser.add_argument
+    add("--data", type=Path, required=True, metavar="FOLDER", help="NAME.bvh, NAME.flac, NAME.json")
+    add("--limit", type=int, help="measure this many recordings, evenly chosen (default: all)")
+    add("--real", type=Path, metavar="TAKE.bvh", help="a real take to set beside")
+    add("--real-fps", type=float, help="its frame rate, when its header is wrong")
+    add("--real-wav", type=Path, metavar="WAV", help="its sound")
+
+
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """Measure a data set; InputError for one that is none."""
+    if (arguments.real is None) != (arguments.real_wav is None):
+        raise InputError("--real", "needs --real-wav, and the other way round", "give both or neither")
+    if arguments.limit is not None and arguments.limit < 1:
+        raise InputError("--limit", "must be 1 or more", "leave it out to measure all")
+    figures = {"corpus": summary(measure_folder(arguments.data, arguments.limit))}
+    if arguments.real is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore" if arguments.real_fps else "default", BvhWarning)
+            motion = read_bvh(arguments.real, fps=arguments.real_fps)
+        figures[REAL_NAME] = summary([measure(REAL_NAME, motion, load_speech(arguments.real_wav))])
+    met = acceptance(figures["corpus"], figures.get(REAL_NAME)) if figures["corpus"]["strokes"] else {}
+    return tables(figures, met)

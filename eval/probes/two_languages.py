@@ -1,6 +1,6 @@
 """Does a speech encoder gain from a second language (RG 7.1.2)? Pre-trained on one against two, in equal steps.
 
-    python -m eval.two_languages --data STORE --other STORE2 --work DIR [--steps 300] [--out FILE.json]
+    gesticulator probe two-languages --data STORE --other STORE2 --work DIR [--steps 300]
 
 STORE gives the first language (its English recordings by default, `--language`), STORE2 the second
 (`python -m data_module.build performer --languages de ...`). Both encoders have the same seed, size and number of
@@ -13,21 +13,19 @@ tested, since predictive coding trains it with the encoder.
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.speech.speech_encoder import PredictiveCoding
 from data_module.store import Store
-from eval.bootstrap import interval
-from eval.results import publish
+from eval import stats
+from eval.table import Cell, Column, Table
+from gesticulator import config as configs
 from gesticulator import presets
 from gesticulator.config import Config
 from gesticulator.fit import generator_for
@@ -78,60 +76,48 @@ def accuracies(model: PredictiveCoding, store: Store, names: Sequence[str], leng
     return np.array(out)
 
 
-def figures(config: Config, store: Store, language: str, other: Store, work: Path, progress: bool = True
-            ) -> dict[str, Any]:
-    """The table as plain values: per test language, one, two and two - one."""
-    models = {"one language": trained(config, store, language, None, work, progress),
-              "two languages": trained(config, store, language, other, work, progress)}
+def figures(config: Config, store: Store, language: str, other: Store, work: Path, progress: bool = True) -> Table:
+    """Percent told right by either encoder on either test speech, and two less one."""
+    models = {"one": trained(config, store, language, None, work, progress),
+              "two": trained(config, store, language, other, work, progress)}
     length = round(3 * config.rhythm.frames * 16000 / config.rhythm.fps)
     second = sorted({info.language for info in other.recordings})
     tests = {language: (store, names_of(store, "test", language)),
              "+".join(second): (other, names_of(other, "test"))}
-    out: dict[str, Any] = {"steps": config.schedules.speech.steps, "first": language, "second": second, "tests": {}}
+    rows: dict[str, dict[str, Cell]] = {}
     for title, (source, names) in tests.items():
         values = {name: accuracies(model, source, names, length) for name, model in models.items()}
-        out["tests"][title] = {"recordings": len(names), **{k: interval(v).to_dict() for k, v in values.items()},
-                               "two - one": interval(values["two languages"] - values["one language"]).to_dict()}
-    return out
+        rows[title] = {"recordings": len(names), **{key: stats.mean_interval(own) for key, own in values.items()},
+                       "two - one": stats.paired(values["two"], values["one"])}
+    return table(rows, config.schedules.speech.steps, language, second)
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """The table for a reader."""
-    lines = [f"Encoders pre-trained for {result['steps']} steps on {result['first']}, or on it and "
-             f"{', '.join(result['second'])}.", "",
-             "| test speech | recordings | one language, % right | two, % right | two - one |", "|---|---|---|---|---|"]
-    for title, row in result["tests"].items():
-        cells = [f"{row[key]['mean']:.1f} [{row[key]['low']:.1f}, {row[key]['high']:.1f}]"
-                 for key in ("one language", "two languages", "two - one")]
-        lines.append(f"| {title} | {row['recordings']} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+def table(rows: Mapping[str, Mapping[str, Cell]], steps: int, first: str, second: Sequence[str]) -> Table:
+    """What is shown."""
+    columns = {"recordings": Column("recordings"), "one": Column("one language, right", "%", 1),
+               "two": Column("two, right", "%", 1), "two - one": Column("two - one", "%", 1)}
+    return Table("A speech encoder of one language or of two", columns, rows, "test speech", [
+        f"Encoders pre-trained for {steps} steps on {first}, or on it and {', '.join(second)}."],
+        {"steps": steps, "first": first, "second": list(second)})
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    p = argparse.ArgumentParser("eval.two_languages", description="One language against two for the speech encoder.")
-    p.add_argument("--data", required=True, metavar="STORE")
-    p.add_argument("--other", required=True, metavar="STORE2")
-    p.add_argument("--work", required=True, metavar="DIR")
-    p.add_argument("--language", default="en")
-    p.add_argument("--preset", default="default")
-    p.add_argument("--steps", type=int, default=300)
-    p.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
-    arguments = p.parse_args(argv)
-    with one_line_errors("eval.two_languages"):
-        torch.set_num_threads(1)
-        store, other = Store.open(arguments.data), Store.open(arguments.other)
-        for source, split in ((store, "train"), (store, "test")):
-            if not names_of(source, split, arguments.language):
-                raise InputError(source.path, f"has no {arguments.language} recording in its {split} split",
-                                 "check --language")
-        config = presets.preset(arguments.preset)
-        speech = dataclasses.replace(config.schedules.speech, steps=arguments.steps)
-        config = dataclasses.replace(config, schedules=dataclasses.replace(config.schedules, speech=speech))
-        result = figures(config, store, arguments.language, other, Path(arguments.work))
-        publish(result, markdown(result), arguments.out)
-    return 0
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Two stores and where encoders are trained."""
+    parser.add_argument("--data", required=True, metavar="STORE")
+    parser.add_argument("--other", required=True, metavar="STORE2")
+    parser.add_argument("--work", required=True, metavar="DIR")
+    parser.add_argument("--language", default="en")
+    parser.add_argument("--preset", default="default")
+    parser.add_argument("--steps", type=int, default=300)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """Train both and compare; InputError for a language that is not there."""
+    torch.set_num_threads(1)
+    store, other = Store.open(arguments.data), Store.open(arguments.other)
+    for split in ("train", "test"):
+        if not names_of(store, split, arguments.language):
+            raise InputError(store.path, f"has no {arguments.language} recording in its {split} split",
+                             "check --language")
+    config = configs.with_settings(presets.preset(arguments.preset), [f"schedules.speech.steps={arguments.steps}"])
+    return [figures(config, store, arguments.language, other, Path(arguments.work))]

@@ -1,6 +1,6 @@
 """Does the contrastive reward rank? Retrieval, time shift, domain gap and single actions (RACER 4.2, Eq. 6 to 8).
 
-    python -m eval.rewards --data STORE --work DIR [--bundle DIR] [--out docs/results/rewards.json]
+    gesticulator probe rewards --data STORE [--bundle DIR] [--work DIR]
 
 Both reward models of a bundle, the one that teaches (`reward`) and the one that judges (`judge`), on the test split.
 Motion is `captured` or `decoded`, the latter as the lexicon shows the performer's own lexemes. It is played in the
@@ -20,11 +20,8 @@ do not agree, what either says of an action is noise.
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,13 +29,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_module.errors import InputError, one_line_errors
-from data_module.store import Store
+from data_module.errors import InputError
 from data_module.types import Array
-from eval.bootstrap import interval
-from eval.results import publish
+from eval.context import EvalContext
+from eval.stats import Interval, mean_interval
+from eval.table import Cell, Column, Table
 from gesticulator import bundle as bundles
-from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.corpus import Corpus
 from gesticulator.stages.lexicon import decoded_blocks, token_labels
 from gesticulator.stages.q_network import takes_of
 from gesticulator.stages.reward import block_audio, reward_table
@@ -51,9 +48,9 @@ Score = Callable[[Integers, Integers], Array]
 """Windows of motion [B, W] and of audio [B, W], as block numbers, to rewards [B]."""
 
 SHIFTS = (0, 1, 2, 4, 8, 16)
+"""Blocks by which motion is moved against audio, 0 the matched pair."""
 AGAINST_RANDOM = (4, 16)
 """Shifts that are held against random motion: one that shares half of its blocks, and one that shares none."""
-"""Blocks by which motion is moved against audio, 0 the matched pair."""
 FIRST = (1, 5)
 OTHERS = 3
 """Other recordings whose motion each recording is tried with."""
@@ -119,9 +116,9 @@ def by_recording(values: Array, owner: Integers, count: int) -> tuple[Array, Arr
     return np.divide(totals, weights, out=np.full(count, np.nan), where=weights > 0), weights
 
 
-def mean_of(values: Array, owner: Integers, count: int) -> dict[str, float]:
+def mean_of(values: Array, owner: Integers, count: int) -> Interval:
     """Mean over values [n] with its interval over recordings."""
-    return interval(*by_recording(values, owner, count), seed=SEED).to_dict()
+    return mean_interval(*by_recording(values, owner, count), seed=SEED)
 
 
 def true_rank(rewards: Array, true: Integers) -> Array:
@@ -158,7 +155,7 @@ def agreement(first: Array, second: Array) -> Array:
 # ------------------------------------------------------------------------------------------------- a model is asked
 
 @dataclass(frozen=True)
-class Asked:
+class RewardProbe:
     """A reward model over a corpus, all blocks read once. motion: tokens [N, C] by the kind of motion, without the
     duration of the block; audio: [N, C]; tempo: [N, C] what a block's duration adds to the motion played in it."""
 
@@ -170,7 +167,7 @@ class Asked:
 
     @classmethod
     @torch.no_grad()
-    def of(cls, model: RewardModel, bundle: bundles.Bundle, corpus: Corpus, labels: Integers) -> Asked:
+    def of(cls, model: RewardModel, bundle: bundles.Bundle, corpus: Corpus, labels: Integers) -> RewardProbe:
         """labels: [N] the lexeme of every block."""
         shown = {"captured": corpus.motion, "decoded": decoded_blocks(bundle.lexicon, labels, corpus)}
         shown["durations alone"] = torch.zeros_like(corpus.motion)
@@ -227,9 +224,9 @@ def audible(own: Integers, silent: Mask) -> Mask:
     return np.asarray(~silent[own].all(axis=1))
 
 
-def retrieved(asked: Asked, takes: Sequence[Take], silent: Mask) -> dict[str, Any]:
+def retrieved(probe: RewardProbe, takes: Sequence[Take], silent: Mask) -> dict[str, Any]:
     """Retrieval figures by the kind of motion and the kind of rivals; windows of all takes, one window apart."""
-    length = asked.model.config.window
+    length = probe.model.config.window
     every = [windows(take.blocks, length, length) for take in takes]
     owner = np.repeat(np.arange(len(takes)), [len(own) for own in every])
     own = np.concatenate(every)
@@ -240,38 +237,38 @@ def retrieved(asked: Asked, takes: Sequence[Take], silent: Mask) -> dict[str, An
     for name, kind, retimed in (("captured, own durations", "captured", False),
                                 ("decoded, own durations", "decoded", False),
                                 ("durations alone", "durations alone", False), ("decoded", "decoded", True)):
-        scores = asked.pairs(kind, own, retimed)
+        scores = probe.pairs(kind, own, retimed)
         out[name] = {against: {key: mean_of(hits, owner, len(takes)) for key, hits in retrieval(scores, rivals).items()}
                      for against, rivals in (("same recording", same), ("other recordings", ~same))}
     return {"windows": len(own), "rows": out}
 
 
-def shift_values(asked: Asked, kind: str, takes: Sequence[Take], place: int) -> dict[str, Array]:
+def shift_values(probe: RewardProbe, kind: str, takes: Sequence[Take], place: int) -> dict[str, Array]:
     """Rewards [n] of every window of a take: by shift in blocks, with other recordings' motion, and with random motion:
     captured blocks of any take, or any lexemes, each drawn by itself."""
-    take, length = takes[place], asked.model.config.window
+    take, length = takes[place], probe.model.config.window
     own = windows(take.blocks, length)
-    out = {str(shift): shifted(lambda motion, audio: asked.score(kind, motion, audio), own, shift) for shift in SHIFTS}
+    out = {str(shift): shifted(lambda motion, audio: probe.score(kind, motion, audio), own, shift) for shift in SHIFTS}
     others = [own_windows for on in range(1, len(takes))
               if len(own_windows := windows(takes[(place + on) % len(takes)].blocks, length))][:OTHERS]
-    trials = [asked.score(kind, np.resize(other, own.shape), own) for other in others]
+    trials = [probe.score(kind, np.resize(other, own.shape), own) for other in others]
     out["another recording"] = np.mean(trials, axis=0) if trials else np.full(len(own), np.nan)
     rng = np.random.default_rng([SEED, take.recording])
     if kind == "decoded":
-        out["random"] = asked.played(rng.integers(asked.table.size, size=own.shape), own)
+        out["random"] = probe.played(rng.integers(probe.table.size, size=own.shape), own)
     else:
-        out["random"] = asked.score(kind, rng.choice(np.concatenate([t.blocks for t in takes]), own.shape), own)
+        out["random"] = probe.score(kind, rng.choice(np.concatenate([t.blocks for t in takes]), own.shape), own)
     return out
 
 
-def by_shift(asked: Asked, takes: Sequence[Take], silent: Mask) -> dict[str, dict[str, Array]]:
+def by_shift(probe: RewardProbe, takes: Sequence[Take], silent: Mask) -> dict[str, dict[str, Array]]:
     """Rewards [n] of all windows that are not silent, by kind of motion and shift; "owner": which take each is of."""
-    length = asked.model.config.window
+    length = probe.model.config.window
     kept = [audible(windows(take.blocks, length), silent) for take in takes]
     owner = np.repeat(np.arange(len(takes)), [int(own.sum()) for own in kept])
     out = {}
     for kind in MOTIONS:
-        each = [shift_values(asked, kind, takes, place) for place in range(len(takes))]
+        each = [shift_values(probe, kind, takes, place) for place in range(len(takes))]
         out[kind] = {name: np.concatenate([values[name][own] for values, own in zip(each, kept, strict=True)])
                      for name in each[0]} | {"owner": owner}
     return out
@@ -296,7 +293,7 @@ def domain_gap(captured: Array, decoded: Array, random: Array, owner: Integers, 
     to be small (NaN where random lexemes have no less)."""
     gap, reach = mean_of(captured - decoded, owner, count), mean_of(decoded - random, owner, count)
     return {"gap": gap, "reach": reach,
-            "ratio": abs(gap["mean"]) / reach["mean"] if reach["mean"] > 0 else float("nan")}
+            "ratio": abs(gap.mean) / reach.mean if reach.mean > 0 else float("nan")}
 
 
 def spoken(takes: Sequence[Take]) -> list[Mask]:
@@ -317,13 +314,13 @@ def of_actions(every: Sequence[Array], takes: Sequence[Take]) -> dict[str, Any]:
     sizes = [len(own) for own in true]
     return {"actions": int(every[0].shape[1]), "decisions": len(ranks),
             "median_rank": float(np.median(ranks)), "chance_rank": (every[0].shape[1] + 1) / 2,
-            "median_rank_of_recordings": interval(medians, sizes, seed=SEED).to_dict(),
+            "median_rank_of_recordings": mean_interval(medians, sizes, seed=SEED),
             "share_of_range": mean_of(share, owner, len(takes)), "guessed_share": mean_of(guessed, owner, len(takes)),
-            "spread_actions": interval(spread[:, 0], sizes, seed=SEED).to_dict(),
-            "spread_states": interval(spread[:, 1], sizes, seed=SEED).to_dict()}
+            "spread_actions": mean_interval(spread[:, 0], sizes, seed=SEED),
+            "spread_states": mean_interval(spread[:, 1], sizes, seed=SEED)}
 
 
-def agreed(first: Sequence[Array], second: Sequence[Array], takes: Sequence[Take]) -> dict[str, float]:
+def agreed(first: Sequence[Array], second: Sequence[Array], takes: Sequence[Take]) -> Interval:
     """Correlation over actions of two models' rewards [M - 1, S] of each take, the mean over decisions in speech."""
     kept = spoken(takes)
     owner = np.repeat(np.arange(len(takes)), [int(own.sum()) for own in kept])
@@ -336,134 +333,105 @@ def acceptance(result: dict[str, Any], window: int) -> dict[str, bool]:
     """Whether a model's figures are what a reward must have. A claim holds if the whole interval bears it; only the
     domain gap goes by means. A shift of more than `window` blocks shares no block, and need not fall any further."""
     rows, shifts = result["retrieval"]["rows"]["decoded"], result["shift"]
-    chance = rows["same recording"]["chance_r1"]["mean"]
+    chance = rows["same recording"]["chance_r1"].mean
     out = {"retrieval above chance, same recording, both ways": all(
-        rows["same recording"][f"{way}_r1"]["low"] > chance for way in ("motion", "audio"))}
+        rows["same recording"][f"{way}_r1"].above(chance) for way in ("motion", "audio"))}
     for kind in MOTIONS:
         own = shifts[kind]
-        out |= {f"{kind}: matched > shifted": all(row["low"] > 0 for row in own["matched - shifted"].values()),
-                **{f"{kind}: shifted by {shift} > random": row["low"] > 0
+        out |= {f"{kind}: matched > shifted": all(row.above() for row in own["matched - shifted"].values()),
+                **{f"{kind}: shifted by {shift} > random": row.above()
                    for shift, row in own["shifted - random"].items()},
                 f"{kind}: falls with every shift inside the window": all(
-                    row["low"] > 0 for shift, row in own["falls"].items() if int(shift) <= window)}
+                    row.above() for shift, row in own["falls"].items() if int(shift) <= window)}
     gap, actions = result["domain_gap"], result["actions"]
     return out | {"domain gap below a quarter of the reach": bool(gap["ratio"] < 0.25),
-                  "true lexeme above chance": actions["median_rank_of_recordings"]["high"] < actions["chance_rank"]}
+                  "true lexeme above chance": actions["median_rank_of_recordings"].below(actions["chance_rank"])}
 
 
-def figures(asked: Asked, takes: Sequence[Take], silent: Mask, every: Sequence[Array]) -> dict[str, Any]:
-    """All figures of one model; every: [M - 1, S] of each take, as `Asked.every` gives it."""
-    shifts = by_shift(asked, takes, silent)
+def figures(probe: RewardProbe, takes: Sequence[Take], silent: Mask, every: Sequence[Array]) -> dict[str, Any]:
+    """All figures of one model; every: [M - 1, S] of each take, as `RewardProbe.every` gives it."""
+    shifts = by_shift(probe, takes, silent)
     captured, decoded = (shifts[kind][str(SHIFTS[0])] for kind in MOTIONS)
     out: dict[str, Any] = {
-        "retrieval": retrieved(asked, takes, silent),
+        "retrieval": retrieved(probe, takes, silent),
         "shift": {kind: compared(values, len(takes)) for kind, values in shifts.items()},
         "domain_gap": domain_gap(captured, decoded, shifts["decoded"]["random"],
                                  shifts["decoded"]["owner"].astype(np.int64), len(takes)),
         "actions": of_actions(every, takes)}
-    return out | {"acceptance": acceptance(out, asked.model.config.window)}
+    return out | {"acceptance": acceptance(out, probe.model.config.window)}
 
 
-def rewards(store: Store, bundle: bundles.Bundle, work: Path, *, progress: bool = True) -> dict[str, Any]:
-    """Every table, as plain values. InputError for a bundle without both reward models, and for a store without a test
-    recording that is as long as a reward looks back."""
+def rewards(context: EvalContext) -> dict[str, Any]:
+    """Everything that the tables show. InputError for a bundle without both reward models, and for a store without a
+    test recording that is as long as a reward looks back."""
+    bundle, store = context.bundle, context.store
     if bundle.reward is None or bundle.reward_judge is None:
         raise InputError("the bundle", "lacks one of the two reward models",
                          "train it with schedules.reward.steps above 0")
-    corpus = prepare(store, bundle.config, work, bundle.encoder, workers=os.cpu_count() or 1, progress=progress)
+    corpus = context.corpus
     labels = token_labels(bundle.lexicon, corpus)
     longest = bundle.reward.config.window
-    takes = [take for take in takes_of(corpus, labels, "test") if len(take.blocks) >= longest]
+    takes = [take for take in takes_of(corpus, labels, "test") if len(take.blocks) >= longest][:context.limit]
     if not any(audible(windows(take.blocks, longest), corpus.silent).any() for take in takes):
         raise InputError(store.path, f"has no test recording of {longest} blocks with speech", "build the store again")
-    asked = {name: Asked.of(model, bundle, corpus, labels)
-             for name, model in zip(MODELS, (bundle.reward, bundle.reward_judge), strict=True)}
-    every = {name: [own.every(take) for take in takes] for name, own in asked.items()}
+    probes = {name: RewardProbe.of(model, bundle, corpus, labels)
+              for name, model in zip(MODELS, (bundle.reward, bundle.reward_judge), strict=True)}
+    every = {name: [own.every(take) for take in takes] for name, own in probes.items()}
     return {"store": {"name": store.corpus, "fingerprint": store.fingerprint, "test_recordings": len(takes),
                       "blocks": sum(len(take.blocks) for take in takes)},
             "settings": {"window": longest, "others": OTHERS, "seed": SEED},
-            "models": {name: figures(own, takes, corpus.silent, every[name]) for name, own in asked.items()},
+            "models": {name: figures(own, takes, corpus.silent, every[name]) for name, own in probes.items()},
             "agreement": agreed(every[MODELS[0]], every[MODELS[1]], takes)}
 
 
-# ------------------------------------------------------------------------------------------------------- for readers
+# ---------------------------------------------------------------------------------------------------------- tables
 
-def _cell(value: dict[str, float], digits: int) -> str:
-    return f"{value['mean']:.{digits}f} [{value['low']:.{digits}f}, {value['high']:.{digits}f}]"
-
-
-def _retrieval_table(models: dict[str, Any]) -> list[str]:
-    lines = ["| retrieval, % | rivals | audio for motion R@1 | R@5 | motion for audio R@1 | R@5 | chance R@1 | R@5 |",
-             "|---" * 8 + "|"]
-    for name, own in models.items():
-        for row, by_rivals in own["retrieval"]["rows"].items():
-            for against, hits in by_rivals.items():
-                cells = [_cell(hits[f"{way}_r{first}"], 1) for way in ("motion", "audio") for first in FIRST]
-                cells += [f"{hits[f'chance_r{first}']['mean']:.1f}" for first in FIRST]
-                lines.append(f"| {name}: {row} | {against} | " + " | ".join(cells) + " |")
-    return [*lines, ""]
+_RETRIEVAL = {f"{way}_r{first}": Column(f"{title}R@{first}", "%", 1) for way, title in (
+    ("motion", "audio for motion "), ("audio", "motion for audio "), ("chance", "chance ")) for first in FIRST}
+_ACTIONS = {"median_rank_of_recordings": Column("median rank of the true lexeme", digits=1),
+            "share_of_range": Column("its share of the range of rewards", digits=3),
+            "guessed_share": Column("the same of any lexeme", digits=3),
+            "spread_actions": Column("spread over actions", digits=3),
+            "spread_states": Column("spread over states", digits=3)}
 
 
-def _shift_table(models: dict[str, Any]) -> list[str]:
-    titles = [f"{name}: {kind}" for name in models for kind in MOTIONS]
-    own = [models[name]["shift"][kind] for name in models for kind in MOTIONS]
-    lines = ["| mean reward by shift, blocks | " + " | ".join(titles) + " |", "|---" * (len(titles) + 1) + "|"]
-    lines += [f"| {shift} | " + " | ".join(_cell(part["mean"][shift], 3) for part in own) + " |"
-              for shift in own[0]["mean"]]
-    lines += [f"| matched - {shift} | " + " | ".join(_cell(part["matched - shifted"][shift], 3) for part in own) + " |"
-              for shift in own[0]["matched - shifted"]]
-    lines += [f"| {shift} - random | " + " | ".join(_cell(part["shifted - random"][shift], 3) for part in own) + " |"
-              for shift in own[0]["shifted - random"]]
-    return [*lines, ""]
-
-
-def _action_table(result: dict[str, Any]) -> list[str]:
-    models = result["models"]
-    titles = {"median_rank_of_recordings": ("median rank of the true lexeme", 1),
-              "share_of_range": ("its share of the range of rewards", 3),
-              "guessed_share": ("the same of any lexeme", 3), "spread_actions": ("spread over actions", 3),
-              "spread_states": ("spread over states", 3)}
-    lines = ["| gap and actions | " + " | ".join(models) + " |", "|---" * (len(models) + 1) + "|"]
-    for key, title in (("gap", "captured - decoded"), ("reach", "decoded - random lexemes")):
-        lines.append(f"| {title} | " + " | ".join(_cell(own["domain_gap"][key], 3) for own in models.values()) + " |")
-    lines.append("| their ratio | " + " | ".join(f"{own['domain_gap']['ratio']:.2f}" for own in models.values()) + " |")
-    for key, (title, digits) in titles.items():
-        lines.append(f"| {title} | " + " | ".join(_cell(own["actions"][key], digits) for own in models.values()) + " |")
-    told = models[MODELS[0]]["actions"]
-    return [*lines, "", f"A rank of {told['chance_rank']:.1f} among {told['actions']} lexemes is chance. Over actions "
-            f"the rewards of the two models correlate by {_cell(result['agreement'], 3)}.", ""]
-
-
-def markdown(result: dict[str, Any]) -> str:
-    """The tables for a reader."""
+def tables(result: dict[str, Any]) -> list[Table]:
+    """Retrieval, rewards by shift, single actions, and what a reward must have."""
     told, models = result["store"], result["models"]
-    lines = [f"Test split: {told['test_recordings']} recordings, {told['blocks']} blocks, windows of "
-             f"{result['settings']['window']} blocks. Means with bootstrap 95 % intervals over recordings; differences "
-             "are paired.", ""]
-    lines += [*_retrieval_table(models), *_shift_table(models), *_action_table(result)]
-    lines += ["| asked of a reward | " + " | ".join(models) + " |", "|---" * (len(models) + 1) + "|"]
-    lines += [f"| {claim} | " + " | ".join("yes" if own["acceptance"][claim] else "no" for own in models.values())
-              + " |"
-              for claim in models[MODELS[0]]["acceptance"]]
-    return "\n".join(lines) + "\n"
+    about = (f"Test split: {told['test_recordings']} recordings, {told['blocks']} blocks, windows of "
+             f"{result['settings']['window']} blocks.")
+    found = {f"{name}: {row}, rivals of {against}": hits for name, own in models.items()
+             for row, by_rivals in own["retrieval"]["rows"].items() for against, hits in by_rivals.items()}
+    kinds = {f"{name}: {kind}": models[name]["shift"][kind] for name in models for kind in MOTIONS}
+    by_kind = {key: Column(key, digits=3) for key in kinds}
+    one = next(iter(kinds.values()))
+    parts = {"mean": "{}", "matched - shifted": "matched - {}", "shifted - random": "{} - random"}
+    shifts = {title.format(shift): {key: own[part][shift] for key, own in kinds.items()}
+              for part, title in parts.items() for shift in one[part]}
+    single = {name: {"gap": own["domain_gap"]["gap"], "reach": own["domain_gap"]["reach"],
+                     "ratio": own["domain_gap"]["ratio"], **{key: own["actions"][key] for key in _ACTIONS}}
+              for name, own in models.items()}
+    gap = {"gap": Column("captured - decoded", digits=3), "reach": Column("decoded - random lexemes", digits=3),
+           "ratio": Column("their ratio")}
+    first = models[MODELS[0]]
+    accepted: dict[str, dict[str, Cell]] = {
+        claim: {name: "yes" if own["acceptance"][claim] else "no" for name, own in models.items()}
+        for claim in first["acceptance"]}
+    return [
+        Table("Retrieval", _RETRIEVAL, found, "model, motion, rivals", [about],
+              {"store": told, "settings": result["settings"]}),
+        Table("Mean reward by shift, blocks", by_kind, shifts, "shift"),
+        Table("Domain gap and single actions", gap | _ACTIONS, single, "model", [
+            f"A rank of {first['actions']['chance_rank']:.1f} among {first['actions']['actions']} lexemes is chance. "
+            f"Over actions the rewards of the two models correlate by {result['agreement'].text(3)}."]),
+        Table("Asked of a reward", {name: Column(name) for name in models}, accepted, "claim")]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    p = argparse.ArgumentParser("eval.rewards", description="Does the contrastive reward rank?")
-    p.add_argument("--data", required=True, metavar="STORE")
-    p.add_argument("--work", required=True, metavar="DIR", help="where blocks are kept")
-    p.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
-    p.add_argument("--out", default="docs/results/rewards.json", metavar="FILE.json", help="a .md is written beside it")
-    arguments = p.parse_args(argv)
-    with one_line_errors("eval.rewards"):
-        torch.set_num_threads(1)
-        store, work = Store.open(arguments.data), Path(arguments.work)
-        work.mkdir(parents=True, exist_ok=True)
-        result = rewards(store, bundles.load(arguments.bundle or bundles.SHIPPED), work)
-        publish(result, markdown(result), arguments.out)
-    return 0
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """A store and a bundle."""
+    EvalContext.arguments(parser)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """Every table."""
+    return tables(rewards(EvalContext.of(arguments)))

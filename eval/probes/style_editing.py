@@ -1,6 +1,6 @@
 """Does the motion do what is asked of its style? (RG 7.2.1, Fig. 10)
 
-    python -m eval.style_editing --data STORE [--bundle DIR] [--out FILE.json] [--picture FILE.png] [--rhythm]
+    gesticulator probe style-editing --data STORE [--bundle DIR] [--picture FILE.png] [--rhythm]
 
 For each feature (height of the right hand, speed of both hands, radius of both hands) and each level (low, mid, high:
 the 15, 50 and 85 % quantiles of training) every clip is generated with that level asked for throughout and nothing
@@ -17,10 +17,8 @@ was not asked for need not be an error; and fewer than about ten clips make an i
 from __future__ import annotations
 
 import argparse
-import io
 import itertools
 import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,13 +27,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.controls import FEATURES, LEVELS, UNITS, Controls, Levels, measure, per_frame
-from data_module.errors import InputError, one_line_errors
-from data_module.files import write_bytes
+from data_module.errors import InputError
 from data_module.motion.motion_beats import ACTING, acting_positions, acting_speed
 from data_module.store import Recording, RecordingInfo, Store
 from data_module.types import Array, Motion, Speech, Word
-from eval.bootstrap import Interval, interval
-from eval.results import keep
+from eval.clip import ClipMeasurement
+from eval.clip import measure as measure_clip
+from eval.draw.strips import save_strip
+from eval.stats import Interval, mean_interval
+from eval.table import Column, Marked, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -155,14 +155,15 @@ def figures(play: Play, clips: Sequence[Excerpt], levels: Levels, *, rhythm: boo
 
     values = {REFERENCE: np.array([realised(clip.reference) for clip in clips])}
     series: dict[str, Any] = {}
-    heard: dict[str, list[Any]] = {REFERENCE: [_heard(clip.reference, clip) for clip in clips]} if rhythm else {}
+    beats: dict[str, list[ClipMeasurement]] = {
+        REFERENCE: [measure_clip(clip.reference, clip.speech) for clip in clips]} if rhythm else {}
     for name, controls in tqdm(asked_for(levels).items(), desc="style editing", disable=not progress):
         measured = []
         for number, clip in enumerate(clips):
             motion = play(clip, controls)
             measured.append(realised(motion))
             if rhythm:
-                heard.setdefault(name, []).append(_heard(motion, clip))
+                beats.setdefault(name, []).append(measure_clip(motion, clip.speech))
             if number == 0:
                 series[name] = {"fps": motion.fps, "values": measure(motion).T.round(4).tolist()}
         values[name] = np.array(measured)
@@ -178,20 +179,19 @@ def figures(play: Play, clips: Sequence[Excerpt], levels: Levels, *, rhythm: boo
         "series": series,
     }
     if rhythm:
-        from eval.figures import rhythm_row
-
-        told["rhythm"] = {name: rhythm_row(of) for name, of in heard.items()}
+        told["rhythm"] = {name: rhythm_row(measured) for name, measured in beats.items()}
     return told
 
 
-def _heard(motion: Motion, clip: Excerpt) -> Any:
-    from eval.figures import measure as measure_rhythm
+def rhythm_row(clips: Sequence[ClipMeasurement]) -> dict[str, Interval]:
+    """Motion beats a second, and PMB beside its chance level at `pmb.DELTA`, percent."""
+    rhythms = [clip.rhythm() for clip in clips]
+    return {"beats": mean_interval([clip.beats_per_second for clip in clips]),
+            **{key: mean_interval([getattr(one, key) for one in rhythms]) for key in ("pmb", "chance", "above_chance")}}
 
-    return measure_rhythm(motion, clip.speech)
 
-
-def _row(values: Array) -> dict[str, Any]:
-    return {name: interval(column).to_dict() for name, column in zip(MEASURED, values.T, strict=True)}
+def _row(values: Array) -> dict[str, Interval]:
+    return {name: mean_interval(column) for name, column in zip(MEASURED, values.T, strict=True)}
 
 
 def editing(feature: str, values: Mapping[str, Array], levels: Levels) -> dict[str, Any]:
@@ -203,14 +203,14 @@ def editing(feature: str, values: Mapping[str, Array], levels: Levels) -> dict[s
     """
     own = {level: values[row_name(feature, level)][:, MEASURED.index(feature)] for level in LEVELS}
     asked = {level: levels.value(feature, level) for level in LEVELS}
-    around = {level: interval(own[level]) for level in LEVELS}
+    around = {level: mean_interval(own[level]) for level in LEVELS}
     span = asked["high"] - asked["low"]
     told: dict[str, Any] = {
-        "realised": {level: around[level].to_dict() for level in LEVELS},
-        "error": {level: interval(own[level] - asked[level]).to_dict() for level in LEVELS},
-        "low_to_mid": interval(own["mid"] - own["low"]).to_dict(),
-        "mid_to_high": interval(own["high"] - own["mid"]).to_dict(),
-        "share": interval((own["high"] - own["low"]) / (span if span > 0 else math.nan)).to_dict(),
+        "realised": {level: around[level] for level in LEVELS},
+        "error": {level: mean_interval(own[level] - asked[level]) for level in LEVELS},
+        "low_to_mid": mean_interval(own["mid"] - own["low"]),
+        "mid_to_high": mean_interval(own["high"] - own["mid"]),
+        "share": mean_interval((own["high"] - own["low"]) / (span if span > 0 else math.nan)),
         "in_order": float(np.mean((own["low"] < own["mid"]) & (own["mid"] < own["high"]))),
         "overlap_low_mid": not apart(around["low"], around["mid"]),
         "overlap_mid_high": not apart(around["mid"], around["high"]),
@@ -224,48 +224,53 @@ def editing(feature: str, values: Mapping[str, Array], levels: Levels) -> dict[s
     return told
 
 
-def _changes(values: Mapping[str, Array], feature: str) -> dict[str, Any]:
+def _changes(values: Mapping[str, Array], feature: str) -> dict[str, Interval]:
     """What everything measured changes by, clip by clip, when one feature is asked for at high instead of at low."""
     return _row(values[row_name(feature, "high")] - values[row_name(feature, "low")])
 
 
-# ---------------------------------------------------------------------------------------------------- report
+# ---------------------------------------------------------------------------------------------------- tables
 
-def _cell(value: Mapping[str, float], digits: int = 3, sign: str = "") -> str:
-    if math.isnan(value["mean"]):
-        return "-"
-    return f"{value['mean']:{sign}.{digits}f} [{value['low']:{sign}.{digits}f}, {value['high']:{sign}.{digits}f}]"
+EDITING = {"asked": Column("asked low / mid / high"), "low": Column("realised low", digits=3),
+           "mid": Column("mid", digits=3), "high": Column("high", digits=3), "apart": Column("intervals apart"),
+           "low_to_mid": Column("low to mid", digits=3), "mid_to_high": Column("mid to high", digits=3),
+           "share": Column("share of the asked range"), "in_order": Column("clips in order", "%", 0)}
+RHYTHM = {"beats": Column("motion beats", "Hz"), "pmb": Column("PMB at 0.1 s", "%", 1),
+          "chance": Column("chance", "%", 1), "above_chance": Column("above chance", "%", 1)}
 
 
-def markdown(result: Mapping[str, Any]) -> str:
-    """The tables of `figures` for a reader."""
+def tables(result: Mapping[str, Any]) -> list[Table]:
+    """What became of each level, what every row does, and what else an edit changes.
+
+    The facts of the first have the claim of RG Fig. 10: what each feature rises by from level to level, in spreads of
+    training.
+    """
     clips = result["clips"]
-    lines = [f"{len(clips)} test clips, {sum(clip['seconds'] for clip in clips):.0f} s; means over clips with "
-             "bootstrap 95 % intervals; the same clips and seed in every row.", "",
-             "| feature | asked low / mid / high | realised low | mid | high | intervals apart | low to mid | "
-             "mid to high | share of the asked range | clips in order |", "|---|---|---|---|---|---|---|---|---|---|"]
-    for feature, told in result["editing"].items():
-        asked = " / ".join(f"{value:.3f}" for value in result["asked"][feature].values())
-        cells = [f"{_NAMES[feature]}, {UNITS[feature]}", asked, *(_cell(told["realised"][level]) for level in LEVELS),
-                 _verdict(told), _cell(told["low_to_mid"], sign="+"), _cell(told["mid_to_high"], sign="+"),
-                 _cell(told["share"], 2), f"{100 * told['in_order']:.0f} %"]
-        lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", f"| row | {' | '.join(f'{_NAMES[name]}, {_UNITS[name]}' for name in MEASURED)} |",
-              "|---|" + "---|" * len(MEASURED)]
-    lines += [f"| {name} | {' | '.join(_cell(row[one]) for one in MEASURED)} |" for name, row in result["rows"].items()]
-    lines += ["", "What asking for a feature at high instead of at low changes (in spreads of training):", "",
-              f"| asked | {' | '.join(_NAMES[name] for name in MEASURED)} |", "|---|" + "---|" * len(MEASURED)]
-    for feature, row in result["elsewhere"].items():
-        cells = [f"{_cell(row[name], sign='+')} ({row[name]['mean'] / _spread(result, name):+.1f})"
-                 for name in MEASURED]
-        lines.append(f"| {_NAMES[feature]} | {' | '.join(cells)} |")
+    about = (f"{len(clips)} test clips, {sum(clip['seconds'] for clip in clips):.0f} s; the same clips and seed in "
+             "every row.")
+    edited = {_heading(feature): {
+        "asked": " / ".join(f"{value:.3f}" for value in result["asked"][feature].values()), **told["realised"],
+        "apart": _verdict(told), "in_order": 100 * told["in_order"],
+        **{key: told[key] for key in ("low_to_mid", "mid_to_high", "share")}}
+        for feature, told in result["editing"].items()}
+    claim = [{key: value if key == "n" else value / _spread(result, feature)
+              for key, value in told[step].to_dict().items()}
+             for feature, told in result["editing"].items() for step in ("low_to_mid", "mid_to_high")]
+    measured = {name: Column(_NAMES[name], _UNITS[name], 3) for name in MEASURED}
+    changes = {_NAMES[feature]: {name: Marked(row[name], f"({row[name].mean / _spread(result, name):+.1f})")
+                                 for name in MEASURED} for feature, row in result["elsewhere"].items()}
+    facts = {key: result[key] for key in ("clips", "asked", "spread", "values")} | {"claim": claim}
+    out = [Table("Style editing", EDITING, edited, "feature", [about], facts),
+           Table("What every row does", measured, result["rows"], "row"),
+           Table("What asking for a feature at high instead of at low changes", measured, changes, "asked",
+                 ["In brackets: in spreads of training."])]
     if "rhythm" in result:
-        lines += ["", "| in time with the voice | beats/s | PMB at 0.1 s | chance | above chance, % |",
-                  "|---|---|---|---|---|"]
-        lines += [f"| {name} | {row['motion_beats_per_second']['mean']:.2f} | {_cell(row['0.1']['pmb'], 1)} | "
-                  f"{row['0.1']['chance']['mean']:.1f} | {_cell(row['0.1']['above_chance'], 1)} |"
-                  for name, row in result["rhythm"].items()]
-    return "\n".join(lines) + "\n"
+        out.append(Table("In time with the voice", RHYTHM, result["rhythm"], "row"))
+    return out
+
+
+def _heading(name: str) -> str:
+    return f"{_NAMES[name]}, {_UNITS[name]}"
 
 
 def _spread(result: Mapping[str, Any], name: str) -> float:
@@ -310,48 +315,34 @@ def figure_10(result: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def picture(result: Mapping[str, Any]) -> bytes:
-    """`figure_10` as a PNG, the same bytes for the same figures."""
-    memory = io.BytesIO()
-    figure_10(result).savefig(memory, format="png", dpi=120, metadata={"Software": None})
-    return memory.getvalue()
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """A store, a bundle, how many clips."""
+    parser.add_argument("--data", required=True, metavar="STORE", help="its test split is played")
+    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="also draw RG Fig. 10")
+    parser.add_argument("--clips", type=int, default=CLIPS, help=f"how many clips (default {CLIPS})")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help=f"of each clip (default {SECONDS:g})")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rhythm", action="store_true", help="also PMB beside its chance level in every row")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    p = argparse.ArgumentParser("eval.style_editing", description="Does the motion do what is asked of its style?")
-    p.add_argument("--data", required=True, metavar="STORE", help="its test split is played")
-    p.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
-    p.add_argument("--out", default="docs/results/style_editing.json", metavar="FILE.json",
-                   help="a .md is written beside it")
-    p.add_argument("--picture", metavar="FILE.png", help="also draw Figure 10")
-    p.add_argument("--clips", type=int, default=CLIPS, help=f"how many clips (default {CLIPS})")
-    p.add_argument("--seconds", type=float, default=SECONDS, help=f"of each clip (default {SECONDS:g})")
-    p.add_argument("--seed", type=int, default=0)
-    p.add_argument("--rhythm", action="store_true", help="also PMB beside its chance level in every row")
-    p.add_argument("--quiet", action="store_true", help="no progress bar")
-    arguments = p.parse_args(argv)
-    with one_line_errors("eval.style_editing"):
-        if arguments.picture and Path(arguments.picture).suffix.lower() != ".png":
-            raise InputError(f"--picture {arguments.picture}", "does not end in .png", "name it FILE.png")
-        clips = excerpts(Store.open(arguments.data), arguments.clips, arguments.seconds)
-        import torch
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """Play every level; InputError for a bundle without controls."""
+    import torch
 
-        from gesticulator.pipeline import Gesticulator
+    from gesticulator.pipeline import Gesticulator
 
-        torch.set_num_threads(1)
-        system = Gesticulator.from_pretrained(arguments.bundle)
-        if system.bundle.levels is None:
-            raise InputError(arguments.bundle or "the shipped bundle", "hears no controls",
-                             "use a bundle trained with style editing")
-        result = figures(played_by(system, arguments.seed), clips, system.bundle.levels, rhythm=arguments.rhythm,
-                         progress=not arguments.quiet)
-        keep(result, markdown(result), arguments.out)
-        if arguments.picture:
-            write_bytes(arguments.picture, picture(result))
-        print(markdown(result))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    if arguments.picture and arguments.picture.suffix.lower() != ".png":
+        raise InputError(f"--picture {arguments.picture}", "does not end in .png", "name it FILE.png")
+    clips = excerpts(Store.open(arguments.data), arguments.clips, arguments.seconds)
+    torch.set_num_threads(1)
+    system = Gesticulator.from_pretrained(arguments.bundle)
+    if system.bundle.levels is None:
+        raise InputError(arguments.bundle or "the shipped bundle", "has no controls",
+                         "use a bundle trained with style editing")
+    result = figures(played_by(system, arguments.seed), clips, system.bundle.levels, rhythm=arguments.rhythm,
+                     progress=not arguments.quiet)
+    if arguments.picture:
+        save_strip(figure_10(result), arguments.picture)
+    return tables(result)

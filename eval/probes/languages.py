@@ -1,6 +1,6 @@
 """Does a model trained on one language gesture in time with another? (RG 6.3, 7.2, Fig. 13)
 
-    python -m eval.languages --data SPEECH_FOLDER STORE ... [--bundle DIR] [--reverse DIR] [--out FILE.json]
+    gesticulator probe languages --data SPEECH_FOLDER STORE ... [--bundle DIR] [--reverse DIR]
 
 The words are kept from the model, so that it follows the sound alone; what is measured needs no reference motion. Real
 readings and synthetic voices stand in rows of their own, because a synthesiser's rhythm is easier to hear. What fools
@@ -16,7 +16,6 @@ import argparse
 import functools
 import itertools
 import math
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,22 +28,24 @@ from scipy.special import gammaln
 from tqdm import tqdm
 
 from data_module.corpora.performer import TEST_READINGS, tail_begins
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.performer import voices
 from data_module.performer.text import compose
 from data_module.speech.audio import load_speech
 from data_module.store import Store
 from data_module.types import Array, Motion, Speech
-from eval.bootstrap import interval
-from eval.figures import Clip, measure
+from eval.clip import ClipMeasurement, measure
 from eval.metrics import pmb
-from eval.results import keep
+from eval.metrics.diversity import entropy
+from eval.stats import mean_interval
+from eval.table import Column, Table
 from gesticulator.pipeline import FPS, Gesticulator
 from interpreters import INTERPRETERS
 
 PIECE = 15.0
 """Seconds of the pieces whose means have an interval."""
 NAMES = {"en": "English", "de": "German", "es": "Spanish", "cmn": "Mandarin"}
+RULE = "the performer of the store, by its rule"
 _FOLDER_SOUNDS = (".flac", ".wav")
 _ROWS = ("onsets_per_second", "motion_beats_per_second", "pmb", "chance", "above_chance", "entropy", "speech_speed",
          "silence_speed")
@@ -139,14 +140,6 @@ def _engine(voice: str) -> str:
 
 # ---------------------------------------------------------------------------------------------------- figures
 
-def entropy(labels: NDArray[np.int64]) -> float:
-    """Entropy of the lexemes' frequencies in nats (RG Eq. 23); a factor of 1 / ln 2 makes bits. NaN for none."""
-    if len(labels) == 0:
-        return float("nan")
-    share = np.unique(labels, return_counts=True)[1] / len(labels)
-    return float(-(share * np.log(share)).sum())
-
-
 def expected_kinds(labels: NDArray[np.int64], drawn: int) -> float:
     """How many different lexemes `drawn` of the labels, drawn without replacement, hold on average (rarefaction)."""
     counts = np.unique(labels, return_counts=True)[1].astype(np.float64)
@@ -164,11 +157,12 @@ def expected_kinds(labels: NDArray[np.int64], drawn: int) -> float:
 class Piece:
     """A stretch of a performance: what was measured on it, and the lexemes of the blocks that begin in it."""
 
-    clip: Clip
+    clip: ClipMeasurement
     lexemes: NDArray[np.int64]
 
 
-def pieces(clip: Clip, starts: Array, lexemes: NDArray[np.int64], fps: float, seconds: float = PIECE) -> list[Piece]:
+def pieces(clip: ClipMeasurement, starts: Array, lexemes: NDArray[np.int64], fps: float, seconds: float = PIECE
+           ) -> list[Piece]:
     """A performance in pieces of one length near `seconds`. starts, lexemes: [N] of its blocks.
 
     The whole is measured before it is cut, so that a piece keeps the thresholds of its recording.
@@ -180,25 +174,23 @@ def pieces(clip: Clip, starts: Array, lexemes: NDArray[np.int64], fps: float, se
     out = []
     for start, end, first, last in zip(edges, edges[1:], frames, frames[1:], strict=False):
         onsets, beats = (own[(own >= start) & (own < end)] - start for own in (clip.onsets, clip.beats))
-        part = Clip(onsets, beats, float(end - start), clip.hand_speed[first:last], clip.silent[first:last],
-                    clip.heights[first:last])
+        part = ClipMeasurement(onsets, beats, float(end - start), clip.hand_speed[first:last],
+                               clip.silent[first:last], clip.heights[first:last])
         out.append(Piece(part, lexemes[(starts >= start) & (starts < end)]))
     return out
 
 
 def figures_of(piece: Piece) -> dict[str, float]:
     """The figures of one piece by the names of `_ROWS`: per second, percent, nats and m/s; NaN where undefined."""
-    clip = piece.clip
-    matched = pmb.pmb(clip.beats, clip.onsets)
-    by_chance = pmb.chance(clip.beats, clip.onsets, clip.duration).mean
-
-    def mean(speeds: Array) -> float:
-        return float(speeds.mean()) if speeds.size else float("nan")
-
-    values = (len(clip.onsets) / clip.duration, len(clip.beats) / clip.duration, matched, by_chance,
-              100 * pmb.above_chance(matched, by_chance), entropy(piece.lexemes), mean(clip.hand_speed[~clip.silent]),
-              mean(clip.hand_speed[clip.silent]))
+    clip, rhythm = piece.clip, piece.clip.rhythm()
+    values = (len(clip.onsets) / clip.duration, clip.beats_per_second, rhythm.pmb, rhythm.chance, rhythm.above_chance,
+              lexeme_entropy(piece.lexemes), clip.speech_speed, clip.silence_speed)
     return dict(zip(_ROWS, values, strict=True))
+
+
+def lexeme_entropy(labels: NDArray[np.int64]) -> float:
+    """Of the lexemes' frequencies, nats (RG Eq. 23); NaN for none."""
+    return entropy(np.unique(labels, return_counts=True)[1])
 
 
 def _row(played: Sequence[Sequence[Piece]], size: int) -> dict[str, Any]:
@@ -212,9 +204,9 @@ def _row(played: Sequence[Sequence[Piece]], size: int) -> dict[str, Any]:
         values = np.array([[one[name] for one in players] for players in own])
         known = np.isfinite(values)
         means = np.where(known, values, 0).sum(1) / np.where(known.any(1), known.sum(1), np.nan)
-        row[name] = interval(means).to_dict()
+        row[name] = mean_interval(means)
     labels = _lexemes(played)
-    return row | {"pieces": len(played), "blocks": len(labels), "entropy_of_all": entropy(labels),
+    return row | {"pieces": len(played), "blocks": len(labels), "entropy_of_all": lexeme_entropy(labels),
                   "used": len(np.unique(labels)) / size if len(labels) else float("nan")}
 
 
@@ -266,69 +258,56 @@ def figures(systems: dict[str, Gesticulator], heard: Sequence[Passage], interpre
     told: dict[str, Any] = {}
     known = [one for one in heard if one.motion is not None]
     if known:
-        told["the performer of the store, by its rule"] = rows(known, performed, 1)
+        told[RULE] = rows(known, performed, 1)
     for name, system in systems.items():
         for interpreter in interpreters:
             label = f"{name}, {interpreter}"
             play = functools.partial(played_by, system, interpreter=interpreter, takes=takes)
-            told[label] = rows(tqdm(heard, desc=label, disable=not progress), play, system.bundle.config.lexicon.size)
+            # Of the lexicon that plays: RACER's own codec has another size than the setting of ours.
+            told[label] = rows(tqdm(heard, desc=label, disable=not progress), play,
+                               system.bundle.lexicon.quantizer.size)
     speech = [{"name": one.name, "language": one.language, "spoken_by": one.engine or "a person", "group": one.group,
                "seconds": round(one.speech.duration, 1)} for one in heard]
     return {"speech": speech, "takes": takes, "systems": told}
 
 
-# ------------------------------------------------------------------------------------------------------ report
+# ------------------------------------------------------------------------------------------------------ tables
 
-def markdown(result: dict[str, Any]) -> str:
-    """The tables of `figures` for a reader, with a plain word on which speech is synthetic."""
-    lines = [f"Means over pieces of about {PIECE:.0f} s with bootstrap 95 % intervals (too narrow under ten pieces); "
-             f"every performer of a bundle plays every piece, in {result['takes']} take(s); no words are given. PMB at "
-             f"{pmb.DELTA:g} s; entropy of the lexemes of a piece; lexicon used: by all blocks, and by as many as the "
-             "smallest group has.", ""]
-    for name, of in result["systems"].items():
-        for what, table in (("speech", of["groups"]), ("clip", of["clips"])):
-            lines += [f"**{name}**" + (", each clip" if what == "clip" else ""), "",
-                      f"| {what} | s (pieces) | onsets/s | motion beats/s | PMB, % | chance | above chance, % | "
-                      "entropy, nats (bits) | lexicon used | hands in speech, m/s | in silence |",
-                      "|---|---|---|---|---|---|---|---|---|---|---|"]
-            lines += [_line(label, row) for label, row in table.items()] + [""]
+COLUMNS = {"seconds": Column("speech", "s", 0), "pieces": Column("pieces"),
+           "onsets_per_second": Column("onsets", "Hz"), "motion_beats_per_second": Column("motion beats", "Hz"),
+           "pmb": Column("PMB", "%", 1), "chance": Column("chance", "%", 1),
+           "above_chance": Column("above chance", "%", 1, "high"), "entropy": Column("entropy", "nats"),
+           "used": Column("lexicon used", "share"), "used_equally": Column("used by as many blocks", "share"),
+           "speech_speed": Column("hands in speech", "m/s"), "silence_speed": Column("in silence", "m/s", 3)}
+
+
+def tables(result: dict[str, Any]) -> list[Table]:
+    """By group and by clip for every player, and who spoke what.
+
+    The facts of the first have the claim of RG Fig. 13: PMB above chance on each language but English, by the first
+    bundle.
+    """
     spoken: dict[str, set[str]] = {}
     for one in result["speech"]:
         spoken.setdefault(one["group"], set()).add(one["spoken_by"])
-    lines += [f"- {group}: spoken by {', '.join(sorted(by))}." for group, by in spoken.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _line(name: str, row: dict[str, Any]) -> str:
-    def known(value: float | None) -> bool:
-        return value is not None and not math.isnan(value)
-
-    def cell(key: str, digits: int) -> str:
-        mean, low, high = (row[key][part] for part in ("mean", "low", "high"))
-        if not known(mean):
-            return "-"
-        return f"{mean:.{digits}f}" + (f" [{low:.{digits}f}, {high:.{digits}f}]" if row[key]["clips"] > 1 else "")
-
-    used = "-"
-    if known(row["used"]):
-        used = f"{100 * row['used']:.0f} %"
-        used += f", {100 * row['used_equally']:.0f} %" if "used_equally" in row else ""
-    varied = cell("entropy", 2)
-    if varied != "-":
-        varied += f" ({row['entropy']['mean'] / math.log(2):.2f})"
-    cells = (name, f"{row['seconds']:.0f} ({row['pieces']})", cell("onsets_per_second", 2),
-             cell("motion_beats_per_second", 2), cell("pmb", 1), cell("chance", 1), cell("above_chance", 1), varied,
-             used, cell("speech_speed", 2), cell("silence_speed", 3))
-    return f"| {' | '.join(cells)} |"
-
-
-def _plain(value: Any) -> Any:
-    """The same with null for NaN, which JSON does not know."""
-    if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_plain(one) for one in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+    about = (f"Means over pieces of about {PIECE:.0f} s (intervals are too narrow under ten pieces); every performer "
+             f"of a bundle plays every piece, in {result['takes']} take(s); no words are given. PMB at {pmb.DELTA:g} "
+             "s; entropy of the lexemes of a piece; lexicon used by all blocks, and by as many as the smallest group "
+             "has.")
+    first: dict[str, Any] = next((of for name, of in result["systems"].items() if name != RULE), {"groups": {}})
+    claim = [row["above_chance"].to_dict() for name, row in first["groups"].items() if not name.startswith("English")]
+    voices = Table("Speech", {"by": Column("spoken by")},
+                   {group: {"by": ", ".join(sorted(by))} for group, by in spoken.items()}, "language", [about],
+                   {"claim": claim, "speech": result["speech"], "takes": result["takes"],
+                    "equal_blocks": {name: of["equal_blocks"] for name, of in result["systems"].items()}})
+    out = [voices]
+    for name, of in result["systems"].items():
+        for title, key in ((name, "groups"), (f"{name}, each clip", "clips")):
+            columns = {key: column for key, column in COLUMNS.items()
+                       if any(key in row for row in of["groups" if title == name else "clips"].values())}
+            out.append(Table(title, columns, {label: {key: row.get(key) for key in columns}
+                                              for label, row in of[key].items()}, "speech"))
+    return out
 
 
 def _listed(told: str | None, known: Iterable[str], option: str) -> tuple[str, ...] | None:
@@ -341,40 +320,33 @@ def _listed(told: str | None, known: Iterable[str], option: str) -> tuple[str, .
     return names
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    p = argparse.ArgumentParser("eval.languages", description="A model on speech in languages it was not trained on.")
-    p.add_argument("--data", required=True, nargs="+", type=Path, metavar="DIR",
-                   help="folders of LANGUAGE_NAME.flac, and stores (their test split)")
-    p.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
-    p.add_argument("--reverse", metavar="DIR", help="a bundle trained on another language, on the same speech")
-    p.add_argument("--interpreters", default="lstm", metavar="A,B", help=f"of {', '.join(INTERPRETERS)} (lstm)")
-    p.add_argument("--speak", metavar="cmn,de", help="languages to speak here with synthetic voices (cmn, where --data "
-                   "has none; '' for none)")
-    p.add_argument("--seconds", type=float, default=60.0, help="of --speak, by each of the language's test voices (60)")
-    p.add_argument("--takes", type=int, default=3, help="times that each performer plays everything, with other "
-                   "lexemes drawn and so with another rhythm (3)")
-    p.add_argument("--out", type=Path, metavar="FILE.json", help="a .md is written beside it")
-    told = p.parse_args(argv)
-    with one_line_errors("eval.languages"):
-        torch.set_num_threads(1)
-        if not 0 < told.seconds < math.inf:
-            raise InputError("--seconds", f"is {told.seconds:g}", "give a number above 0")
-        if told.takes < 1:
-            raise InputError("--takes", f"is {told.takes}", "give 1 or more")
-        interpreters = _listed(told.interpreters, INTERPRETERS, "--interpreters") or ("lstm",)
-        spoken = _listed(told.speak, voices.VOICES_OF, "--speak")
-        name = "shipped" if told.bundle is None else Path(told.bundle).name
-        systems = {name: Gesticulator.from_pretrained(told.bundle)}
-        if told.reverse is not None:
-            systems[f"{Path(told.reverse).name} (reverse)"] = Gesticulator.from_pretrained(told.reverse)
-        heard = passages(told.data, spoken, told.seconds)
-        result = _plain(figures(systems, heard, interpreters, takes=told.takes, progress=True))
-        if told.out is not None:
-            keep(result, markdown(result), told.out)
-        print(markdown(result))
-    return 0
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Speech, bundles, who chooses the lexemes."""
+    add = parser.add_argument
+    add("--data", required=True, nargs="+", type=Path, metavar="DIR",
+        help="folders of LANGUAGE_NAME.flac, and stores (their test split)")
+    add("--bundle", metavar="DIR", help="default: the shipped one")
+    add("--reverse", metavar="DIR", help="a bundle trained on another language, on the same speech")
+    add("--interpreters", default="lstm", metavar="A,B", help=f"of {', '.join(INTERPRETERS)} (lstm)")
+    add("--speak", metavar="cmn,de", help="languages to speak here with synthetic voices (cmn, where --data has none; "
+        "'' for none)")
+    add("--seconds", type=float, default=60.0, help="of --speak, by each of the language's test voices (60)")
+    add("--takes", type=int, default=3, help="times that each performer plays everything, with other lexemes sampled "
+        "and so with another rhythm (3)")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """Play everything; InputError for options that cannot be."""
+    torch.set_num_threads(1)
+    if not (math.isfinite(arguments.seconds) and arguments.seconds > 0):
+        raise InputError("--seconds", f"is {arguments.seconds:g}", "give a number over 0")
+    if arguments.takes < 1:
+        raise InputError("--takes", f"is {arguments.takes}", "give 1 or more")
+    interpreters = _listed(arguments.interpreters, INTERPRETERS, "--interpreters") or ("lstm",)
+    spoken = _listed(arguments.speak, voices.VOICES_OF, "--speak")
+    name = "shipped" if arguments.bundle is None else Path(arguments.bundle).name
+    systems = {name: Gesticulator.from_pretrained(arguments.bundle)}
+    if arguments.reverse is not None:
+        systems[f"{Path(arguments.reverse).name} (reverse)"] = Gesticulator.from_pretrained(arguments.reverse)
+    heard = passages(arguments.data, spoken, arguments.seconds)
+    return tables(figures(systems, heard, interpreters, takes=arguments.takes, progress=True))

@@ -1,4 +1,4 @@
-"""`python -m eval.speech_levels --bundle DIR --data STORE [--out FILE.json]`: what each level of the encoder knows.
+"""What does each level of the speech encoder know? `gesticulator probe speech-levels --data STORE [--bundle DIR]`
 
 Theory: the paper wants content in level 8 and everything else in the levels below (RG 4.1.3). Whether it is there is
 asked by probes: linear fits on the frozen features, made afresh for every level and of the same size for each, and
@@ -10,7 +10,7 @@ judged on voices that they were not fitted on.
 - Energy and pitch: ridge regression of a frame's log power and log fundamental frequency (pyin), each less its mean in
   the recording (how a voice moves, not whose it is); R2, 0 by chance.
 Beside the eight levels stand an untrained encoder of the same shape, which tells what training did, and the mel
-features. Then Figure 14 (`eval.audio_clusters`): clusters of the low and the high level, and the lexemes on them.
+features. Then Figure 14 (`metrics.audio_clusters`): clusters of the low and the high level, and the lexemes on them.
 
 What fools it: the loss of Eq. 1 says nothing, since its projections alone can lower it; so no projection of the
 training is used here. A word is the means over its thirds: sounds are easily told by their spectra, so even an
@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -33,18 +32,18 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from data_module import blocks as block_module
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.speech.features import MelFrontEnd, reference_level, scaled_windows
 from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.text.word_vectors import word_frames
 from data_module.types import Array, Samples
-from eval import audio_clusters
-from eval.bootstrap import interval
 from eval.draw.lexicon_map import evenly
 from eval.encode import encode_motion
 from eval.linear_probes import Judged, Spoken, grouped, probe_frames, probe_words, tokens_of
-from eval.results import publish
+from eval.metrics import audio_clusters
+from eval.stats import Interval, mean_interval
+from eval.table import Column, Table
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
@@ -125,21 +124,21 @@ def probes(train: Sequence[Spoken], test: Sequence[Spoken], progress: bool = Fal
 
 
 def compare(rows: Mapping[str, Mapping[str, Judged]], groups: Sequence[str], task: str, better: str, worse: str
-            ) -> dict[str, float]:
+            ) -> Interval:
     """How much more one row knows of a task than another, paired over recordings, with its interval."""
     a, b = (grouped(rows[name][task], groups) for name in (better, worse))
-    return interval(a.values - b.values, a.weights).to_dict()
+    return mean_interval(a.values - b.values, a.weights)
 
 
 def summary(rows: Mapping[str, Mapping[str, Judged]], groups: Sequence[str], low: int = LOW, high: int = HIGH
             ) -> dict[str, Any]:
     """The table, and what the paper claims as paired differences: above 0 where it holds."""
-    table: dict[str, dict[str, dict[str, float]]] = {}
+    table: dict[str, dict[str, Interval]] = {}
     for name, tasks in rows.items():
         table[name] = {}
         for task, judged in tasks.items():
             own = grouped(judged, groups)
-            table[name][task] = interval(own.values, own.weights).to_dict()
+            table[name][task] = mean_interval(own.values, own.weights)
     lower, upper = level_name(low), level_name(high)
     pairs = [(task, *((upper, lower) if task.endswith("words") else (lower, upper))) for task in TASKS]
     pairs += [(task, upper, f"untrained {upper}") for task in ("new_words", "known_words")]
@@ -232,54 +231,45 @@ def figures(system: Gesticulator, store: Store, *, split: Split = "test", limit:
         "figure_14": figure_14(test, labels, level_name(low), level_name(high))}
 
 
-def _cell(value: Mapping[str, float]) -> str:
-    if not np.isfinite(value["mean"]):
-        return "-"
-    return f"{value['mean']:.3f} [{value['low']:.3f}, {value['high']:.3f}]"
+def tables(result: Mapping[str, Any]) -> list[Table]:
+    """What every level knows, what the paper says of them, and Figure 14.
 
-
-def markdown(result: Mapping[str, Any]) -> str:
-    """The tables of `figures` for a reader."""
+    The facts of the first have the claim of RG Fig. 14: how much more the high level says of the lexemes that were
+    made than the low one.
+    """
     fitted, judged = result["fitted_on"], result["judged_on"]
     voices = "none of them among the first" if judged["voices_unheard"] else "SOME OF THEM AMONG THE FIRST"
-    lines = [f"Linear probes on frozen features, fitted on {fitted['recordings']} recordings "
+    about = (f"Linear probes on frozen features, fitted on {fitted['recordings']} recordings "
              f"({fitted['seconds']:.0f} s, {len(fitted['voices'])} voices), judged on {judged['recordings']} "
-             f"({judged['seconds']:.0f} s, {len(judged['voices'])} voices, {voices}; {judged['new_words']} new words). "
-             "Bootstrap 95 % intervals over recordings.", "",
-             f"| features | {' | '.join(TASKS.values())} |", f"|---{'|---' * len(TASKS)}|"]
-    lines += [f"| {name} | {' | '.join(_cell(tasks[task]) for task in TASKS)} |"
-              for name, tasks in result["table"].items()]
-    lines += ["", "| task | more | less | difference |", "|---|---|---|---|"]
-    lines += [f"| {TASKS[own['task']]} | {own['more']} | {own['less']} | {_cell(own['difference'])} |"
-              for own in result["differences"]]
-    for whose, found in result["figure_14"].items():
-        kinds = [name for name in found if name.startswith(("low, ", "high, "))]
-        lines += ["", *audio_clusters.markdown(found, kinds, whose)]
-    return "\n".join(lines) + "\n"
+             f"({judged['seconds']:.0f} s, {len(judged['voices'])} voices, {voices}; {judged['new_words']} new words).")
+    claim = [own.to_dict() for own in result["figure_14"]["generated"]["gain_differences"].values()]
+    facts = {key: result[key] for key in ("fitted_on", "judged_on", "low", "high", "store") if key in result}
+    differences = {f"{TASKS[own['task']]}: {own['more']} - {own['less']}": {"difference": own["difference"]}
+                   for own in result["differences"]}
+    return [Table("Linear probes", {task: Column(title, digits=3, good="high") for task, title in TASKS.items()},
+                  result["table"], "features", [about], {**facts, "claim": claim}),
+            Table("What is said of the levels", {"difference": Column("difference", digits=3)}, differences, "task"),
+            *(audio_clusters.table(found, [name for name in found if name.startswith(("low, ", "high, "))], whose)
+              for whose, found in result["figure_14"].items())]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    p = argparse.ArgumentParser("eval.speech_levels", description="What does each level of the speech encoder know?")
-    p.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
-    p.add_argument("--data", required=True, metavar="STORE")
-    p.add_argument("--split", default="test", choices=SPLITS)
-    p.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
-    p.add_argument("--train", type=int, default=24, metavar="N", help="recordings to fit the probes on (%(default)s)")
-    p.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
-    arguments = p.parse_args(argv)
-    with one_line_errors("eval.speech_levels"):
-        torch.set_num_threads(1)
-        if arguments.train < 1:
-            raise InputError("--train", "must be 1 or more", "give the number of recordings")
-        store = Store.open(arguments.data)
-        system = Gesticulator.from_pretrained(arguments.bundle)
-        encoder_of(system.bundle, arguments.bundle or "the shipped bundle")
-        result = figures(system, store, split=arguments.split, limit=arguments.limit, train_limit=arguments.train)
-        result["store"] = {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split}
-        publish(result, markdown(result), arguments.out)
-    return 0
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """A store, a bundle, how many recordings."""
+    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+    parser.add_argument("--data", required=True, metavar="STORE")
+    parser.add_argument("--split", default="test", choices=SPLITS)
+    parser.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
+    parser.add_argument("--train", type=int, default=24, metavar="N", help="recordings to fit the probes on (24)")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """Probe every level; InputError for a bundle without a speech encoder."""
+    torch.set_num_threads(1)
+    if arguments.train < 1:
+        raise InputError("--train", "must be 1 or more", "give the number of recordings")
+    store = Store.open(arguments.data)
+    system = Gesticulator.from_pretrained(arguments.bundle)
+    encoder_of(system.bundle, arguments.bundle or "the shipped bundle")
+    result = figures(system, store, split=arguments.split, limit=arguments.limit, train_limit=arguments.train)
+    return tables({**result, "store": {"name": store.corpus, "fingerprint": store.fingerprint,
+                                       "split": arguments.split}})

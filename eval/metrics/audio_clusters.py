@@ -10,6 +10,9 @@ have a low entropy. So every figure stands beside that of the same lexemes, turn
 random number of blocks: that keeps how often each is used, by whom, and how they follow one another, and breaks only
 what ties them to the sound. What counts is the gain, the second less the first. A bundle whose interpreter hears the
 high level alone makes its own gestures depend on it; the performer's gestures are the harder question.
+
+    >>> float(conditional_entropy(np.array([[4.0, 0.0], [0.0, 4.0]]))), float(conditional_entropy(np.ones((1, 1))))
+    (0.0, 0.0)
 """
 
 from __future__ import annotations
@@ -21,7 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
-from eval.bootstrap import Interval
+from eval import stats
+from eval.metrics.diversity import entropy
+from eval.stats import Interval
+from eval.table import Cell, Column, Table
 
 CLUSTERS, DRAWS, TURNS = 50, 300, 100
 _AVERAGED = 10  # of the turns: those that the baseline of a bootstrap draw is the mean of
@@ -91,7 +97,7 @@ def association(levels: Mapping[str, Labels], lexemes: Labels, recording: Labels
     names = list(levels)
     out["gain_differences"] = {f"{b} - {a}": _interval(gains[b] - gains[a], groups)
                                for i, a in enumerate(names) for b in names[i + 1:]}
-    out["blocks"], out["lexeme_entropy"] = len(lexemes), _entropy(lexemes)
+    out["blocks"], out["lexeme_entropy"] = len(lexemes), entropy(np.bincount(lexemes))
     return out
 
 
@@ -101,27 +107,16 @@ def _drawn_entropy(weights: Array, clusters: Labels, lexemes: Labels, group: Lab
     return np.array([float(conditional_entropy(np.tensordot(row, tables, axes=1))) for row in weights])
 
 
-def _entropy(labels: Labels) -> float:
-    share = np.bincount(labels) / len(labels)
-    return float(-(share[share > 0] * np.log(share[share > 0])).sum())
-
-
-def _interval(values: Array, groups: int) -> dict[str, float]:
+def _interval(values: Array, groups: int) -> Interval:
     """The first value, of everything, with the interval of the others, the draws."""
-    low, high = np.percentile(values[1:], [2.5, 97.5]) if len(values) > 1 else (float("nan"), float("nan"))
-    return Interval(float(values[0]), float(low), float(high), groups).to_dict()
+    return stats.limits(float(values[0]), values[1:], groups)
 
 
-def markdown(found: Mapping[str, Any], levels: Sequence[str], whose: str) -> list[str]:
-    """Lines of a table of `association` for a reader."""
-    lines = [f"Lexemes, {whose}: {found['blocks']} blocks with speech, entropy {found['lexeme_entropy']:.3f} nats.", "",
-             "| clusters of | H(lexeme given cluster), nats | by chance | gain | p |", "|---|---|---|---|---|"]
-    for name in levels:
-        own = found[name]
-        lines.append(f"| {name} | {own['entropy']:.3f} | {own['by_chance']:.3f} | {_cell(own['gain'])} | "
-                     f"{own['p']:.3f} |")
-    return [*lines, "", *(f"Gain, {name}: {_cell(value)}." for name, value in found["gain_differences"].items())]
-
-
-def _cell(value: Mapping[str, float]) -> str:
-    return f"{value['mean']:.3f} [{value['low']:.3f}, {value['high']:.3f}]"
+def table(found: Mapping[str, Any], levels: Sequence[str], whose: str) -> Table:
+    """`association` for a reader."""
+    columns = {"entropy": Column("H(lexeme given cluster)", "nats", 3), "by_chance": Column("by chance", "nats", 3),
+               "gain": Column("gain", "nats", 3, "high"), "p": Column("p", digits=3)}
+    rows: dict[str, dict[str, Cell]] = {name: {key: found[name][key] for key in columns} for name in levels}
+    rows |= {f"{name}, gain": {"gain": value} for name, value in found["gain_differences"].items()}
+    return Table(f"Clusters of sound and lexemes, {whose} (RG Fig. 14)", columns, rows, "clusters of", [
+        f"{found['blocks']} blocks with speech, entropy of the lexemes {found['lexeme_entropy']:.3f} nats."])
