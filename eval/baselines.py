@@ -42,9 +42,9 @@ from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
-    from gesticulator.prepare import Corpus
     from gesticulator.speech_features import SpeechFeatures
-    from interpreters import BlockFeatures
+    from gesticulator.stages import Corpus
+    from interpreters.base import BlockFeatures
 
 JITTER = 0.02
 """Metres: the standard deviation along each axis."""

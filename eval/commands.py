@@ -40,6 +40,23 @@ PROBE = Command("one question about a bundle or a data set (--list shows them)",
                 ("probe --list", "probe quality --data STORE", "probe parts --data STORE --out parts.json"))
 
 
+def _ablate_arguments(parser: argparse.ArgumentParser) -> None:
+    from eval import ablate
+
+    ablate.arguments(parser)
+
+
+def _ablate(arguments: argparse.Namespace) -> int:
+    from eval import ablate
+
+    return ablate.run(arguments)
+
+
+ABLATE = Command("every table, figure and claim of both papers, run again", _ablate_arguments, _ablate,
+                 ("ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
+                  "ablate --tables --out docs/results/ablation"))
+
+
 def _score_arguments(parser: argparse.ArgumentParser) -> None:
     from eval import score
 
@@ -85,3 +102,44 @@ def _draw(arguments: argparse.Namespace) -> int:
 DRAW = Command("pictures and films: a strip, a video, the lexicon (--list shows them)", _draw_arguments, _draw,
                ("draw strip gesture.bvh --sound speech.wav", "draw video gesture.bvh --sound speech.wav --out film.mp4",
                 "draw lexicon --data STORE --out FOLDER"))
+
+
+def _report_arguments(parser: argparse.ArgumentParser) -> None:
+    from eval import report
+
+    report.arguments(parser)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from eval import report
+
+    for file in report.run(arguments):
+        print(file)
+    return 0
+
+
+REPORT = Command("everything that was measured, on one page", _report_arguments, _report,
+                 ("report", "report --results docs/results --out docs/report"))
+
+
+def _study_arguments(parser: argparse.ArgumentParser) -> None:
+    from eval import study
+
+    study.arguments(parser)
+
+
+def _study(arguments: argparse.Namespace) -> int:
+    from eval import study
+
+    study.run(arguments)
+    return 0
+
+
+STUDY = Command("a user study: its page, and what the answers say", _study_arguments, _study,
+                ("study make --systems ours=DIR truth=DIR --out FOLDER",
+                 "study analyse --key FOLDER/key.json ratings-*.json --out study.json"))
+
+
+VERBS: dict[str, Command] = {"score": SCORE, "ablate": ABLATE, "probe": PROBE, "report": REPORT, "study": STUDY,
+                             "draw": DRAW}
+"""By name, for `python -m eval`; `gesticulator` finds them as entry points."""

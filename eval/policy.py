@@ -29,11 +29,12 @@ from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bi
 from eval.rows.row import EPISODE
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Corpus
-from gesticulator.racer import takes_of
 from gesticulator.speech_features import SpeechFeatures
-from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter, select
+from gesticulator.stages import Corpus
+from gesticulator.stages.q_network import takes_of
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.episodes import Take
+from interpreters.lstm import LstmInterpreter
 
 Lexemes = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -117,7 +118,7 @@ class Decisions:
     def of(cls, bundle: bundles.Bundle, corpus: Corpus, labels: Lexemes, limit: int | None = None) -> Decisions:
         """The first `limit` test recordings that hold a decision, with lexemes from labels [N]."""
         takes = [take for take in takes_of(corpus, labels, "test") if len(take.blocks) > 1]
-        return cls(corpus, takes[:limit], bundle.silent, bundle.config.silence.mask, len(bundle.lexicon.vectors))
+        return cls(corpus, takes[:limit], bundle.silent, bundle.config.silence.mask, len(bundle.vectors))
 
     def allowed(self, take: Take) -> Mask:
         """[M, S] which lexemes may be chosen on each block."""
@@ -267,7 +268,7 @@ def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequ
             progress: bool, encoded: Sequence[SpeechFeatures] | None = None) -> list[Motion]:
     """What the generator makes of these lexemes [M] for the speech of these recordings, the gate open. encoded: the
     recordings' speech, where it was encoded before."""
-    replay = ReplayInterpreter(lexemes, len(system.bundle.lexicon.vectors))
+    replay = ReplayInterpreter(lexemes, len(system.bundle.vectors))
     return [system(replace(recording.speech, words=None), speaker=recording.info.speaker, interpreter=replay,
                    temperature=0.0, activity=1.0, encoded=encoded[place] if encoded else None).motion
             for place, recording in enumerate(tqdm(recordings, desc=label, disable=not progress))]

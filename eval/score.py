@@ -645,7 +645,7 @@ def run(arguments: argparse.Namespace) -> Scores:
 
         bundle = bundles.load(bundles.SHIPPED if arguments.bundle == "shipped" else arguments.bundle)
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
-        _ = bundle.drawn
+        _ = bundle.block_models
     folders, left_out = read_all(arguments)
     networks = networks_of(arguments.fgd, arguments.work, arguments.truth)
     clips = common_clips(folders, rate, piece)

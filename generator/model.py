@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -13,62 +12,10 @@ from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
 from generator import losses
 from generator.losses import Encoder
 from generator.position import positional_block
+from generator.settings import GeneratorConfig
 
 State = tuple[Tensor, Tensor]
 """Hidden and cell state of the decoder, [layers, B, width] each."""
-
-
-@dataclass(frozen=True)
-class GeneratorConfig:
-    """Sizes and weights of the generator; the defaults are the paper's where it gives them."""
-
-    motion_features: int = 128
-    """d_m~, width of E_M."""
-    audio_features: int = 128
-    """d_a~, width of E_A."""
-    audio_bottleneck: int = 0
-    """Width that each row of audio is brought to before E_A; 0 for none (the paper)."""
-    style_width: int = 32
-    """d_z."""
-    position_width: int = 32
-    """d_P; 0 leaves the positional block out (Table 7)."""
-    position_direction: str = "forward"
-    hidden: int = 512
-    """Width of the MLP encoder."""
-    groups: int = 64
-    """H."""
-    classes: int = 128
-    """C."""
-    group_width: int = 8
-    """Width of the vector behind each class of each group."""
-    lstm_width: int = 1024
-    lstm_layers: int = 2
-    temperature_start: float = 2.0
-    temperature_end: float = 0.5
-    """The Gumbel temperature falls geometrically from one to the other over the run."""
-    residual: bool = True
-    """Add the last pose of the block before, fading linearly to nothing at the block's end. It closes the seams, and
-    unlike a sum of differences it cannot drift: every block ends on what the network itself says."""
-    own_past_from: float = 0.0
-    own_past_until: float = 0.5
-    """Between these shares of the run the probability of being fed its own past block rises from 0 to 1."""
-    reconstruction: float = 1.0
-    perceptual: float = 0.5
-    lexeme: float = 0.2
-    style: float = 1.0
-    use_control: bool = False
-    """Hear what is asked of the style (C_i of RG 7.2.1)."""
-    velocity: float = 0.0
-    """Weight of the squared error of frame differences; off in the paper."""
-    style_dropout: float = 0.0
-    """Share of training windows that get the zero code instead of their own. A learned code tells what only hindsight
-    knows; without it the generator must take its timing from the sound. Off in the paper."""
-    swaps: int = 1
-    """N_J, permutations of the other inputs for the lexeme loss."""
-    swap_share: float = 1.0
-    """Share of the batch's blocks that each permutation takes."""
-    style_rate: float = 1e-2
-    """Learning rate of the style codes: each gets one gradient per epoch, so the common rate would leave them put."""
 
 
 class StyleCodes(nn.Module):

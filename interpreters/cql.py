@@ -18,49 +18,8 @@ from torch.nn import functional
 
 from data_module.layers import BlockLinear, freeze, masked_mean
 from interpreters.base import BlockFeatures, Scores
+from interpreters.settings import QConfig
 from interpreters.transformer import INITIAL, Head, KeyValue, Layer, begin_small, sliding, two_stream_mask
-
-
-@dataclass(frozen=True)
-class QConfig:
-    """Sizes of the Q-network and how it learns. The paper: width 768, heads 12, dropout 0.1, decisions 15."""
-
-    width: int = 128
-    """C."""
-    heads: int = 4
-    layers: int = 4
-    """Not told in the paper; more than 3, since its actor-critic variant splits off the last 3."""
-    dropout: float = 0.1
-    decisions: int = 15
-    """T, the pairs of audio and action that a decision sees: a_0 and 15 decisions are 16 lexemes."""
-    audio_features: int = 64
-    """Width of the FC on three blocks of audio, for each of the K frames."""
-    audio_bottleneck: int = 48
-    """Width that each row of audio is brought to before that FC; 0 for none."""
-    audio_blocks: int = 3
-    """Blocks of audio that a decision hears: 3, the one before and the one after too (RG Eq. 17), or 1 (the paper)."""
-    lookahead: int = 1
-    """1: the three blocks of a decision are the one before, its own and the one after; 0: the two before and its own,
-    so that a stream need not wait for the next beat."""
-    use_speaker: bool = True
-    """Hear the one-hot of the speaker with every block."""
-    conservative: float = 0.1
-    """alpha of RACER Eq. 11. A large one makes the data's lexemes look ever better, and the target with them."""
-    temporal: float = 1.0
-    """Weight of the temporal difference. 0 leaves a cross-entropy: the paper's "Supervised Learning"."""
-    warm_up: float = 0.0
-    """Share of the run that is supervised learning alone (the conservative term): a short run then need not learn what
-    people do by way of values. 0 is the paper's."""
-    gamma: float = 0.99
-    """What a reward one block later is worth now."""
-    copy_every: int = 500
-    """Steps between two copies of the network to its target."""
-    double: bool = True
-    """The online network picks the next action and the target values it (Double DQN); else the target does both."""
-    huber: float = 0.0
-    """Where the squared error turns linear; 0 for never (the paper)."""
-    freeze_dropout: bool = False
-    """No dropout while training."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +40,8 @@ class QState:
 class QNetwork(nn.Module):
     """Q(s_i, .) over the lexicon for each decision i: a transformer over audio and actions (RACER Fig. 1, Eq. 12)."""
 
+    gives_values = True
+    """Its scores are Q values and no log-probabilities."""
     when_silent: Tensor
 
     def __init__(self, config: QConfig, frames: int, audio_width: int, lexemes: int, speakers: int,
@@ -162,7 +123,8 @@ class QNetwork(nn.Module):
 
     def start(self, speaker: int, first_lexeme: int) -> QState:
         """The state before the first block (the first lexeme, a_0, comes back in `step` as the previous one)."""
-        one_hot = functional.one_hot(torch.tensor([speaker]), self.speakers).float().to(self.positions.device)
+        number = torch.tensor([speaker], device=self.positions.device)
+        one_hot = functional.one_hot(number, self.speakers).float()
         return QState(one_hot, self.positions.new_zeros(1, 2, 0, self.config.width), None)
 
     @torch.inference_mode()

@@ -28,79 +28,15 @@ from torch import Tensor
 from data_module.errors import InputError
 from data_module.files import write_bytes
 from interpreters.base import BlockFeatures, LexemeInterpreter, Scores, select
+from interpreters.settings import BEHAVIOURS, EpisodeConfig
 
 Integers = NDArray[np.int64]
 Reward = Callable[[Tensor, Tensor], Tensor]
 """Lexemes [M] and block numbers [M] of a stretch of recording to what each step earns [M]; it sees no further back than
 what it is handed. `RewardTable.sequence` and `looked_up` are such."""
 
-BEHAVIOURS = ("truth", "sampled", "statistical", "perturbed")
-"""Who chose a lexeme: the person, the trained interpreter, the frequencies, or the person with errors put in."""
-
-REWARDS = ("contrastive", "distance")
-SCHEMES = ("window", "prefix", "terminal", "difference")
-
 _AT_RANDOM = 0.5
 """The share of the perturbed lexemes that may become any other; the rest become one of the nearest."""
-
-
-@dataclass(frozen=True)
-class EpisodeConfig:
-    """Who acts in the data set, and what is rewarded. The paper's own is `truth=1` and 0 for the other shares and the
-    baseline."""
-
-    truth: float = 0.65
-    """Share of what was really done: every recording, once. The other shares are in proportion to it, in decisions."""
-    sampled: float = 0.15
-    """Share of roll-outs of the supervised interpreter."""
-    statistical: float = 0.10
-    """Share of roll-outs of the statistical interpreter."""
-    perturbed: float = 0.10
-    """Share of the truth with some lexemes replaced."""
-    replace: float = 0.2
-    """Probability that a lexeme of the truth is replaced in the perturbed share."""
-    nearest: int = 3
-    """Half of the replacements are among this many nearest lexemes, the other half are any."""
-    temperature: float = 1.0
-    """Of the roll-outs: lexemes are drawn from softmax(scores / temperature); 0 takes the best."""
-    prefix: int = 8
-    """True lexemes before another behaviour takes over."""
-    reward: str = "contrastive"
-    """"contrastive" (RACER Eq. 8), or "distance" to the recorded motion (the paper's ablation)."""
-    baseline: int = 8
-    """Random sequences of lexemes whose mean reward on the same audio is taken off the contrastive reward; 0 for none
-    (the paper). It changes no choice and spares the Q-network to learn what the audio alone earns."""
-    scheme: str = "window"
-    """What a step earns: "window" the reward of the blocks that trail it; "prefix" that of all since the stretch began;
-    "terminal" that of the whole stretch, at its end; "difference" what the step added to the prefix."""
-    stretch: int = 15
-    """Decisions in a stretch, for every scheme but "window". Windows are then cut at stretches, and as long."""
-    cloned: float = 0.0
-    """Weight of CQL's data term on what was not the person's choice; it is 1 on the truth."""
-
-    def __post_init__(self) -> None:
-        if min(self.shares.values()) < 0 or abs(sum(self.shares.values()) - 1) > 1e-6:
-            raise InputError("episodes", f"has shares {self.shares}", "give four that are not negative and sum to 1")
-        for name in ("nearest", "prefix", "stretch"):
-            if getattr(self, name) < 1:
-                raise InputError(f"episodes.{name}", f"is {getattr(self, name)}", "give 1 or more")
-        if self.baseline < 0:
-            raise InputError("episodes.baseline", f"is {self.baseline}", "give 0 or more")
-        for name in ("replace", "cloned"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"episodes.{name}", f"is {getattr(self, name)}", "give 0 to 1")
-        if not 0 <= self.temperature < np.inf:
-            raise InputError("episodes.temperature", f"is {self.temperature}", "give 0 or more")
-        for name, known in (("reward", REWARDS), ("scheme", SCHEMES)):
-            if getattr(self, name) not in known:
-                raise InputError(f"episodes.{name}", f"is {getattr(self, name)!r}", f"choose from {', '.join(known)}")
-        if self.reward == "distance" and self.scheme != "window":
-            raise InputError("episodes.scheme", f"is {self.scheme!r}", "a distance is of one block: choose 'window'")
-
-    @property
-    def shares(self) -> dict[str, float]:
-        """The mixture, keyed by behaviour."""
-        return {name: float(getattr(self, name)) for name in BEHAVIOURS}
 
 
 @dataclass(frozen=True)

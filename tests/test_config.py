@@ -9,7 +9,8 @@ import torch
 
 from data_module.errors import InputError
 from generator.model import Generator
-from gesticulator.config import PRESETS, Config, digest, from_dict, preset, to_dict, with_settings
+from gesticulator.config import Config, digest, from_dict, to_dict, with_settings
+from gesticulator.presets import PRESETS, preset
 from lexicon.autoencoder import Lexicon
 
 

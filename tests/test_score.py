@@ -33,13 +33,13 @@ from eval.foreign import Clip, read_motion
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.gesture_features import RawFeatures
-from eval.rewards import Asked
+from eval.probes.rewards import RewardProbe
 from eval.score import FLOOR, STILL, TRUTH, Flag, Scores, flags, mean_of, tables
 from eval.stats import Interval
 from eval.table import Marked, load, save
 from gesticulator import bundle as bundles
-from gesticulator.prepare import prepare
-from gesticulator.racer import token_labels
+from gesticulator.stages.corpus import prepare
+from gesticulator.stages.lexicon import token_labels
 
 SECONDS, FPS, RATE = 4.0, 20.0, 16000
 NETWORKS = {"raw, 12 frames": RawFeatures(12), "raw, 20 frames": RawFeatures(20)}
@@ -494,13 +494,13 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     figures = score.score(common, {}, bundle).figures
     assert mean_of(figures, TRUTH, "lexeme_accuracy") == 100.0 > mean_of(figures, "shuffled", "lexeme_accuracy")
     assert -1.0 <= mean_of(figures, TRUTH, "reward") == mean_of(figures, "same", "reward") <= 1.0
-    deaf = score.score(common, {}, replace(bundle, reward_judge=None), with_controls=False).figures
+    deaf = score.score(common, {}, bundle.with_parts(reward_judge=None), with_controls=False).figures
     assert "the bundle has no judging reward model" in deaf["same"]["reward"].reason
     assert mean_of(deaf, "same", "lexeme_accuracy") == 100.0
     # By another way: the corpus as the stages train on it.
     assert bundle.reward_judge is not None
     corpus = prepare(store, bundle.config, tmp_path, bundle.encoder, progress=False)
-    asks = Asked.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
+    asks = RewardProbe.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
     blocks = corpus.blocks_of(corpus.names.index(next(iter(some))))
     values = []
     for end in range(len(blocks)):

@@ -41,4 +41,13 @@ PROBES: dict[str, Probe] = {
     "quality": Probe("eval.probes.quality", "how good is a bundle on the test split, beside baselines?"),
     "policies": Probe("eval.probes.policies", "which interpreter chooses best, judged as policies?"),
     "parts": Probe("eval.probes.parts", "what did words and the learned speech levels buy?"),
+    "corpus": Probe("eval.probes.corpus", "is a built data set good enough to learn from?"),
+    "beat-labels": Probe("eval.probes.beat_labels", "are the beats that are found those that people marked by hand?"),
+    "languages": Probe("eval.probes.languages", "does one language's model gesture in time with another?"),
+    "two-languages": Probe("eval.probes.two_languages", "does a speech encoder gain from a second language?"),
+    "gate": Probe("eval.probes.gate", "does the gate know when people gesture, and what does it do?"),
+    "rewards": Probe("eval.probes.rewards", "does RACER's reward rank?"),
+    "speech-levels": Probe("eval.probes.speech_levels", "what does each level of the speech encoder know?"),
+    "style-editing": Probe("eval.probes.style_editing", "does the motion do what is asked of its style?"),
+    "lexicon-rhythm": Probe("eval.probes.lexicon_rhythm", "do lexemes carry the rhythm?"),
 }

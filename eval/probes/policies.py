@@ -28,8 +28,8 @@ from eval.rows.row import COLUMNS, DECISIONS, EPISODE, PLAYED, VALUES, RowColumn
 from eval.table import Cell, Column, Marked, Table
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.racer import reward_table, taught_reward
-from interpreters import LexemeInterpreter
+from gesticulator.stages.reward import reward_table, taught_reward
+from interpreters.base import LexemeInterpreter
 
 PAIRS = (("cql", "lstm"), ("cql", "statistical"))
 PARTS: dict[str, Mapping[str, RowColumn]] = {
@@ -57,7 +57,7 @@ def rows_of(bundle: bundles.Bundle, lstm: LexemeInterpreter, cql: LexemeInterpre
     return {"lstm": Policy(lstm, selection.temperature, top), "lstm arg max": Policy(lstm),
             "statistical": Policy(bundle.statistical(), selection.temperature, top),
             "cql": Policy(cql, selection.q_temperature, top), "majority": Policy(Majority(bundle)),
-            "random": Policy(Random(len(bundle.lexicon.vectors)), 1.0)}
+            "random": Policy(Random(len(bundle.vectors)), 1.0)}
 
 
 def choices(rows: Mapping[str, Policy], decisions: Decisions, rewards: Rewards, progress: bool) -> dict[str, Choices]:
