@@ -183,7 +183,7 @@ def bobbing(clips: Clips, onsets: Sequence[Array]) -> list[Motion]:
 
 
 CONTROLS: Mapping[str, Callable[[Clips, int], list[Motion]]] = {
-    "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered,
+    "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered, "mirrored": mirrored,
 }
 """Those that make one set of clips of another, by the name they have in a table."""
 

@@ -28,7 +28,7 @@ _TITLES = {POOLED: "window Frechet distance to real, all clips together",
            TO_CORPUS: "window Frechet distance to the corpus, all clips together",
            "eye_rolled_1": "the same with the sound rolled by 60 blocks, %, first",
            "eye_rolled_2": "the same with the sound rolled by 60 blocks, %, second"}
-CONTROLS = ("mirrored", "frozen", "reversed", "jitter", "bobbing")
+CONTROLS = ("mirrored", "still", "reversed", "jitter", "bobbing")
 CORPUS = "corpus"
 
 
@@ -92,7 +92,7 @@ class EyeSample:
 
 def controls(motion: Motion, heard: Voice | None, space: ReferenceSpace | None) -> dict[str, EyeSample]:
     """Every one of `CONTROLS`, made of a real motion of the 16-joint character; bobbing needs its speech."""
-    made = {"mirrored": baselines.mirrored([motion]), "frozen": baselines.mean_pose([motion]),
+    made = {"mirrored": baselines.mirrored([motion]), "still": baselines.mean_pose([motion]),
             "reversed": baselines.reversed_in_time([motion]), "jitter": baselines.jittered([motion], 0)}
     if heard is not None:
         made["bobbing"] = baselines.bobbing([motion], [heard.onsets[0]])

@@ -27,7 +27,7 @@ from eval.metrics.eye.body import HZ, common_body
 
 RATE = 16000
 SIGNS = {"Left": -1.0, "Right": 1.0}
-CONTROLS = ("mirrored", "frozen", "reversed", "jitter", "bobbing")
+CONTROLS = ("mirrored", "still", "reversed", "jitter", "bobbing")
 KNOWN = {  # EVALUATION's known answers: figure -> the BEAT take at 15 fps, CMU 137_28
     "eye_hand_speed_correlation": (0.657, 0.108), "eye_hand_height_correlation": (0.581, 0.366),
     "eye_one_handed": (20.5, 51.3), "eye_one_hanging": (24.3, 21.2), "eye_head": (9.04, 31.1),
@@ -350,7 +350,7 @@ def test_no_control_passes_unnamed(take: tuple[Motion, Speech], space: frechet.R
     that is named does."""
     motion = resample(to_character(take[0]), HZ)
     heard = eye.hear(take[1])
-    made = {"mirrored": baselines.mirrored([motion]), "frozen": baselines.mean_pose([motion]),
+    made = {"mirrored": baselines.mirrored([motion]), "still": baselines.mean_pose([motion]),
             "reversed": baselines.reversed_in_time([motion]), "jitter": baselines.jittered([motion], 0),
             "bobbing": baselines.bobbing([motion], [heard.onsets[0]])}
     assert tuple(made) == CONTROLS

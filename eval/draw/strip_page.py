@@ -41,6 +41,8 @@ LINE = 16
 """Figures of a line: 4 s."""
 BEAT_CREDIT = ("real take: BEAT, speaker Scott (Liu et al., ECCV 2022; pantomatrix.github.io/BEAT), CC BY-NC 4.0: "
                "not for commercial use")
+DPI = 105
+"""Dots an inch: a page is 1450 wide, as a screen is."""
 _SPACING, _LOW, _HIGH = 0.98, 0.60, 2.02
 """Metres: between figures, and what is seen of them: from the thighs to a raised hand."""
 _CAPTION, _SOUND, _GAP, _CLOCK = 0.24, 0.42, 0.22, 0.16
@@ -183,7 +185,7 @@ def run(arguments: argparse.Namespace) -> list[Path]:
     times = page_times(arguments.start, SECONDS if arguments.seconds is None else arguments.seconds,
                        max((source.motion.duration for source in sources), default=0.0))
     beats = None if speech is None else _beats(speech)
-    save_strip(draw_page(sources, times, speech, beats, arguments.title, arguments.credit), arguments.out)
+    save_strip(draw_page(sources, times, speech, beats, arguments.title, arguments.credit), arguments.out, DPI)
     return [arguments.out]
 
 

@@ -41,7 +41,7 @@ class Metric:
 _TRUTH, _SPEECH, _BUNDLE = ("truth",), ("speech",), ("speech", "bundle")
 _SEEN_BACKWARDS = ("mirrored", "reversed")
 """Controls that no figure of one hand's shape or of a window's means can tell from real motion."""
-_STILL_TOO = ("mirrored", "frozen", "reversed", "jitter", "bobbing")
+_STILL_TOO = ("mirrored", "still", "reversed", "jitter", "bobbing")
 _SHAPE = ("shuffled", "reversed")
 """Controls that keep how fast real motion is: what looks at vigour alone takes them for the truth."""
 
@@ -81,7 +81,7 @@ METRICS: dict[str, Metric] = {
 """Every metric; those for the eye follow. FGD has a column for each network, and each network has its own unit."""
 def _eye(chapter: str, title: str, unit: str, digits: int, good: str, fooled_by: tuple[str, ...], *,
          needs: tuple[str, ...] = ()) -> Metric:
-    return Metric(f"eye.{chapter}", title, unit, digits, "eye", good, needs, fooled_by)
+    return Metric(f"eye.{chapter}", title, unit, digits, f"eye {chapter}", good, needs, fooled_by)
 
 
 _MIRROR_OR_NOISE = (*_SEEN_BACKWARDS, "jitter")
@@ -136,7 +136,8 @@ EYE_METRICS: dict[str, Metric] = {
 lie in the range of real people (`eval.metrics.eye.RANGES`) by this figure."""
 METRICS |= EYE_METRICS
 
-CLIP_METRICS = {name: one for name, one in METRICS.items() if one.part not in ("sets", "fgd", "eye")}
+CLIP_METRICS = {name: one for name, one in METRICS.items()
+                if one.part not in ("sets", "fgd") and name not in EYE_METRICS}
 """Those that have a value for each clip, without the eye's."""
 SET_METRICS = {name: one for name, one in METRICS.items() if one.part == "sets"}
 """Those of a set of clips, but for FGD."""

@@ -37,13 +37,13 @@ from eval.foreign import find_motions, read_motion
 from eval.metrics.eye import ReferenceSpace, Voice, hear
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
-from eval.score import named
+from eval.score import UNITS, named
 from eval.table import Table
 from eval.unit_selection import UnitDatabase, UnitSelection
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 
-TAKE, OURS, UNITS = "real take", "ours", "unit selection"
+TAKE, OURS = "real take", "ours"
 VOICE = "take"
 """The name of the real take's voice."""
 
