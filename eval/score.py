@@ -195,9 +195,10 @@ def _put(row: Row, metrics: Sequence[str], every: Sequence[Values]) -> None:
             row.reasons[metric] = f"{lacking} of {len(every)} clips: {'; '.join(why)}"
 
 
-def control_rows(clips: ClipSet, voices: Sequence[eye.Voice | None], seed: int
+def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.Voice | None] = ()
                  ) -> tuple[dict[str, list[Motion]], list[str]]:
-    """Each control's motions, and why one could not be made. voices: of each clip, None where nothing is known."""
+    """Each control's motions, and why one could not be made. voices: of each clip, None where its speech is
+    not known; without any nothing bobs."""
     truth, notes = clips.motions[TRUTH], []
     made = {STILL: baselines.mean_pose(truth)}
     groups: list[str] | None = clips.groups
@@ -416,7 +417,7 @@ def score(clips: ClipSet, networks: Mapping[str, Features], bundle: Any = None, 
     voices = [None if speech is None else eye.hear(speech) for speech in clips.speeches]
     context = ScoreContext(clips, tracks, networks, None if bundle is None else ClipEncoder.of(bundle, clips), seed,
                            voices, eye.ReferenceSpace.found())
-    made, notes = control_rows(clips, voices, seed) if with_controls else ({}, [])
+    made, notes = control_rows(clips, seed, voices) if with_controls else ({}, [])
     rows = {name: context.row(name, TRUTH if name == TRUTH else "system", motions)
             for name, motions in clips.motions.items()}
     rows |= {name: context.row(name, "control", motions) for name, motions in made.items()}
