@@ -45,8 +45,8 @@ DPI = 105
 """Dots an inch: a page is 1450 wide, as a screen is."""
 _SPACING, _LOW, _HIGH = 0.98, 0.60, 2.02
 """Metres: between figures, and what is seen of them: from the thighs to a raised hand."""
-_CAPTION, _SOUND, _GAP, _CLOCK = 0.24, 0.42, 0.22, 0.16
-"""Metres of height: of a source's name, of the waveform, between lines, and of the seconds below."""
+_CAPTION, _SOUND, _GAP, _CLOCK, _AIR = 0.24, 0.42, 0.22, 0.16, 0.06
+"""Metres of height: of a source's name, of the waveform, between lines, of the seconds below, and below a rule."""
 _MARGIN = 0.88
 """Metres beside the first and the last figure: a stretched arm ends inside."""
 _SCALE = 0.84
@@ -78,7 +78,7 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
     shown = [[source for source in sources if source.motion.duration > line[-1] - 1e-9] for line in lines]
     row = _HIGH - _LOW
     foot = [*dict.fromkeys([*(source.credit for source in sources if source.credit), *credits])]
-    tall = sum(len(own) * (2 * row + _CAPTION) + (_SOUND if speech is not None else 0.0) + _CLOCK + _GAP
+    tall = sum(len(own) * (2 * row + _CAPTION + _AIR) + (_SOUND if speech is not None else 0.0) + _CLOCK + _GAP
                for own in shown)
     tall += (0.34 if title else 0.0) + 0.16 * len(foot) + 0.11
     wide = (min(len(times), LINE) - 1) * _SPACING + 2 * _MARGIN
@@ -132,6 +132,7 @@ def _draw_line(pen: _Pen, sources: Sequence[Source], times: Array, speech: Speec
         for view in ("front", "side"):
             draw_row(pen.axis(_HIGH - _LOW, share), source.motion, times, view, _STYLE)
         pen.rule(share)
+        pen.at += _AIR
     if speech is not None and times[0] < speech.duration:
         draw_sound(pen.axis(_SOUND, share), speech, beats, times, _STYLE)
     clock = pen.axis(_CLOCK, share)
