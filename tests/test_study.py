@@ -286,8 +286,8 @@ def _files(made: Path, folder: Path, raters: int = 4) -> list[Path]:
 
 def test_analyse_command_writes_tables(made: Path, tmp_path: Path, capsys: Any) -> None:
     files = [str(file) for file in _files(made, tmp_path)]
-    out, ask = tmp_path / "figures" / "study.json", ["analyse", "--key", str(made / "key.json")]
-    assert ask([*ask, "--out", str(out), *files]) == 0
+    out, analyse = tmp_path / "figures" / "study.json", ["analyse", "--key", str(made / "key.json")]
+    assert ask([*analyse, "--out", str(out), *files]) == 0
     systems, pairs, *_ = load(out)
     assert systems.title == "human likeness" and systems.facts["raters"] == 4 and systems.facts["notes"] == []
     quokka: Any = systems.rows["quokka"]
@@ -297,7 +297,7 @@ def test_analyse_command_writes_tables(made: Path, tmp_path: Path, capsys: Any) 
     assert "p < 0.0001 ***" in systems.notes[-1]
     assert ["**" in str(row["p"]) for row in pairs.rows.values()] == [True, False, True]
     capsys.readouterr()
-    assert ask([*ask, "--without", "2", "--", *files]) == 0
+    assert ask([*analyse, "--without", "2", "--", *files]) == 0
     assert "3 raters" in capsys.readouterr().out
 
 
