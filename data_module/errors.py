@@ -36,13 +36,20 @@ def shown(value: object, width: int = 40) -> str:
     return (str(value) if isinstance(value, str | float | bool) or value is None else reprlib.repr(value))[:width]
 
 
+def one_line(error: InputError | OSError) -> str:
+    """What is wrong, in a line without the program's name; a failure of the disk says what to check."""
+    if isinstance(error, InputError):
+        return str(error)
+    return f"{error.filename or 'output'}: {error.strerror or error}; check the path, its rights and the free space"
+
+
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
     """Print an `InputError`, or a failure of the disk, as one line and leave with exit code 2."""
     try:
         yield
     except InputError as error:
-        complain(f"{program}: {error}")
+        complain(f"{program}: {one_line(error)}")
         raise SystemExit(EXIT_BAD_INPUT) from None
     except BrokenPipeError:
         # Whoever read the output has seen enough (`| head`); what is still to be flushed has nowhere to go.
@@ -50,8 +57,7 @@ def one_line_errors(program: str) -> Iterator[None]:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(EXIT_PIPE) from None
     except OSError as error:
-        where = error.filename or "output"
-        complain(f"{program}: {where}: {error.strerror or error}; check the path, its rights and the free space")
+        complain(f"{program}: {one_line(error)}")
         raise SystemExit(EXIT_BAD_INPUT) from None
     except KeyboardInterrupt:
         complain(f"{program}: stopped")

@@ -214,7 +214,7 @@ class Bundle:
         InputError lists those that the bundle has.
         """
         if name not in self.interpreters:
-            raise InputError(f"--interpreter {name}", "is not in the bundle",
+            raise InputError(f"interpreter {name}", "is not in the bundle",
                              f"choose among {', '.join(self.interpreters)}")
         entry = INTERPRETERS[name]
         if not entry.part:
@@ -241,7 +241,7 @@ class Bundle:
 
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose as the models see it."""
-        return rest_feature(self.statistics, speaker)
+        return rest_feature(self.statistics, speaker, self.vectors.device)
 
     def rest_lexeme(self, speaker: int) -> int:
         """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); any lexeme where none is
@@ -275,10 +275,10 @@ class _Changed(Mapping[str, nn.Module]):
         return sum(1 for _ in self)
 
 
-def rest_feature(statistics: Statistics, speaker: int) -> Tensor:
+def rest_feature(statistics: Statistics, speaker: int, device: torch.device | None = None) -> Tensor:
     """[D_m] a speaker's resting pose as the models see it."""
     rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
-    return torch.as_tensor(rest, dtype=torch.float32)
+    return torch.as_tensor(rest, dtype=torch.float32, device=device)
 
 
 @torch.no_grad()

@@ -123,7 +123,8 @@ class QNetwork(nn.Module):
 
     def start(self, speaker: int, first_lexeme: int) -> QState:
         """The state before the first block (the first lexeme, a_0, comes back in `step` as the previous one)."""
-        one_hot = functional.one_hot(torch.tensor([speaker]), self.speakers).float().to(self.positions.device)
+        number = torch.tensor([speaker], device=self.positions.device)
+        one_hot = functional.one_hot(number, self.speakers).float()
         return QState(one_hot, self.positions.new_zeros(1, 2, 0, self.config.width), None)
 
     @torch.inference_mode()

@@ -73,8 +73,8 @@ class ActivityGate(nn.Module):
 
     def start(self, speaker: int) -> GateState:
         """The state before the first block, for a speaker (index)."""
-        one_hot = functional.one_hot(torch.tensor([speaker]), self.speakers).float()
-        return GateState(None, one_hot.to(self.classify.weight.device))
+        number = torch.tensor([speaker], device=self.classify.weight.device)
+        return GateState(None, functional.one_hot(number, self.speakers).float())
 
     @torch.inference_mode()
     def step(self, state: GateState, features: BlockFeatures) -> tuple[float, GateState]:

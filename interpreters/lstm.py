@@ -137,13 +137,15 @@ class LstmInterpreter(nn.Module):
 
     def start(self, speaker: int, first_lexeme: int) -> LstmState:
         """The state before the first block (the first lexeme comes back in `step` as the previous one)."""
-        return LstmState(None, functional.one_hot(torch.tensor([speaker]), self.speakers).float())
+        number = torch.tensor([speaker], device=self.lexemes.device)
+        return LstmState(None, functional.one_hot(number, self.speakers).float())
 
     @torch.inference_mode()
     def step(self, state: LstmState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, LstmState]:
         """Log-probabilities [S] of this block's lexeme."""
+        previous = torch.tensor([[previous_lexeme]], device=self.lexemes.device)
         logits, hidden = self.scores(
-            torch.tensor([[previous_lexeme]]), features.high[None, None], state.speaker, state.hidden,
+            previous, features.high[None, None], state.speaker, state.hidden,
             None if features.text is None else features.text[None, None],
             None if features.control is None else features.control[None, None])
-        return functional.log_softmax(logits[0, 0].double(), -1).numpy(), LstmState(hidden, state.speaker)
+        return functional.log_softmax(logits[0, 0].double(), -1).cpu().numpy(), LstmState(hidden, state.speaker)

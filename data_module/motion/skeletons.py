@@ -181,6 +181,15 @@ def facing(motion: Motion) -> Motion:
     return replace(motion, rotations=rotations, root_positions=np.zeros_like(motion.root_positions))
 
 
+def standing(motion: Motion) -> Motion:
+    """The motion lifted (or lowered) so that the root's median height is `HIP_HEIGHT`; doing it twice changes nothing.
+
+    Models work with the root at the origin; a viewer's floor is at zero.
+    """
+    lift = np.array([0.0, HIP_HEIGHT - float(np.median(motion.root_positions[:, 1])), 0.0])
+    return replace(motion, root_positions=motion.root_positions + lift)
+
+
 def to_vector(motion: Motion) -> Array:
     """The motion as the models see it, [T, J * 3]: exponential maps unrolled over time, yaw and translation removed."""
     faced = facing(motion)
