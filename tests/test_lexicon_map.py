@@ -25,7 +25,7 @@ from data_module.truth import PlayedStroke, Truth
 from data_module.types import Blocks, Motion, Speech, Word
 from eval import lexicon_map as maps
 from gesticulator import bundle as bundles
-from gesticulator import silent
+from gesticulator.commands import BUNDLE
 
 # ------------------------------------------------------------------------------------------ what goes with a lexeme
 
@@ -277,6 +277,6 @@ def test_ticking_writes_a_command_that_works(made: Path, browser: Any, capsys: p
     command = shlex.split(page.input_value("#command"))
     shares = [float(own.get_attribute("data-share")) for own in page.locator("article").all()]
     assert shares == sorted(shares, reverse=True) and not wrong
-    assert command[:3] == ["python", "-m", "gesticulator.silent"]
-    assert silent.main(command[3:]) == 0
+    assert command[:3] == ["gesticulator", "bundle", "silent"]
+    assert BUNDLE.main("gesticulator bundle", command[2:]) == 0
     assert bundles.load(made / "my bundle").silent.tolist() == [3, 7]
