@@ -74,9 +74,9 @@ def quality(context: EvalContext) -> list[Table]:
     bigram = Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size)
     seconds = sum(one.speech.duration for one in recordings)
     lexicon = lexicon_table(context, recordings, take)
-    return [replace(lexicon, facts={**lexicon.facts, **context.described(), "seconds": seconds}), accuracy_table(context, {
-        "lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}),
-        rhythm_table(clips), hands_table(clips)]
+    interpreters = {"lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}
+    return [replace(lexicon, facts={**lexicon.facts, **context.described(), "seconds": seconds}),
+            accuracy_table(context, interpreters), rhythm_table(clips), hands_table(clips)]
 
 
 def play(system: Gesticulator, recordings: Sequence[Recording], interpreter: str | LexemeInterpreter, progress: bool,
