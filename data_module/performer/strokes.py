@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -22,7 +22,7 @@ from data_module.errors import InputError, shown
 from data_module.files import read_table
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
-from data_module.types import Array, Skeleton
+from data_module.types import Array, Motion, Skeleton
 
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
@@ -346,6 +346,22 @@ def _clip_key(stroke: Stroke) -> str:
 
 def _load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[Figure, list[Stroke]]:
     motions = [read_bvh(folder / row["file"], unit=1.0) for row in rows]
+    skeleton = motions[0].skeleton
+    for row, motion in zip(rows, motions, strict=True):
+        if not motion.skeleton.same_joints(skeleton):
+            raise InputError(folder / row["file"], f"has other joints than {rows[0]['file']}",
+                             "take the clips that came with the manifest")
+    try:
+        return _figure_and_strokes(speaker, rows, motions)
+    except (KeyError, ValueError) as error:
+        raise InputError(folder / rows[0]["file"],
+                         f"and the other clips of {shown(speaker)} make no performer ({error})",
+                         "take the clips that came with the manifest") from None
+
+
+def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]
+                        ) -> tuple[Figure, list[Stroke]]:
+    """The body of a speaker and the strokes of its clips; KeyError or ValueError where they lack arms to move."""
     skeleton = motions[0].skeleton
     standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _POSTURE.get(speaker, "")]
     first = np.stack([m.rotations[0] for m in standing or motions])
