@@ -6,10 +6,10 @@ with the same lexeme is printed, in the picture and among the latents themselves
 
 `lexicon.html`, one page with nothing outside it: for each lexeme a sample gesture (the performed block whose latent
 lies nearest to it) beside what the decoder makes of it, how often each performer uses it, how fast the hands are, how
-much of it lies in pauses, the words and the strokes that go with it, and whether it is silent. Ticking that writes the
-command that tells the bundle so (`gesticulator.silent`). `lexicon.json` has the same in numbers. What fools it: the
-decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not; the speed
-that counts is the performed one.
+much of it lies in pauses, the words and the strokes that go with it, and whether it is silent. Ticking that writes
+the command that tells the bundle so (`gesticulator bundle silent`). `lexicon.json` has the same in numbers. What fools
+it: the decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not; the
+speed that counts is the performed one.
 """
 
 from __future__ import annotations
@@ -448,7 +448,7 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     for suffix in ("png", "svg"):
         save_strip(figure, out / f"latents.{suffix}")
     shipped = folder is None or Path(folder).resolve() == bundles.SHIPPED.resolve()
-    command = (f"python -m gesticulator.silent{'' if shipped else ' ' + shlex.quote(str(folder))}",
+    command = (f"gesticulator bundle silent{'' if shipped else ' ' + shlex.quote(str(folder))}",
                " --out my-bundle" if shipped else "")
     note = (f"{len(infos)} recordings, {len(labels)} blocks of {store.corpus}; {used} of {size} lexemes used, "
             f"{len(silent)} silent. Words: at least {LEAST} times and {SURE:g} standard errors too often. Pictures: "
