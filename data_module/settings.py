@@ -89,7 +89,7 @@ def check(settings: Any, path: str = "") -> None:
 
     settings: a dataclass; path: its own place in the tree, such as "generator".
     """
-    hints = _hints(type(settings))
+    hints = _hints(cast(Any, type(settings)))
     for field in dataclasses.fields(settings):
         value, hint = getattr(settings, field.name), hints[field.name]
         place = f"{path}.{field.name}" if path else field.name

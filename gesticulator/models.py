@@ -6,6 +6,7 @@ imported by the function that builds it, so whoever opens one part of a bundle i
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from data_module.errors import InputError
 from gesticulator.config import Config
 from gesticulator.statistics import CONTROL_WIDTH
 
@@ -168,8 +170,13 @@ BUILDERS: dict[str, Callable[[Sizes], nn.Module]] = {
 
 
 def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
-    """The shape of every tensor of a part, found without taking memory for one."""
-    with torch.device("meta"):
-        on_meta = replace(sizes, present=sizes.present.to("meta"),
-                          vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
-        return {key: tuple(value.shape) for key, value in BUILDERS[name](on_meta).state_dict().items()}
+    """The shape of every tensor of a part, found without taking memory for one; InputError where the settings do not
+    go together."""
+    on_meta = replace(sizes, present=sizes.present.to("meta"),
+                      vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
+    try:
+        with torch.device("meta"), warnings.catch_warnings(action="ignore", category=UserWarning):
+            return {key: tuple(value.shape) for key, value in BUILDERS[name](on_meta).state_dict().items()}
+    except (ValueError, RuntimeError, IndexError, OverflowError, ZeroDivisionError) as error:
+        raise InputError("settings", f"no {name} can be built of them ({str(error).splitlines()[0][:200]})",
+                         "change them") from None

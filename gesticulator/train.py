@@ -22,7 +22,7 @@ from gesticulator import bundle as bundles
 from gesticulator.card import model_card
 from gesticulator.config import Config, with_settings
 from gesticulator.presets import PRESETS, preset
-from gesticulator.stages import CORPUS, STAGES, Run, assemble, closure, wanted
+from gesticulator.stages import BLOCKS, CORPUS, STAGES, Run, assemble, closure, wanted
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ def train(config: Config, store: Store, out: Path, work: Path, options: TrainOpt
     run = Run(config, store, work, options.device, options.progress, options.speech, options.workers)
     for name in options.redo:
         run.redo(STAGES[name])
+    run.get(BLOCKS)  # what is wrong with the store is said before hours of training
     plan = list(closure(stages, config))
     for number, stage in enumerate(plan, 1):
         if options.progress:

@@ -436,7 +436,7 @@ def test_the_target_is_copied_when_its_time_has_come() -> None:
 
 
 def test_a_run_that_was_stopped_goes_on_as_one_that_was_not(tmp_path: Path) -> None:
-    from gesticulator.fit import FitSettings, fit
+    from gesticulator.fit import FitOptions, FitSettings, Task, fit
 
     settings = FitSettings(steps=8, batch=4, rate=1e-2, betas=(0.5, 0.999))
     results = []
@@ -444,9 +444,9 @@ def test_a_run_that_was_stopped_goes_on_as_one_that_was_not(tmp_path: Path) -> N
         (tmp_path / name).mkdir()
         for stop in stops:
             learner = ConservativeQ(network(dropout=0.2, copy_every=3))
-            fit("cql", learner, lambda rng: windows(seed=int(rng.integers(1000))), learner.losses, settings,
-                tmp_path / name, seed=1, before_step=learner.before_step, progress=False, stop_after=stop,
-                checkpoint_seconds=0.0)
+            task = Task(lambda rng: windows(seed=int(rng.integers(1000))), before_step=learner.before_step)
+            fit("cql", learner, task, settings, tmp_path / name,
+                FitOptions(seed=1, progress=False, stop_after=stop, checkpoint_seconds=0.0))
         results.append(learner.state_dict())
     for key, value in results[0].items():
         torch.testing.assert_close(value, results[1][key], rtol=0, atol=0, msg=key)

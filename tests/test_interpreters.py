@@ -8,6 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gesticulator.bundle import FILES
 from interpreters import INTERPRETERS
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.cql import QConfig, QNetwork
@@ -61,20 +62,19 @@ def test_every_interpreter_has_a_maker_here() -> None:
     assert set(MAKERS) == set(INTERPRETERS)
 
 
-def test_the_command_line_offers_every_interpreter() -> None:
-    from gesticulator import infer  # it lists them by hand, so that --help need not import torch
-
-    assert set(infer.INTERPRETERS) == set(INTERPRETERS)
+def test_every_part_that_an_interpreter_needs_is_one_of_a_bundle() -> None:
+    for entry in INTERPRETERS.values():
+        assert all(part in FILES for part in (entry.part, entry.text_part) if part)
 
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_contract(name: str) -> None:
     system = MAKERS[name]()
-    assert isinstance(system, LexemeInterpreter) and isinstance(system, INTERPRETERS[name])
+    assert isinstance(system, LexemeInterpreter) and isinstance(system, INTERPRETERS[name].load())
     state = system.start(1, 2)
     scores, after = system.step(state, hear(), 2)
     assert scores.shape == (SIZE,) and np.isfinite(scores).all()
-    if name != "cql":  # whose scores are returns
+    if name != "cql":  # whose scores are values
         assert np.exp(scores).sum() == pytest.approx(1, abs=1e-6)
     again, _ = system.step(state, hear(), 2)
     np.testing.assert_array_equal(scores, again, "a step must not change the state it is given")
@@ -153,7 +153,7 @@ def test_a_reading_head_adds_to_the_voice_and_nothing_else_learns() -> None:
         optimiser.step()
     after = reads.eval().state_dict()
     moved = {name for name, value in after.items() if not torch.equal(value, before[name])}
-    assert moved and all(name.startswith("reading.") for name in moved)
+    assert moved and all(name.startswith("text_head.") for name in moved)
     # The words of one block have no say in another's: the head has no memory.
     other = text.clone()
     other[:, 1] += 1.0

@@ -46,12 +46,13 @@ def always(config: Config) -> bool:
 class Node(Generic[T]):
     """A value that a run makes once, such as the corpus or the labels of its blocks.
 
-    settings: paths into the settings that shape it ("rhythm", "silence.hint"). needs: the nodes that `make` asks the
-    run for under these settings. of_data: the store (and the folders of more sound) shape it directly.
+    settings: what of the settings shapes it: paths ("rhythm", "silence.hint"), or functions of the settings. What
+    shapes a value only for those who look at that side of it (the words of a corpus) stands with them. needs: the nodes
+    that `make` asks the run for under these settings. of_data: what beside the store shapes it (folders of more sound).
     """
 
     name: str
-    settings: tuple[str, ...]
+    settings: tuple[str | Callable[[Config], Any], ...]
     needs: Callable[[Config], Sequence[Node[Any]]] = no_needs
     make: Callable[[Run], T] | None = None
     of_data: Callable[[Run], Sequence[Any]] | None = None
@@ -134,7 +135,7 @@ class Run:
         if node.name in self._keys:
             return self._keys[node.name]
         parts: list[Any] = [node.name, self.store.fingerprint]
-        parts += [[path, setting(self.config, path)] for path in node.settings]
+        parts += [setting(self.config, path) if isinstance(path, str) else path(self.config) for path in node.settings]
         if isinstance(node, Stage):
             parts += [self.config.seed, self.schedule(node)]
         if node.of_data is not None:

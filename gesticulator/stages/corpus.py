@@ -326,6 +326,6 @@ def _blocks(run: Run) -> Corpus:
 
 
 BLOCKS: Node[Corpus] = Node(
-    "blocks", settings=("rhythm", "motion.representation", "motion.least_deviation", "control.window", "text"),
-    make=_blocks)
-"""The corpus before it is heard: motion, stretched sound and words (and mel features, which need no training)."""
+    "blocks", settings=("rhythm",), make=_blocks)
+"""The corpus before it is heard: motion, stretched sound and words (and mel features, which need no training). How
+motion becomes numbers stands with the lexicon, which alone looks at it first."""

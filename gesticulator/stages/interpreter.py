@@ -44,10 +44,11 @@ def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInte
     return run.fit(stage, model, task, folder)
 
 
-_SHAPED_BY = ("interpreter", "window", "control")
+_SHAPED_BY = ("window", "control", "silence.hint")
 
 INTERPRETER: Stage[LstmInterpreter] = Stage(
-    "interpreter", settings=_SHAPED_BY, needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="interpreter",
+    "interpreter", settings=(lambda config: config.interpreter.without_text(), *_SHAPED_BY),
+    needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="interpreter",
     wanted=lambda config: config.tokens == "lexicon", part="interpreter",
     build=lambda run: models.interpreter(model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, INTERPRETER, False))
@@ -67,7 +68,7 @@ def _build_text(run: Run) -> LstmInterpreter:
 
 
 INTERPRETER_TEXT: Stage[LstmInterpreter] = Stage(
-    "interpreter_text", settings=(*_SHAPED_BY, "text"),
+    "interpreter_text", settings=("interpreter", "text", *_SHAPED_BY),
     needs=lambda config: (CORPUS, LEXICON, LABELS, *((INTERPRETER,) if init_from_audio_only(config) else ())),
     schedule="interpreter_text", schedule_of=lambda config: (
         config.schedules.interpreter_text if init_from_audio_only(config) else config.schedules.interpreter),

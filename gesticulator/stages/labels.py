@@ -92,7 +92,7 @@ def label(config: Config, corpus: Corpus, tokens: Tokens) -> Labelled:
 
 
 LABELS: Node[Labelled] = Node(
-    "labels", settings=("silence.hint", "silence.lexemes"), needs=lambda config: (BLOCKS, TOKENS),
+    "labels", settings=("silence.lexemes",), needs=lambda config: (BLOCKS, TOKENS),
     make=lambda run: label(run.config, run.get(BLOCKS), run.get(TOKENS)))
 
 

@@ -23,6 +23,8 @@ from lexicon.settings import FRAMES
 Tokens = Lexicon | RacerCodec
 """What names the gesture of a block: the lexicon of blocks at the beat, or RACER's own codec at a fixed rate."""
 
+_MOTION = ("motion.representation", "motion.least_deviation")
+"""What shapes the motion of the corpus."""
 _TOGETHER = 4096
 """Blocks that are decoded in one go: bounds the memory."""
 
@@ -49,7 +51,7 @@ def _train_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
 
 
 LEXICON: Stage[Lexicon] = Stage(
-    "lexicon", settings=("lexicon",), needs=lambda config: (BLOCKS,), schedule="lexicon",
+    "lexicon", settings=("lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
     wanted=lambda config: config.tokens == "lexicon", part="lexicon", train=_train_lexicon,
     build=lambda run: models.lexicon(sizes(run.config, run.get(BLOCKS))))
 
@@ -115,7 +117,7 @@ def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
 
 
 CODEC: Stage[RacerCodec] = Stage(
-    "codec", settings=("racer", "cql.decisions"), needs=lambda config: (BLOCKS,), schedule="lexicon",
+    "codec", settings=("racer", "cql.decisions", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
     wanted=lambda config: config.tokens == "racer", part="lexicon", train=_train_codec,
     build=lambda run: models.codec(sizes(run.config, run.get(BLOCKS))))
 

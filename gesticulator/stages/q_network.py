@@ -76,7 +76,7 @@ def _episode_needs(config: Config) -> Sequence[Node[Any]]:
     return CORPUS, TOKENS, LABELS, REWARD, *((INTERPRETER,) if config.tokens == "lexicon" else ())
 
 
-EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "statistical"), needs=_episode_needs,
+EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "statistical", "silence.hint"), needs=_episode_needs,
                                 make=_make_episodes)
 """The offline data set of the training split, kept under the hash of all that shapes it (RACER 4.3)."""
 
@@ -140,6 +140,7 @@ def _online(learner: nn.Module) -> QNetwork:
 
 
 Q_NETWORK: Stage[QNetwork] = Stage(
-    "q_network", settings=("cql",), needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, EPISODES), schedule="cql",
+    "q_network", settings=("cql", "silence.hint"), schedule="cql",
+    needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, EPISODES),
     wanted=lambda config: config.schedules.cql.steps > 0, part="q_network", finish=_online, train=_train,
     build=lambda run: ConservativeQ(models.q_network(model_sizes(run))))

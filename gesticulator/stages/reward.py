@@ -163,7 +163,8 @@ def _reward_stage(name: str, judge: bool) -> Stage[RewardModel]:
     def train(run: Run, model: RewardModel, folder: Path) -> Figures:
         return _train(run, model, folder, REWARD_JUDGE if judge else REWARD, judge)
 
-    return Stage(name, settings=("reward",), needs=lambda config: (CORPUS, TOKENS, LABELS), schedule="reward",
+    return Stage(name, settings=("reward", "silence.hint"), needs=lambda config: (CORPUS, TOKENS, LABELS),
+                 schedule="reward",
                  wanted=lambda config: config.schedules.cql.steps > 0, part=name, train=train,
                  build=lambda run: models.reward(model_sizes(run)))
 

@@ -44,7 +44,8 @@ def _train(run: Run, model: StyleInterpreter, folder: Path, stage: Stage[StyleIn
 
 
 STYLE: Stage[StyleInterpreter] = Stage(
-    "style", settings=("style", "window"), needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR), schedule="style",
+    "style", settings=(lambda config: config.style.without_text(), "window"),
+    needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR), schedule="style",
     wanted=lambda config: config.tokens == "lexicon", part="style", build=lambda run: models.style(model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, STYLE, False))
 STYLE_TEXT: Stage[StyleInterpreter] = Stage(
