@@ -49,7 +49,7 @@ def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = No
     """
     sources = _sources(names)
     if not outputs:
-        raise InputError("output", "is not told", "name a file or a folder with -o")
+        raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
         _check_output(given, suffix, len(sources))
     if text is not None:

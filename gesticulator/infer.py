@@ -113,7 +113,7 @@ def _went_well(step: Callable[[], None], alone: bool) -> bool:
 
 def _plan(asked: argparse.Namespace) -> list[Job]:
     if not asked.speech:
-        raise InputError("speech", "is not told", f"name a sound file; see {PROGRAM} infer --help")
+        raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
     outputs = {suffix: getattr(asked, name) for name, suffix in _OUTPUTS.items() if getattr(asked, name) is not None}
     return plan(asked.speech, outputs, asked.text)
 

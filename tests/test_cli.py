@@ -122,7 +122,7 @@ def test_a_recording_without_a_verb_is_inferred_whatever_its_name(tmp_path: Path
     assert "talk: is not sound" in stopped(["talk", "-o", "o.bvh"], capfd), "a file without an ending is no verb"
     # A file that is called like a verb: the verb is meant, and ./infer is the file.
     (tmp_path / "infer").write_bytes(b"no sound")
-    assert "speech: is not told" in stopped(["infer"], capfd)
+    assert "speech: is missing" in stopped(["infer"], capfd)
     assert "infer: is not sound" in stopped(["./infer", "-o", "o.bvh"], capfd)
 
 
