@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from gesticulator import __version__, cli
@@ -177,6 +182,29 @@ def test_the_ends_of_a_range_belong_to_it() -> None:
         for beyond in (numbers.low - 1, numbers.high + max(1, 1e-9 * numbers.high)):
             with pytest.raises(InputError):
                 numbers.check(name, beyond)
+
+
+ODD = ["", " ", "-", "--", ".", "..", "/", "a/", "*", "[", "**/x.wav", "no.wav", "x.bvh", "x.html", "é", "\udce9", "\n",
+       "a" * 300, "a" * 5000, "nan", "-1", "1e999", "9" * 5000, "infer", "low", "NUL", "~", "%s", "{0}", "@file",
+       "--seed=x"]
+FLAGS = ["-o", "--preview", "--explain", "--text", "--gain", "--any-length", "--speaker", "--hand-height", "--activity",
+         "--interpreter", "--temperature", "--seed", "--fps", "--bundle", "--threads", "--quiet", "--nothing"]
+
+
+@given(st.lists(st.sampled_from(ODD + FLAGS), max_size=8))
+@settings(max_examples=300)
+def test_whatever_is_typed_ends_in_lines_and_code_2(words: list[str]) -> None:
+    out, error = io.StringIO(), io.StringIO()
+    with tempfile.TemporaryDirectory() as empty, contextlib.chdir(empty), contextlib.redirect_stdout(out), \
+            contextlib.redirect_stderr(error):
+        try:
+            code = cli.main(["infer", *words])
+        except SystemExit as stop:
+            code = stop.code
+        assert list(Path(empty).iterdir()) == []
+    # A line for each recording that cannot be done, and one that sums up.
+    assert code == 2 and 1 <= error.getvalue().count("\n") <= len(words) + 2
+    assert all(line.startswith("gesticulator: ") for line in error.getvalue().splitlines())
 
 
 # --------------------------------------------------------------------------------------------------- printing
