@@ -6,13 +6,13 @@
     beat_strips        motion beats beside onsets                       RG Fig. 16
     size_sweep         metrics against the size of the lexicon          RG Fig. 18
     overview           a few seconds of speech, blocks and motion       RG Fig. 2
-    differences        every claim of `eval.claims` with its interval
+    differences        every claim of `eval.rows.claims` with its interval
 
 Each takes numbers and gives a figure; nothing is computed here that is not said, so a picture holds what its numbers
 hold. The same input gives the same bytes (`save`). Colours are of the palette of Okabe and Ito (2008), which people
 with any colour vision tell apart, and no meaning hangs on colour alone: lines have markers, verdicts have shapes,
 lexemes, of which there are too many for any palette, have numbers. The other figures of the papers are drawn by
-`data_module.intervals` (5, 8a), `eval.draw.lexicon_map` (6, 8b), `eval.draw.strips` (9) and `eval.style_editing` (10).
+`data_module.intervals` (5, 8a), `lexicon_map` (6, 8b), `strips` (9) and `eval.probes.style_editing` (10).
 """
 
 from __future__ import annotations
