@@ -74,7 +74,8 @@ def quality(context: EvalContext) -> list[Table]:
     bigram = Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size)
     seconds = sum(one.speech.duration for one in recordings)
     lexicon = lexicon_table(context, recordings, take)
-    interpreters = {"lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}
+    interpreters: dict[str, LexemeInterpreter] = {
+        "lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}
     return [replace(lexicon, facts={**lexicon.facts, **context.described(), "seconds": seconds}),
             accuracy_table(context, interpreters), rhythm_table(clips), hands_table(clips)]
 
