@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 from data_module.errors import InputError, one_line_errors
 from eval.commands import VERBS
+from gesticulator.cli import usage
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Hand the arguments to the verb that is named first; exit code 2 for none or an unknown one."""
     given = list(sys.argv[1:] if argv is None else argv)
     if given[:1] in (["-h"], ["--help"]):
-        print("usage: python -m eval VERB ...\n\n" + "\n".join(
-            f"  {name:<8} {command.summary}" for name, command in VERBS.items()))
+        print(usage(VERBS, "python -m eval"), end="")
         return 0
     with one_line_errors("python -m eval"):
         if not given or given[0] not in VERBS:

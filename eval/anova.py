@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from data_module.errors import InputError
+from data_module.files import read_text
 from data_module.types import Array
 from eval.stats import Interval, crossed_means
 from eval.table import Cell, Column, Table
@@ -96,7 +97,7 @@ def read_answers(paths: Sequence[Path], key: Key) -> list[Answer]:
 def _rows(path: Path) -> list[dict[str, Any]]:
     if path.suffix.lower() == ".csv":
         try:
-            rows = list(csv.DictReader(io.StringIO(_text(path))))
+            rows = list(csv.DictReader(io.StringIO(read_text(path, "give the file that was saved"))))
         except csv.Error as error:
             raise InputError(path, f"is not a table ({error})", "give the file that was saved") from None
         if rows and not set(COLUMNS) <= set(rows[0]):
@@ -129,16 +130,9 @@ def _answer(row: dict[str, Any], key: Key, path: Path) -> Answer:
     return Answer(rater, row["item"], row["aspect"], int(rating), str(path))
 
 
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(path, "is not text", "give the file that was saved") from None
-
-
 def _json(path: Path) -> Any:
     try:
-        return json.loads(_text(path))
+        return json.loads(read_text(path, "give the file that was saved"))
     except json.JSONDecodeError as error:
         raise InputError(path, f"is not JSON (line {error.lineno})", "give the file that was saved") from None
 

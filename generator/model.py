@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
-from generator import losses
-from generator.losses import Encoder
 from generator.position import positional_block
 from generator.settings import GeneratorConfig
+
+if TYPE_CHECKING:
+    from generator.losses import Encoder
 
 State = tuple[Tensor, Tensor]
 """Hidden and cell state of the decoder, [layers, B, width] each."""
@@ -174,6 +176,8 @@ class Generator(nn.Module):
         numbers (0 for inserted silence), mask [B, D_m] present joints, valid [B, N + 1] (0 where a short recording was
         filled up), control [B, N + 1, K, 2 F] where it is heard. encoder: the lexicon's frozen E.
         """
+        from generator import losses  # only training asks for them
+
         if self.styles is None:
             raise ValueError("a generator without style codes cannot be trained")
         motion, audio, lexemes = batch["motion"], batch["audio"][:, 1:], batch["lexeme"][:, 1:]
@@ -204,6 +208,8 @@ class Generator(nn.Module):
     def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,
                      encoder: Encoder, control: Tensor | None) -> Tensor:
         """RG Eq. 12 and 13: past, audio, style (and control) of random blocks j of the batch, lexemes of blocks i."""
+        from generator.losses import lexeme as lexeme_loss
+
         past, heard = motion[:, :-1].flatten(0, 1), audio.flatten(0, 1)
         wanted, styles = lexemes.flatten(0, 1), style.flatten(0, 1)
         count = max(1, round(len(past) * self.config.swap_share))
@@ -215,5 +221,5 @@ class Generator(nn.Module):
             asked = None if control is None else control.flatten(0, 1)[j]
             made, _, _ = self.step(past[j], self.encode_audio(heard[j]), wanted[i], styles[j], state, temperature,
                                    asked)
-            total = total + losses.lexeme(made, wanted[i], encoder)
+            total = total + lexeme_loss(made, wanted[i], encoder)
         return total / max(self.config.swaps, 1)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -33,9 +33,9 @@ from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER
 from data_module.speech.features import Normaliser
-from gesticulator import __version__, models
+from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
-from gesticulator.models import Sizes
+from gesticulator.models import BUILDERS, Sizes, codebook_shape, shapes
 from gesticulator.statistics import Statistics, representation_of
 from interpreters import INTERPRETERS
 
@@ -124,6 +124,10 @@ class Bundle:
     figures: dict[str, Any]
     text: TextSource | None = None
 
+    def _part(self, name: str) -> nn.Module | None:
+        """A part, opened; not `Mapping.get`, to which a KeyError on the way would look like absence."""
+        return self.parts[name] if name in self.parts else None  # noqa: SIM401
+
     # The parts, by attribute: those that every bundle of blocks has, and those that may be absent.
     @property
     def lexicon(self) -> Lexicon | RacerCodec:
@@ -133,52 +137,52 @@ class Bundle:
     @property
     def generator(self) -> Generator | None:
         """What draws blocks at the beat; None in a bundle of RACER's own."""
-        return cast("Generator | None", self.parts.get("generator"))
+        return cast("Generator | None", self._part("generator"))
 
     @property
     def interpreter(self) -> LstmInterpreter | None:
         """The lexeme interpreter that hears alone."""
-        return cast("LstmInterpreter | None", self.parts.get("interpreter"))
+        return cast("LstmInterpreter | None", self._part("interpreter"))
 
     @property
     def interpreter_text(self) -> LstmInterpreter | None:
         """The lexeme interpreter that reads the words too."""
-        return cast("LstmInterpreter | None", self.parts.get("interpreter_text"))
+        return cast("LstmInterpreter | None", self._part("interpreter_text"))
 
     @property
     def style(self) -> StyleInterpreter | None:
         """The style interpreter that hears alone."""
-        return cast("StyleInterpreter | None", self.parts.get("style"))
+        return cast("StyleInterpreter | None", self._part("style"))
 
     @property
     def style_text(self) -> StyleInterpreter | None:
         """The style interpreter that reads the words too."""
-        return cast("StyleInterpreter | None", self.parts.get("style_text"))
+        return cast("StyleInterpreter | None", self._part("style_text"))
 
     @property
     def encoder(self) -> SpeechEncoder | None:
         """The speech levels."""
-        return cast("SpeechEncoder | None", self.parts.get("encoder"))
+        return cast("SpeechEncoder | None", self._part("encoder"))
 
     @property
     def gate(self) -> ActivityGate | None:
         """Whether to gesture at all."""
-        return cast("ActivityGate | None", self.parts.get("gate"))
+        return cast("ActivityGate | None", self._part("gate"))
 
     @property
     def q_network(self) -> QNetwork | None:
         """RACER's Q-network."""
-        return cast("QNetwork | None", self.parts.get("q_network"))
+        return cast("QNetwork | None", self._part("q_network"))
 
     @property
     def reward(self) -> RewardModel | None:
         """The reward model that taught the Q-network."""
-        return cast("RewardModel | None", self.parts.get("reward"))
+        return cast("RewardModel | None", self._part("reward"))
 
     @property
     def reward_judge(self) -> RewardModel | None:
         """The reward model that judges it."""
-        return cast("RewardModel | None", self.parts.get("reward_judge"))
+        return cast("RewardModel | None", self._part("reward_judge"))
 
     def with_parts(self, **changes: nn.Module | None) -> Bundle:
         """A copy with other parts; None takes one out. A part that is not opened yet stays so."""
@@ -467,6 +471,35 @@ class Weights:
     def __contains__(self, name: str) -> bool:
         return f"{name}{_ENDING}" in self.listed
 
+    def tensor(self, name: str, key: str, shape: tuple[int, ...]) -> Tensor:
+        """One tensor of a file, which must have this shape, in single precision."""
+        file = self._listed(name)
+        digest = hashlib.sha256()
+        with file.open("rb") as stream:
+            while part := stream.read(_HEADER):
+                digest.update(part)
+        self._check_hash(file, digest.hexdigest())
+        try:
+            with safe_open(file, framework="pt") as opened:
+                found = tuple(opened.get_slice(key).get_shape()) if key in opened.keys() else ()  # noqa: SIM118
+                if found != shape:
+                    raise InputError(file, f"does not fit the settings ({_difference({key: found}, {key: shape})})",
+                                     "train it again")
+                return _finite(file, {key: opened.get_tensor(key)})[key]
+        except _BROKEN as error:
+            raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
+
+    def _listed(self, name: str) -> Path:
+        file = self.folder / f"{name}{_ENDING}"
+        if file.name not in self.listed:
+            raise InputError(file, "is missing from the bundle", "copy the bundle again")
+        return file
+
+    def _check_hash(self, file: Path, found: str) -> None:
+        if found != self.listed[file.name]:
+            raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
+                             "copy the bundle again")
+
     def read(self, name: str, shapes: Mapping[str, tuple[int, ...]] | None, tied: str | None = None
              ) -> dict[str, Tensor]:
         """The tensors of a file in single precision.
@@ -474,16 +507,12 @@ class Weights:
         shapes: what they must be; None for a file whose shapes are checked by its reader. tied: the hash of the
         codebook that the file must have been trained over.
         """
-        file = self.folder / f"{name}{_ENDING}"
-        if file.name not in self.listed:
-            raise InputError(file, "is missing from the bundle", "copy the bundle again")
+        file = self._listed(name)
         largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * _size(s) for s in shapes.values())
         if file.stat().st_size > largest:
             raise InputError(file, "is larger than the settings say", "train it again")
         data = file.read_bytes()
-        if hashlib.sha256(data).hexdigest() != self.listed[file.name]:
-            raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
-                             "copy the bundle again")
+        self._check_hash(file, hashlib.sha256(data).hexdigest())
         header = _header(file, data)
         if shapes is not None and _shapes_of(header) != dict(shapes):
             raise InputError(file, f"does not fit the settings ({_difference(_shapes_of(header), shapes)})",
@@ -492,13 +521,21 @@ class Weights:
             raise InputError(file, "was trained over another lexicon than the bundle's",
                              "train the Q-network again (gesticulator train --redo q_network)")
         try:
-            tensors = load_tensors(data)
-        except (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError) as error:
+            return _finite(file, load_tensors(data))
+        except _BROKEN as error:
             raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
-        broken = next((key for key, value in tensors.items() if not bool(torch.isfinite(value).all())), None)
-        if broken is not None:
-            raise InputError(file, f"holds values that are no numbers ({broken})", "train it again")
-        return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
+
+
+_BROKEN = (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError)
+"""What reading a file of tensors may end in."""
+
+
+def _finite(file: Path, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors in single precision; InputError where one holds NaN or infinity."""
+    broken = next((key for key, value in tensors.items() if not bool(torch.isfinite(value).all())), None)
+    if broken is not None:
+        raise InputError(file, f"holds values that are no numbers ({broken})", "train it again")
+    return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
 
 
 def _header(file: Path, data: bytes) -> dict[str, Any]:
@@ -540,8 +577,8 @@ class StoredParts(Mapping[str, nn.Module]):
             if FILES.get(name, "") not in self._weights:
                 raise KeyError(name)
             tied = lexicon_hash(self._sizes.lexemes) if name == "q_network" else None
-            tensors = self._weights.read(FILES[name], models.shapes(name, self._sizes), tied)
-            model = models.BUILDERS[name](self._sizes)
+            tensors = self._weights.read(FILES[name], shapes(name, self._sizes), tied)
+            model = BUILDERS[name](self._sizes)
             model.load_state_dict(tensors)
             self._opened[name] = freeze(model)
         return self._opened[name]
@@ -579,7 +616,7 @@ def load(path: str | Path) -> Bundle:
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
-    vectors = weights.read(FILES["lexicon"], models.shapes("lexicon", sizes))["quantizer.vectors"]
+    vectors = weights.tensor(FILES["lexicon"], "quantizer.vectors", codebook_shape(config))
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")
@@ -602,8 +639,7 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
     from lexicon.inventory import Inventory
 
     tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
-    motion, count = representation_of(config).width, len(speakers)
-    size = config.racer.size if config.tokens == "racer" else config.lexicon.size
+    motion, count, size = representation_of(config).width, len(speakers), codebook_shape(config)[0]
     wanted = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
               "bounds": (2, motion), "frequencies": (count, size), "transitions": (size, size),
               "rest_distances": (count, size)}

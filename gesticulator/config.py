@@ -214,6 +214,8 @@ class Config:
 
     def __post_init__(self) -> None:
         check(self)
+        if not self.lexicon.widths:
+            raise InputError("lexicon.widths", "is empty", "give the channels of one convolution at least")
         if self.tokens == "racer" and (self.rhythm.beats.rule != "even" or self.rhythm.frames != FRAMES):
             raise InputError("tokens=racer", "needs blocks of eight frames at a fixed rate",
                              "start from --preset racer-native, racer-trinity or racer-chinese")

@@ -169,6 +169,13 @@ BUILDERS: dict[str, Callable[[Sizes], nn.Module]] = {
 """Part of a bundle -> what builds it. `reward_judge` is a second reward model: it judges what the first one taught."""
 
 
+def codebook_shape(config: Config) -> tuple[int, int]:
+    """(S, D_s) of the codebook under these settings."""
+    if config.tokens == "racer":
+        return config.racer.size, config.racer.width
+    return config.lexicon.size, config.lexicon.code_width
+
+
 def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
     """The shape of every tensor of a part, found without taking memory for one; InputError where the settings do not
     go together."""

@@ -11,7 +11,6 @@ from torch.nn import functional
 from data_module.layers import BlockLinear, repeat_frames
 from interpreters.base import BlockFeatures, Scores
 from interpreters.settings import LstmConfig
-from interpreters.text_head import TextHead
 
 Hidden = tuple[Tensor, Tensor]
 _NO_TEXT = "this interpreter reads text; take the audio-only one"
@@ -43,8 +42,12 @@ class LstmInterpreter(nn.Module):
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
         self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
                                        config.text_bottleneck) if config.text_features else None
-        self.text_head = TextHead(text_width, config.text_head, config.text_bottleneck or text_width, lexemes.shape[1],
-                               speakers, len(lexemes), config.text_head_dropout) if config.text_head else None
+        self.text_head = None
+        if config.text_head:
+            from interpreters.text_head import TextHead
+
+            self.text_head = TextHead(text_width, config.text_head, config.text_bottleneck or text_width,
+                                      lexemes.shape[1], speakers, len(lexemes), config.text_head_dropout)
         self.held = False
         """All but the text head is held as it is."""
         self.control_width = control_width if config.use_control else 0

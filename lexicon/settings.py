@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from data_module.errors import InputError
 from data_module.settings import Choice, NotNegative, Share, Width, Widths
 
 HALVINGS = 3
@@ -44,10 +43,6 @@ class LexiconConfig:
     """Weight of the L1 error of accelerations; off in the paper."""
     warm_up: Share = 0.3
     """Share of the training run as a plain autoencoder, before k-means starts the codebook."""
-
-    def __post_init__(self) -> None:
-        if not self.widths:
-            raise InputError("lexicon.widths", "is empty", "give the channels of one convolution at least")
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from untrained import PLAIN, untrained
+from untrained import with_policies
 
 from data_module.errors import InputError
 from data_module.layers import freeze
@@ -27,9 +27,6 @@ from eval.rows.row import DECISIONS, VALUES
 from eval.stats import Interval
 from eval.table import Marked
 from gesticulator import bundle as bundles
-from gesticulator.stages.corpus import prepare
-from gesticulator.stages.reward import block_audio
-from interpreters.cql import QConfig, QNetwork
 from interpreters.episodes import Take
 from interpreters.reward import RewardConfig, RewardModel, RewardTable
 
@@ -272,20 +269,8 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def bundle(tiny_store: Path, work: Path) -> bundles.Bundle:
-    """A bundle of the store's performers that nobody trained, reward models and Q-network included."""
-    own = untrained(*PLAIN, "selection.temperature=0.7")
-    corpus = prepare(Store.open(tiny_store), own.config, work, progress=False)
-    names, frames, audio = corpus.statistics.speakers, own.config.rhythm.frames, block_audio(corpus).shape[-1]
-    table = next(iter(own.inventory.frequencies.values()))
-    reward, judge = (RewardModel(RewardConfig(width=16, projection=8), frames, corpus.motion.shape[-1], audio)
-                     for _ in range(2))
-    network = QNetwork(QConfig(width=16, heads=2, layers=1, audio_features=4, audio_bottleneck=4), frames,
-                       corpus.high.shape[-1], len(own.vectors), len(names), own.silent.tolist())
-    for module in (reward, judge, network):
-        freeze(module)
-    inventory = dataclasses.replace(own.inventory, frequencies=dict.fromkeys(names, table))
-    return dataclasses.replace(own, statistics=corpus.statistics, inventory=inventory).with_parts(
-        q_network=network, reward=reward, reward_judge=judge)
+    """Nobody trained it."""
+    return with_policies(Store.open(tiny_store), work)
 
 
 def test_the_tables_of_a_bundle_with_random_networks(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> None:

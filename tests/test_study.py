@@ -32,7 +32,7 @@ NAMES = ("zebrafish", "quokka", "marmoset")
 RATE = 16000
 
 
-def command(arguments: list[str]) -> int:
+def ask(arguments: list[str]) -> int:
     return STUDY.main("gesticulator study", arguments)
 
 
@@ -60,7 +60,7 @@ def systems(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def made(systems: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a study of 4 clips of 2 s."""
     out = tmp_path_factory.mktemp("study")
-    assert command(["make", "--out", str(out), "--clips", "4", "--seconds", "2", "--raters", "24", "--systems",
+    assert ask(["make", "--out", str(out), "--clips", "4", "--seconds", "2", "--raters", "24", "--systems",
                        *(f"{name}={folder}" for name, folder in systems.items())]) == 0
     return out
 
@@ -286,8 +286,8 @@ def _files(made: Path, folder: Path, raters: int = 4) -> list[Path]:
 
 def test_analyse_command_writes_tables(made: Path, tmp_path: Path, capsys: Any) -> None:
     files = [str(file) for file in _files(made, tmp_path)]
-    out, ask = tmp_path / "figures" / "study.json", ["analyse", "--key", str(made / "key.json")]
-    assert command([*ask, "--out", str(out), *files]) == 0
+    out, analyse = tmp_path / "figures" / "study.json", ["analyse", "--key", str(made / "key.json")]
+    assert ask([*analyse, "--out", str(out), *files]) == 0
     systems, pairs, *_ = load(out)
     assert systems.title == "human likeness" and systems.facts["raters"] == 4 and systems.facts["notes"] == []
     quokka: Any = systems.rows["quokka"]
@@ -297,7 +297,7 @@ def test_analyse_command_writes_tables(made: Path, tmp_path: Path, capsys: Any) 
     assert "p < 0.0001 ***" in systems.notes[-1]
     assert ["**" in str(row["p"]) for row in pairs.rows.values()] == [True, False, True]
     capsys.readouterr()
-    assert command([*ask, "--without", "2", "--", *files]) == 0
+    assert ask([*analyse, "--without", "2", "--", *files]) == 0
     assert "3 raters" in capsys.readouterr().out
 
 
@@ -323,7 +323,7 @@ def _bad(folder: Path, told: Any) -> Path:
 def test_bad_ratings_are_one_line_and_exit_2(made: Path, tmp_path: Path, capsys: Any, change: Any, says: str) -> None:
     told = json.loads(_files(made, tmp_path, raters=1)[0].read_text())
     with pytest.raises(SystemExit) as left:
-        command(["analyse", "--key", str(made / "key.json"), str(_bad(tmp_path, change(told)))])
+        ask(["analyse", "--key", str(made / "key.json"), str(_bad(tmp_path, change(told)))])
     line = capsys.readouterr().err
     assert left.value.code == 2 and line.count("\n") == 1 and says in line
 
@@ -350,7 +350,7 @@ def test_other_bad_input_is_one_line_and_exit_2(made: Path, systems: dict[str, P
         ([*analyse, str(made / "key.json"), rated, "--without", "9"], "rater 9"),
     ]:
         with pytest.raises(SystemExit) as left:
-            command(command)
+            ask(command)
         line = capsys.readouterr().err
         assert left.value.code == 2 and line.count("\n") == 1 and says in line, line
     assert not (tmp_path / "out").exists()
@@ -366,7 +366,7 @@ def films(systems: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) ->
     out = {}
     for kind in ("mp4", "webm"):
         out[kind] = tmp_path_factory.mktemp(f"films{kind}")
-        assert command(["make", "--out", str(out[kind]), "--clips", "2", "--seconds", "1", "--raters", "12",
+        assert ask(["make", "--out", str(out[kind]), "--clips", "2", "--seconds", "1", "--raters", "12",
                            "--videos", kind, "--systems",
                            *(f"{name}={folder}" for name, folder in systems.items())]) == 0
     return out
