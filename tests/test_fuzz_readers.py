@@ -157,7 +157,8 @@ def _skeleton_text() -> str:
     inner = ""
     for n, name in enumerate(joints[1:], 1):
         x = 0.1 * n * (name.endswith("Lf") - name.endswith("Rt"))
-        inner += f"joint {name}\n{{ offset {x:g} {0.0 if x else 0.2 * n:g} 0.0\nprerot axis 0 1 0 ang {n}\nchannel Quat\n}}\n"
+        y = 0.0 if x else 0.2 * n
+        inner += f"joint {name}\n{{ offset {x:g} {y:g} 0.0\nprerot axis 0 1 0 ang {n}\nchannel Quat\n}}\n"
     return f"# SK\nskeleton\nroot {joints[0]}\n{{ offset 0 1 0\nprerot axis 1 0 0 ang 5\nchannel Quat\n{inner}}}\nend\n"
 
 
