@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from data_module.corpora import Options
+from data_module.corpora.base import Options
 from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
 from data_module.motion import skeletons, smartbody

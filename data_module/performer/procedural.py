@@ -92,7 +92,7 @@ def _clip(paths: dict[int, Array], frames: int) -> Array:
     return rotation.continuous(kinematics.local_rotations(CHARACTER, world))
 
 
-def make() -> StrokeSet:
+def procedural_strokes() -> StrokeSet:
     """A performer, "puppet", with three sizes of nine strokes and their mirror images; the third of each is held out.
 
     Lexemes: BeatLow, BeatMid, BeatHigh, You, Me, Left, Right, Negate, All.

@@ -395,10 +395,3 @@ def _measure(figure: Figure, row: Mapping[str, str], rotations: Array, fps: floa
     return Stroke(stem, stem, row["speaker"], row["posture"], row["lexeme"], hand, fps, logs,
                   logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
                   steady=stem in _NOT_FASTER)
-
-
-def procedural_strokes() -> StrokeSet:
-    """A small set by formula on the 16-joint character: one performer, "puppet", in need of no recording."""
-    from data_module.performer import procedural  # It builds on the nouns of this file.
-
-    return procedural.make()
