@@ -67,7 +67,7 @@ from gesticulator.stages.q_network import features_of, new_q_network, q_batch, t
 from gesticulator.stages.reward import reward_table, taught_reward
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
-from interpreters.episodes import Episodes, SilentLexemes, Take, build, distance_rewards
+from interpreters.episodes import Acting, Episodes, SilentLexemes, Take, build, distance_rewards
 from interpreters.reward import Centred, RewardTable
 from interpreters.simulator import Choose, Replay, Simulator, collect
 from lexicon.inventory import nearest_silent
@@ -250,8 +250,8 @@ def acted(bench: Bench, config: Config) -> Episodes:
     if not file.exists():
         lexicon, lstm = bench.bundle.block_models.lexicon, bench.bundle.block_models.interpreter
         build(bench.takes, told, bench.taught(config).sequence, silent=bench.silent, vectors=lexicon.vectors.numpy(),
-              interpreters={"sampled": lstm, "statistical": bench.bundle.statistical()},
-              features=features_of(bench.corpus), seed=config.seed).save(file)
+              acting=Acting({"sampled": lstm, "statistical": bench.bundle.statistical()}, features_of(bench.corpus)),
+              seed=config.seed).save(file)
     return Episodes.load(file)
 
 

@@ -54,8 +54,8 @@ def test_every_stage_learned(work: Path) -> None:
     # The generator is fed the truth at first and its own past later, so its training loss rises; what it does on
     # unseen speech, always with its own past, must get better.
     for stage, term in (("speech", "predictive"), ("contrast", "contrast"), ("lexicon", "reconstruction"),
-                        ("generator", "val_reconstruction"), ("interpreter", "cross_entropy"),
-                        ("interpreter_text", "cross_entropy"), ("style", "code"), ("style_text", "code"),
+                        ("generator", "val_reconstruction"), ("interpreter", "nll"),
+                        ("interpreter_text", "nll"), ("style", "code"), ("style_text", "code"),
                         ("gate", "activity"), ("reward", "contrast"), ("reward_judge", "contrast"),
                         ("q_network", "conservative")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
