@@ -16,8 +16,6 @@ from data_module.errors import InputError
 
 STDIN = "-"
 """The name of standard input on the command line."""
-SOUNDS = (".wav", ".flac", ".ogg", ".oga", ".opus", ".mp3", ".aif", ".aiff", ".m4a", ".mp4", ".mov", ".webm", ".mkv")
-"""Endings of the files that a folder is searched for."""
 TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 """Endings of the files that a folder of transcripts is searched for, in this order."""
 
@@ -51,9 +49,7 @@ def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = No
     """
     sources = _sources(names)
     if not outputs:
-        raise InputError("output", "is not told", "name a file or a folder with -o")
-    if not sources:
-        raise InputError(", ".join(names), "holds no recording", f"give sound files ({', '.join(SOUNDS)})")
+        raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
         _check_output(given, suffix, len(sources))
     if text is not None:
@@ -84,6 +80,8 @@ def _is_folder(given: str) -> bool:
 
 def _sources(names: Sequence[str]) -> list[Path | None]:
     """Every recording that is named, once, in the order of the command; what a folder or a pattern holds is sorted."""
+    from data_module.speech.audio import SOUNDS
+
     found: dict[Path | None, Path | None] = {}
     for name in names:
         if name == STDIN:

@@ -10,7 +10,7 @@ import argparse
 import difflib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -106,19 +106,26 @@ def load(point: EntryPoint) -> Command:
     return command
 
 
-def usage() -> str:
-    """The verbs, one a line; what cannot be loaded is told on stderr and left out."""
+def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
+    """The verbs of a program, one a line."""
+    width = max(map(len, known), default=0)
+    lines = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
+    text = f"usage: {program} VERB ...      ({program} VERB --help tells of each)\n"
+    if DEFAULT in known:
+        text += f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n"
+        lines += f"\n\nA recording that is called like a verb is written with its folder: ./{DEFAULT}"
+    return f"{text}\n{lines}\n"
+
+
+def _usable(points: Mapping[str, EntryPoint]) -> dict[str, Command]:
+    """The commands that can be loaded; what is wrong with the others is told."""
     known = {}
-    for name, point in installed().items():
+    for name, point in points.items():
         try:
-            known[name] = load(point).summary
+            known[name] = load(point)
         except InputError as error:
             complain(f"{PROGRAM}: {error}")
-    width = max(map(len, known), default=0)
-    lines = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in known.items())
-    return (f"usage: {PROGRAM} VERB ...      ({PROGRAM} VERB --help tells of each)\n"
-            f"       {PROGRAM} SPEECH -o FILE  is short for  {PROGRAM} {DEFAULT} SPEECH -o FILE\n\n{lines}\n\n"
-            f"A recording that is called like a verb is written with its folder: ./{DEFAULT}\n")
+    return known
 
 
 def _check_is_no_verb(word: str, verbs: Sequence[str]) -> None:
@@ -141,7 +148,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     with one_line_errors(PROGRAM):
         if not arguments or arguments[0] in ("-h", "--help"):
-            print(usage(), end="", flush=True)
+            print(usage(_usable(installed())), end="", flush=True)
             return 0 if arguments else 2
         points = installed()
         verb, program = DEFAULT, PROGRAM

@@ -113,7 +113,7 @@ def _went_well(step: Callable[[], None], alone: bool) -> bool:
 
 def _plan(asked: argparse.Namespace) -> list[Job]:
     if not asked.speech:
-        raise InputError("speech", "is not told", f"name a sound file; see {PROGRAM} infer --help")
+        raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
     outputs = {suffix: getattr(asked, name) for name, suffix in _OUTPUTS.items() if getattr(asked, name) is not None}
     return plan(asked.speech, outputs, asked.text)
 
@@ -125,9 +125,10 @@ def _check(job: Job, asked: argparse.Namespace) -> None:
     if job.fault is not None:
         raise job.fault
     if job.source is not None:
-        check_file(job.source)
+        check_file(job.source, asked.any_length)
     elif sys.stdin is None or sys.stdin.isatty():
-        raise InputError("standard input", "is a terminal", f"pipe a recording into {PROGRAM}, or name a file")
+        raise InputError("standard input", "is closed" if sys.stdin is None else "is a terminal",
+                         f"pipe a recording into {PROGRAM}, or name a file")
 
 
 def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls | None:
@@ -158,10 +159,15 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
 
 
 def _load(job: Job, asked: argparse.Namespace) -> Speech:
-    from data_module.speech.audio import load_speech
+    """The recording as it is; a warning where little of it will be heard, even amplified as was asked."""
+    from data_module.speech.audio import level_note, load_speech
+    from gesticulator.inputs import amplified
 
-    assert job.source is not None
-    return load_speech(job.source)
+    speech = load_speech(job.source or sys.stdin.buffer, asked.any_length)
+    note = level_note(amplified(speech, asked.gain))
+    if note is not None:
+        complain(f"{PROGRAM}: warning: {job.name}: {note}")
+    return speech
 
 
 def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,8 @@ from data_module.types import Samples, Speech
 if TYPE_CHECKING:
     from data_module.text.transcript import Transcript
 
-Recording: TypeAlias = "Speech | str | os.PathLike[str] | NDArray[Any]"
-"""A recording: a `Speech`, the path of a sound file, or samples [n] or [n, channels]."""
+Recording: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any]"
+"""A recording: a `Speech`, a sound file by its path or as a binary stream, or samples [n] or [n, channels]."""
 Text: TypeAlias = "str | os.PathLike[str]"
 """What is said: a `str` is the words themselves, a path (`pathlib.Path`) names a transcript's file."""
 
@@ -38,10 +38,10 @@ def as_speech(given: Recording, sample_rate: float | None = None) -> Speech:
     Samples are [n] or [n, channels], which are averaged; floating-point ones lie in [-1, 1], whole numbers are divided
     by their type's full scale. `InputError` for anything else, and for less than `SHORTEST` seconds of samples.
     """
-    if isinstance(given, Speech | str | os.PathLike):
+    if isinstance(given, Speech | str | os.PathLike) or hasattr(given, "read"):
         if sample_rate is not None:
             raise InputError("sample_rate", "is given beside a recording that knows its own", "leave it out")
-        return given if isinstance(given, Speech) else load_speech(given)
+        return given if isinstance(given, Speech) else load_speech(cast("str | BinaryIO", given))
     if sample_rate is None:
         raise InputError("sample_rate", "is lacking", "give it with the samples: g(samples, 16000)")
     if not LOWEST_RATE <= sample_rate <= HIGHEST_RATE or sample_rate != round(sample_rate):

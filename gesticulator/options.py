@@ -60,8 +60,8 @@ RANGES = {
     "temperature": Range(0, 1000, "0 (always the likeliest lexeme) to 1000"),
     "activity": Range(0, 1, "0 (stillness) to 1 (never holds back)"),
     "fps": Range(1, 1000, "1 to 1000 frames per second"),
-    # 60 dB is a factor of 1000: a recording that needs more holds mostly the noise of its converter.
-    "gain": Range(-60, 60, "-60 to 60 decibels"),
+    # 64 dB bring the faintest speech that is listened for (-90 dBFS) to the usual level (-26 dBFS).
+    "gain": Range(-70, 70, "-70 to 70 decibels"),
     # Far above any machine's cores; beyond the system's limit on threads torch ends the process.
     "threads": Range(1, 256, "1 to 256 threads", whole=True),
 }
@@ -89,7 +89,7 @@ class InferenceOptions:
     fps: float = FPS
     """Frames per second of the motion, 1 to 1000."""
     gain: float = 0.0
-    """Decibels by which the recording is amplified first, -60 to 60; beyond full scale it is clipped."""
+    """Decibels by which the recording is amplified first, -70 to 70; beyond full scale it is clipped."""
     hand_height: HandControl = None
     """Height of the right hand over the hips, metres."""
     hand_speed: HandControl = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import subprocess
 import sys
@@ -80,6 +81,7 @@ def test_a_path_samples_and_a_speech_are_one(g: Gesticulator, tmp_path: Path) ->
     soundfile.write(tmp_path / "speech.wav", voice(), RATE, subtype="FLOAT")
     base = g(Speech(voice(), RATE))
     for made in (g(tmp_path / "speech.wav"), g(str(tmp_path / "speech.wav")), g(voice(), RATE),
+                 g(io.BytesIO((tmp_path / "speech.wav").read_bytes())),
                  g(voice().astype(np.float64), float(RATE)), g(np.stack([voice(), voice()], axis=1), RATE),
                  g(torch.as_tensor(voice()), RATE)):
         assert same(made, base)

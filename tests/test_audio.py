@@ -421,5 +421,5 @@ def test_a_recording_that_is_too_low_is_told_its_gain() -> None:
         note = level_note(Speech(loud * np.float32(10 ** (gain / 20)), 16000))
         assert note is not None
         # Loud frames are at -26 dBFS, the usual level, so the gain is what was lost.
-        assert f"at {-26 + gain} dBFS" in note and f"volume={-gain}dB" in note
+        assert f"at {-26 + gain} dBFS" in note and f"--gain {-gain}" in note
     assert "silence" in str(level_note(Speech(np.zeros(16000, np.float32), 16000)))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from data_module.errors import InputError
-from gesticulator.batch import SOUNDS, TRANSCRIPTS, plan
+from gesticulator.batch import TRANSCRIPTS, plan
 
 
 @pytest.fixture
@@ -129,7 +129,3 @@ def test_transcripts_are_found_by_name_in_order_of_what_they_tell(folder: Path) 
 def test_standard_input_has_a_name_of_its_own(folder: Path) -> None:
     (job,) = plan(["-", "-"], {".bvh": "out/"})
     assert job.source is None and job.targets == (Path("out/stdin.bvh"),) and job.name == "standard input"
-
-
-def test_endings_are_lower_case() -> None:
-    assert all(suffix == suffix.lower() and suffix.startswith(".") for suffix in SOUNDS)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from gesticulator import __version__, cli
@@ -122,7 +127,7 @@ def test_a_recording_without_a_verb_is_inferred_whatever_its_name(tmp_path: Path
     assert "talk: is not sound" in stopped(["talk", "-o", "o.bvh"], capfd), "a file without an ending is no verb"
     # A file that is called like a verb: the verb is meant, and ./infer is the file.
     (tmp_path / "infer").write_bytes(b"no sound")
-    assert "speech: is not told" in stopped(["infer"], capfd)
+    assert "speech: is missing" in stopped(["infer"], capfd)
     assert "infer: is not sound" in stopped(["./infer", "-o", "o.bvh"], capfd)
 
 
@@ -162,7 +167,7 @@ def test_abbreviations_are_refused(capfd: pytest.CaptureFixture[str]) -> None:
     ("seed", "-1"), ("seed", "1.5"), ("seed", "x"), ("seed", "9" * 5000), ("seed", "1_0"), ("temperature", "nan"),
     ("temperature", "inf"), ("temperature", "-0.1"), ("threads", "0"), ("threads", "1000000000"), ("threads", "-2"),
     ("fps", "nan"), ("fps", "inf"), ("fps", "0"), ("fps", "1e400"), ("activity", "nan"), ("activity", "1.01"),
-    ("gain", "inf"), ("gain", "61"), ("activity", ""),
+    ("gain", "inf"), ("gain", "71"), ("activity", ""),
 ])
 def test_numbers_out_of_range_are_refused_before_anything_is_read(name: str, text: str,
                                                                  capfd: pytest.CaptureFixture[str]) -> None:
@@ -177,6 +182,29 @@ def test_the_ends_of_a_range_belong_to_it() -> None:
         for beyond in (numbers.low - 1, numbers.high + max(1, 1e-9 * numbers.high)):
             with pytest.raises(InputError):
                 numbers.check(name, beyond)
+
+
+ODD = ["", " ", "-", "--", ".", "..", "/", "a/", "*", "[", "**/x.wav", "no.wav", "x.bvh", "x.html", "é", "\udce9", "\n",
+       "a" * 300, "a" * 5000, "nan", "-1", "1e999", "9" * 5000, "infer", "low", "NUL", "~", "%s", "{0}", "@file",
+       "--seed=x"]
+FLAGS = ["-o", "--preview", "--explain", "--text", "--gain", "--any-length", "--speaker", "--hand-height", "--activity",
+         "--interpreter", "--temperature", "--seed", "--fps", "--bundle", "--threads", "--quiet", "--nothing"]
+
+
+@given(st.lists(st.sampled_from(ODD + FLAGS), max_size=8))
+@settings(max_examples=300)
+def test_whatever_is_typed_ends_in_lines_and_code_2(words: list[str]) -> None:
+    out, error = io.StringIO(), io.StringIO()
+    with tempfile.TemporaryDirectory() as empty, contextlib.chdir(empty), contextlib.redirect_stdout(out), \
+            contextlib.redirect_stderr(error):
+        try:
+            code = cli.main(["infer", *words])
+        except SystemExit as stop:
+            code = stop.code
+        assert list(Path(empty).iterdir()) == []
+    # A line for each recording that cannot be done, and one that sums up.
+    assert code == 2 and 1 <= error.getvalue().count("\n") <= len(words) + 2
+    assert all(line.startswith("gesticulator: ") for line in error.getvalue().splitlines())
 
 
 # --------------------------------------------------------------------------------------------------- printing

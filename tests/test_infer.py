@@ -18,6 +18,7 @@ from untrained import PLAIN, untrained
 
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
+from data_module.speech import audio
 from data_module.types import Speech
 from gesticulator import bundle as bundles
 from gesticulator import infer
@@ -269,6 +270,55 @@ def test_the_threads_of_the_environment_change_no_bit(recording: Path, tiny_bund
                        env={**os.environ, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads})
         made.append((target.read_bytes(), (tmp_path / "o.bvh").read_bytes()))
     assert made[0] == made[1] == made[2]
+
+
+def test_a_recording_from_standard_input(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    asked = ["--bundle", str(tiny_bundle), "--fps", "20"]
+    done = subprocess.run([sys.executable, "-m", "gesticulator", "-", "-o", f"{tmp_path}/", *asked], check=True,
+                          input=recording.read_bytes(), capture_output=True)
+    assert done.stdout.startswith(b"standard input: 8.0 s")
+    infer.main([str(recording), "-o", str(tmp_path / "file.bvh"), *asked, "--quiet"])
+    assert (tmp_path / "stdin.bvh").read_bytes() == (tmp_path / "file.bvh").read_bytes()
+
+
+@pytest.mark.parametrize("given", [b"", b"no sound at all", b"RIFF\xff\xff\xff\xffWAVE"])
+def test_what_is_no_sound_on_standard_input_is_one_line(given: bytes, tiny_bundle: Path, tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "gesticulator.infer", "-", "-o", str(tmp_path / "o.bvh"), "--bundle",
+                           str(tiny_bundle)], input=given, capture_output=True)
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"standard input" in done.stderr, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closes a descriptor in a shell")
+def test_standard_input_that_is_closed_is_one_line(tmp_path: Path) -> None:
+    done = subprocess.run(["sh", "-c", '"$0" -m gesticulator.infer - -o o.bvh <&-', sys.executable], cwd=tmp_path,
+                          capture_output=True)
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"standard input" in done.stderr, done.stderr
+
+
+def test_a_long_recording_is_asked_for_by_name(recording: Path, tiny_bundle: Path, tmp_path: Path,
+                                               capfd: pytest.CaptureFixture[str],
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(audio, "LONGEST", 5.0)
+    with pytest.raises(SystemExit) as stop:
+        run([str(recording), "-o", str(tmp_path / "o.bvh")], tiny_bundle)
+    assert stop.value.code == 2 and "--any-length" in capfd.readouterr().err
+    assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--any-length", "--quiet"], tiny_bundle) == 0
+
+
+def test_a_nearly_silent_recording_is_told_with_the_gain_that_helps(
+        recording: Path, tiny_bundle: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    samples, rate = soundfile.read(recording, dtype="float32")
+    soundfile.write(tmp_path / "faint.wav", samples * 10 ** (-46 / 20), rate, subtype="FLOAT")
+    asked = [str(tmp_path / "faint.wav"), "-o", str(tmp_path / "o.bvh"), "--quiet"]
+    assert run(asked, tiny_bundle) == 0
+    told = capfd.readouterr().err
+    assert told.count("\n") == 1 and told.startswith("gesticulator: warning: faint.wav: ")
+    gain = told.split("--gain ")[1].split(")")[0]
+    assert run([*asked, "--gain", gain], tiny_bundle) == 0
+    assert capfd.readouterr().err == "", "the gain that was named is enough"
+    assert run([str(recording), *asked[1:]], tiny_bundle) == 0
+    assert capfd.readouterr().err == "", "an ordinary recording needs none"
 
 
 def test_gain_is_heard_and_kept_in_the_explanation(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +15,11 @@ from data_module.errors import InputError
 from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.store import RecordingInfo, Store
 from data_module.types import Array
-from eval import audio_clusters, speech_levels
-from eval.probes import Judged, Spoken, Tokens, grouped, probe_frames, probe_words, same_word, tokens_of
+from eval.commands import PROBE
+from eval.linear_probes import Judged, Spoken, Tokens, grouped, probe_frames, probe_words, same_word, tokens_of
+from eval.metrics import audio_clusters
+from eval.probes import speech_levels
+from eval.table import load
 from gesticulator import config as configs
 from gesticulator import presets
 
@@ -138,11 +140,11 @@ def test_recordings_of_a_group_count_once_and_differences_are_paired() -> None:
     low = Judged(judged.values - 0.1, judged.weights)
     rows = {"level 8": dict.fromkeys(speech_levels.TASKS, judged), "level 2": dict.fromkeys(speech_levels.TASKS, low)}
     found = speech_levels.summary(rows, ["a", "a", "b", "c"])
-    assert found["table"]["level 8"]["pitch"]["mean"] == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)
+    assert found["table"]["level 8"]["pitch"].mean == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)
     by_task = {own["task"]: own for own in found["differences"]}
     assert by_task["new_words"]["more"] == "level 8" and by_task["pitch"]["more"] == "level 2"
     for task, sign in (("known_words", 1), ("energy", -1)):
-        assert [by_task[task]["difference"][end] for end in ("low", "high")] == pytest.approx([sign * 0.1] * 2)
+        assert [by_task[task]["difference"].low, by_task[task]["difference"].high] == pytest.approx([sign * 0.1] * 2)
 
 
 @pytest.mark.parametrize("hertz", [90.0, 210.0])
@@ -189,14 +191,14 @@ def test_association_finds_the_tie_and_no_other() -> None:
                                        recording // 2, draws=60, turns=40)
     assert found["same"]["entropy"] == 0
     assert found["same"]["by_chance"] == pytest.approx(np.log(6), abs=0.05)
-    assert abs(found["loose"]["gain"]["mean"]) < 0.02 and found["loose"]["p"] > 0.05
-    assert found["tied"]["gain"]["low"] > 0.4 and found["tied"]["p"] == pytest.approx(1 / 41)
-    assert found["gain_differences"]["tied - loose"]["low"] > 0.4
-    assert found["tied"]["gain"]["clips"] == 4
+    assert abs(found["loose"]["gain"].mean) < 0.02 and found["loose"]["p"] > 0.05
+    assert found["tied"]["gain"].low > 0.4 and found["tied"]["p"] == pytest.approx(1 / 41)
+    assert found["gain_differences"]["tied - loose"].low > 0.4
+    assert found["tied"]["gain"].n == 4
     assert found["lexeme_entropy"] == pytest.approx(np.log(6), abs=0.01)
     # who performs is no tie: lexemes and clusters that only differ between recordings gain nothing
     own = audio_clusters.association({"who": recording}, recording % 3, recording, recording, draws=10, turns=20)
-    assert own["who"]["entropy"] == 0 and own["who"]["gain"]["mean"] == pytest.approx(0)
+    assert own["who"]["entropy"] == 0 and own["who"]["gain"].mean == pytest.approx(0)
 
 
 def test_turning_keeps_each_recordings_lexemes_in_their_order() -> None:
@@ -229,7 +231,7 @@ def test_figure_14_leaves_silence_out_and_sees_which_level_is_tied() -> None:
         rows.append(replace(own, features={"a": own.features["noise"], "b": tied.astype(np.float16)}))
     found = speech_levels.figure_14(rows, labels, "a", "b", clusters=12)["performer"]
     assert found["blocks"] == sum(int((~own.silent).sum()) for own in TEST)
-    assert found["gain_differences"]["high, b - low, a"]["low"] > 0.5
+    assert found["gain_differences"]["high, b - low, a"].low > 0.5
     assert found["lexeme_entropy"] == pytest.approx(np.log(6), abs=0.05)  # and not the seventh, of silence
 
 
@@ -282,22 +284,25 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     assert torch.equal(fresh.convolutions[3].weight, again.convolutions[3].weight)
 
 
-def test_the_command_measures_a_bundle(tiny_store: Path, tiny_bundle: Path, tmp_path: Path,
-                                       capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_measures_a_bundle(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     out = tmp_path / "figures" / "levels.json"
-    asked = ["--bundle", str(tiny_bundle), "--data", str(tiny_store), "--train", "2"]
-    assert speech_levels.main([*asked, "--limit", "1", "--out", str(out)]) == 0
-    found = json.loads(out.read_text())
+
+    def ask(*more: str) -> int:
+        return PROBE.main("gesticulator probe", [
+            "speech-levels", "--bundle", str(tiny_bundle), "--data", str(tiny_store), "--train", "2", *more])
+
+    assert ask("--limit", "1", "--out", str(out)) == 0
+    probes, differences, *figure_14 = load(out)
     rows = [f"{kind}level {level}" for kind in ("", "untrained ") for level in range(1, 9)] + ["mel"]
-    assert sorted(found["table"]) == sorted(rows)
-    assert found["table"]["mel"]["energy"]["mean"] > 0.99  # one of its columns
-    assert set(found["figure_14"]) == {"performer", "generated"}
-    printed = capsys.readouterr().out
-    assert out.with_suffix(".md").read_text() in printed + "\n"
-    assert "| level 8 |" in printed
+    assert sorted(probes.rows) == sorted(rows)
+    assert probes.rows["mel"]["energy"].mean > 0.99, "one of its columns"  # type: ignore[union-attr]
+    assert len(figure_14) == 2 and "performer" in figure_14[0].title and "generated" in figure_14[1].title
+    gain = next(row["gain"] for name, row in figure_14[1].rows.items() if name.endswith(", gain"))
+    assert probes.facts["claim"] == [gain.to_dict()]  # type: ignore[union-attr]
+    assert len(differences.rows) >= 4
     for wrong in (["--train", "0"], ["--limit", "0"]):
         with pytest.raises(SystemExit) as left:
-            speech_levels.main([*asked, *wrong])
+            ask(*wrong)
         assert left.value.code == 2
 
 

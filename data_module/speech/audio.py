@@ -111,8 +111,7 @@ def level_note(speech: Speech) -> str | None:
     if level >= LOW_LEVEL:
         return None
     gain = round(TYPICAL_LEVEL - level)
-    return (f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB "
-            f"(ffmpeg -i IN -af volume={gain}dB OUT)")
+    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
 
 def resample(speech: Speech, sample_rate: int) -> Speech:
