@@ -113,7 +113,7 @@ class QNetwork(nn.Module):
     def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
         """Q(s_i, .) [B, M, S] for each of M decisions; the arguments are those of `tokens`.
 
-        Decisions past the first T are made in a window that slides, exactly as `step` makes them.
+        DecisionBatch past the first T are made in a window that slides, exactly as `step` makes them.
         """
         return sliding(self.tokens(previous, audio, speaker, silent), self.config.decisions, self.read)
 
@@ -164,7 +164,7 @@ def backed_up(reward: Tensor, terminal: Tensor, next_value: Tensor, gamma: float
 
 
 @dataclass(frozen=True)
-class Decisions:
+class DecisionBatch:
     """What was done, and what came of it, [B, T] each but for `allowed`.
 
     action: lexemes; reward; terminal: nothing follows; allowed: bool [B, T, S], A(s); valid: steps that exist; known:
@@ -180,7 +180,7 @@ class Decisions:
     cloned: Tensor
 
 
-def conservative_q_loss(values: Tensor, next_value: Tensor, done: Decisions, gamma: float, huber: float = 0.0
+def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float, huber: float = 0.0
                         ) -> tuple[Tensor, Tensor]:
     """The terms of RACER Eq. 11, unweighted: E[log sum_a exp Q(s, a) - Q(s, a_data)] and E[(Q(s, a_data) - y)^2] / 2.
 
@@ -281,7 +281,7 @@ class ConservativeQ(nn.Module):
         learns = bool(self.config.temporal) and progress >= self.config.warm_up
         conservative, difference = conservative_q_loss(
             values, self.next_values(batch) if learns else torch.zeros_like(now["reward"]),
-            Decisions(now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]), now["valid"],
-                      next_known(batch), now["cloned"]), self.config.gamma, self.config.huber)
+            DecisionBatch(now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),
+                          now["valid"], next_known(batch), now["cloned"]), self.config.gamma, self.config.huber)
         terms = {"conservative": conservative}
         return {**terms, "temporal_difference": difference} if learns else terms

@@ -221,7 +221,7 @@ class SilentLexemes:
 
 
 @dataclass(frozen=True)
-class Acting:
+class BehaviourPolicies:
     """Who acts beside the person. interpreters: by behaviour ("sampled", "statistical"), those that have a share;
     features(block number): what they hear."""
 
@@ -230,11 +230,11 @@ class Acting:
 
 
 def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silent: SilentLexemes,
-          vectors: NDArray[np.floating[Any]], acting: Acting | None = None, seed: int = 0) -> Episodes:
+          vectors: NDArray[np.floating[Any]], policies: BehaviourPolicies | None = None, seed: int = 0) -> Episodes:
     """The data set: every take as it was, and its share of what others would have done.
 
     reward: what a step earns, of a kind with `config.reward`; with another scheme than "window" it must look back over
-    a whole stretch. vectors: [S, D] the codebook. acting: who acts beside the person, where somebody has a share. The
+    a whole stretch. vectors: [S, D] the codebook. policies: who acts beside the person, where somebody has a share. The
     same seed gives the same data set, bit by bit, and each behaviour samples on its own, so a share that changes leaves
     the others as they were.
     """
@@ -249,10 +249,10 @@ def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silen
         for take, length in _budgeted(takes, round(config.shares[name] * total), config.prefix, rng):
             if name == "perturbed":
                 acted = perturb(take, length, config, order, silent, rng)
-            elif acting is None or name not in acting.interpreters:
+            elif policies is None or name not in policies.interpreters:
                 raise ValueError(f"the share of {name!r} needs its interpreter and what it hears")
             else:
-                acted = roll(acting, name, take, length, config, silent, rng)
+                acted = roll(policies, name, take, length, config, silent, rng)
             episodes.append(_episode(take, *acted, number, config, reward))
     return Episodes(episodes, cloned=config.cloned, stretch=0 if config.scheme == "window" else config.stretch)
 
@@ -273,13 +273,13 @@ def _budgeted(takes: Sequence[Take], budget: int, prefix: int, rng: np.random.Ge
 
 
 @torch.inference_mode()
-def roll(acting: Acting, name: str, take: Take, length: int, config: EpisodeConfig, silent: SilentLexemes,
+def roll(policies: BehaviourPolicies, name: str, take: Take, length: int, config: EpisodeConfig, silent: SilentLexemes,
          rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
     """Actions [length] of an interpreter that hears a take and takes over after its prefix, and ln pi_beta [length].
 
     The prefix is heard as well: whoever has a memory comes to it with the person's past.
     """
-    interpreter, features = acting.interpreters[name], acting.features
+    interpreter, features = policies.interpreters[name], policies.features
     actions, logs = take.lexemes[:length].copy(), np.zeros(length)
     state = interpreter.start(take.speaker, int(actions[0]))
     for i in range(1, length):

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from data_module.layers import parameter_count
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
-from interpreters.cql import ConservativeQ, Decisions, QConfig, QNetwork, backed_up, conservative_q_loss, data_nll
+from interpreters.cql import ConservativeQ, DecisionBatch, QConfig, QNetwork, backed_up, conservative_q_loss, data_nll
 from interpreters.transformer import sliding, two_stream_mask
 
 FRAMES, AUDIO, SIZE, SPEAKERS, WINDOW = 3, 2, 5, 2, 6
@@ -298,7 +298,7 @@ def by_hand(**changes: Tensor) -> tuple[Tensor, Tensor]:
     given = {"valid": torch.ones(1, 2), "known": torch.ones(1, 2), "cloned": torch.ones(1, 2),
              "terminal": torch.tensor([[False, True]]), **changes}
     return conservative_q_loss(torch.tensor([[[1.0, 3.0], [0.0, 2.0]]]), torch.tensor([[4.0, 8.0]]),
-                               Decisions(torch.tensor([[0, 1]]), torch.tensor([[1.0, 0.5]]), given["terminal"],
+                               DecisionBatch(torch.tensor([[0, 1]]), torch.tensor([[1.0, 0.5]]), given["terminal"],
                                          torch.ones(1, 2, 2, dtype=torch.bool), given["valid"], given["known"],
                                          given["cloned"]), 0.5, huber=float(changes.get("huber", torch.tensor(0.0))))
 
@@ -317,7 +317,7 @@ def test_the_two_terms_by_hand() -> None:
 def test_no_gradient_runs_through_the_target() -> None:
     values, ahead = (torch.zeros(shape, requires_grad=True) for shape in ((1, 2, 2), (1, 2)))
     ones, none = torch.ones(1, 2), torch.zeros(1, 2, dtype=torch.bool)
-    done = Decisions(torch.tensor([[0, 1]]), ones, none, torch.ones(1, 2, 2).bool(), ones, ones, ones)
+    done = DecisionBatch(torch.tensor([[0, 1]]), ones, none, torch.ones(1, 2, 2).bool(), ones, ones, ones)
     _, difference = conservative_q_loss(values, ahead, done, 0.5)
     difference.backward()
     assert ahead.grad is None and values.grad is not None and values.grad.any()

@@ -26,7 +26,7 @@ from gesticulator.stages.lexicon import TOKENS
 from gesticulator.stages.reward import REWARD, step_reward
 from interpreters.base import BlockFeatures
 from interpreters.cql import ConservativeQ, QNetwork, data_nll
-from interpreters.episodes import Acting, Episodes, SilentLexemes, Take, build
+from interpreters.episodes import BehaviourPolicies, Episodes, SilentLexemes, Take, build
 from interpreters.statistical import StatisticalInterpreter
 
 _CHECKS, _WINDOWS = 4, 64
@@ -66,7 +66,7 @@ def _make_episodes(run: Run) -> Episodes:
     if config.tokens == "lexicon":
         others["sampled"] = run.get(INTERPRETER)
     episodes = build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
-                     silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy(), acting=Acting(
+                     silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy(), policies=BehaviourPolicies(
                          others, features_of(corpus)), seed=run.seed(EPISODES))
     episodes.save(file)
     return episodes
