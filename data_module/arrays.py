@@ -64,7 +64,7 @@ def read_npz(path: str | os.PathLike[str], names: Collection[str] | None = None,
     with _opened(path) as stream:
         try:
             return _members(stream, names)
-        except _BROKEN as error:
+        except (*_BROKEN, OSError) as error:  # OSError: a place in the file before its beginning
             raise InputError(path, f"is not an .npz of plain arrays ({_reason(error)})", advice) from None
 
 

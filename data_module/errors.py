@@ -8,6 +8,8 @@ import reprlib
 import sys
 from collections.abc import Iterator
 
+LONGEST_REASON = 500
+"""Characters of what is wrong: some four lines of a terminal."""
 EXIT_BAD_INPUT = 2
 EXIT_PIPE = 141
 """What a shell reports of a program that SIGPIPE (13) ended: 128 + 13."""
@@ -22,6 +24,8 @@ class InputError(Exception):
     """
 
     def __init__(self, subject: object, wrong: str, advice: str = "") -> None:
+        # What a file says may be part of it, and may be as long as the file.
+        wrong = wrong if len(wrong) <= LONGEST_REASON else wrong[:LONGEST_REASON - 3] + "..."
         self.subject, self.wrong, self.advice = str(subject), wrong, advice
         line = f"{subject}: {wrong}" + (f"; {advice}" if advice else "")
         super().__init__(" ".join(line.split()))

@@ -104,5 +104,42 @@ DRAW = Command("pictures and films: a strip, a video, the lexicon (--list shows 
                 "draw lexicon --data STORE --out FOLDER"))
 
 
-VERBS: dict[str, Command] = {"score": SCORE, "ablate": ABLATE, "probe": PROBE, "draw": DRAW}
+def _report_arguments(parser: argparse.ArgumentParser) -> None:
+    from eval import report
+
+    report.arguments(parser)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from eval import report
+
+    for file in report.run(arguments):
+        print(file)
+    return 0
+
+
+REPORT = Command("everything that was measured, on one page", _report_arguments, _report,
+                 ("report", "report --results docs/results --out docs/report"))
+
+
+def _study_arguments(parser: argparse.ArgumentParser) -> None:
+    from eval import study
+
+    study.arguments(parser)
+
+
+def _study(arguments: argparse.Namespace) -> int:
+    from eval import study
+
+    study.run(arguments)
+    return 0
+
+
+STUDY = Command("a user study: its page, and what the answers say", _study_arguments, _study,
+                ("study make --systems ours=DIR truth=DIR --out FOLDER",
+                 "study analyse --key FOLDER/key.json ratings-*.json --out study.json"))
+
+
+VERBS: dict[str, Command] = {"score": SCORE, "ablate": ABLATE, "probe": PROBE, "report": REPORT, "study": STUDY,
+                             "draw": DRAW}
 """By name, for `python -m eval`; `gesticulator` finds them as entry points."""

@@ -1,8 +1,8 @@
 """A user study: the page that raters see, and what their answers say (RG 7.3.3, Figure 12; RACER 5.4, Figure 4).
 
-    python -m eval.study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
+    gesticulator study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
                               [--videos mp4|webm]
-    python -m eval.study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
+    gesticulator study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
 
 `make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
 that works from a disk without a server or a network (FOLDER/page/index.html), and FOLDER/key.json, which raters must
@@ -25,7 +25,6 @@ import base64
 import hashlib
 import json
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -35,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
 from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
@@ -44,7 +43,7 @@ from data_module.types import Motion, Speech
 from eval import anova
 from eval.draw import video
 from eval.draw.strips import figure_points
-from eval.results import keep
+from eval.table import publish
 from gesticulator.export import sound
 from gesticulator.stages.sounds import SUFFIXES
 
@@ -94,10 +93,10 @@ class Clip:
 
 # ---------------------------------------------------------------- the material
 
-def parse_systems(told: Sequence[str]) -> dict[str, Path]:
+def parse_systems(entries: Sequence[str]) -> dict[str, Path]:
     """NAME=DIR as a mapping, in the given order; InputError for what is not two or more different names."""
     systems: dict[str, Path] = {}
-    for word in told:
+    for word in entries:
         name, equals, folder = word.partition("=")
         if not (equals and name.strip() and folder):
             raise InputError(word, "is not NAME=DIR", "write --systems ours=folder truth=folder")
@@ -303,9 +302,9 @@ def _base64(data: bytes) -> str:
 
 # ---------------------------------------------------------------- the command
 
-def _parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser("eval.study", description="A user study: its page, and what the answers say.")
-    commands = p.add_subparsers(dest="command", required=True)
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator study` takes: make, or analyse."""
+    commands = parser.add_subparsers(dest="command", required=True)
     m = commands.add_parser("make", help="the page that raters see, and the key that they must not")
     m.add_argument("--systems", nargs="+", required=True, metavar="NAME=DIR", help="motion (BVH) and sound of each")
     m.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="page/index.html and key.json go there")
@@ -322,27 +321,17 @@ def _parser() -> argparse.ArgumentParser:
     a.add_argument("--without", nargs="+", default=[], metavar="RATER", help="leave these raters out")
     a.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
     a.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
-    return p
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; bad input is one line and exit code 2."""
-    told = _parser().parse_args(argv)
-    with one_line_errors("eval.study"):
-        if told.command == "make":
-            page = make(parse_systems(told.systems), told.out, clips=told.clips, seconds=told.seconds, seed=told.seed,
-                        raters=told.raters, aspects=list(dict.fromkeys(told.aspects)), videos=told.videos)
-            print(f"{page} is for the raters (1 to {told.raters}: page?rater=7 fills in the number); "
-                  f"keep {told.out / 'key.json'} to yourself")
-            return 0
-        key = anova.read_key(told.key)
-        ratings = anova.gather(anova.read_answers(told.ratings, key), key, without=told.without)
-        result = anova.analyse(ratings, seed=told.seed)
-        if told.out:
-            keep(result, anova.markdown(result), told.out)
-        print(anova.markdown(result))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> None:
+    """Make the page, or analyse what was saved; InputError for input that cannot be used."""
+    if arguments.command == "analyse":
+        key = anova.read_key(arguments.key)
+        ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
+        publish(anova.tables(ratings, arguments.seed), arguments.out)
+        return
+    systems, aspects = parse_systems(arguments.systems), list(dict.fromkeys(arguments.aspects))
+    page = make(systems, arguments.out, clips=arguments.clips, seconds=arguments.seconds, seed=arguments.seed,
+                raters=arguments.raters, aspects=aspects, videos=arguments.videos)
+    print(f"{page} is for the raters (1 to {arguments.raters}: page?rater=7 fills in the number); "
+          f"keep {arguments.out / 'key.json'} to yourself")

@@ -14,11 +14,11 @@ class GeneratorConfig:
 
     motion_features: Width = 128
     """d_m~, width of E_M."""
-    audio_features: Width = 128
+    audio_features: WidthOrNone = 128
     """d_a~, width of E_A."""
     audio_bottleneck: WidthOrNone = 0
     """Width that each row of audio is brought to before E_A; 0 for none (the paper)."""
-    style_width: Width = 32
+    style_width: WidthOrNone = 32
     """d_z."""
     position_width: WidthOrNone = 32
     """d_P; 0 leaves the positional block out (Table 7)."""

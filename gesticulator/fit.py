@@ -7,9 +7,11 @@ seeded with both. So a run that was stopped and resumed gives the same weights a
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import os
+import pickle
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,6 +23,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from data_module.files import rename
 from gesticulator.config import FitSettings
 
 Batch = dict[str, Tensor]
@@ -75,19 +78,30 @@ class Checkpoint:
     def save(self, step: int, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer]) -> None:
         """Write everything that the next step depends on."""
         temporary = self.path.with_suffix(".tmp")
-        torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers]},
-                   temporary)
-        os.replace(temporary, self.path)
+        with temporary.open("wb") as stream:
+            torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers]},
+                       stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        rename(temporary, self.path)
 
     def load(self, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer]) -> int:
-        """Put the saved state back; the step to go on from, 0 when there is none."""
+        """Put the saved state back; the step to go on from. 0 when there is none, or one that a crash or a full disk
+        left damaged: the model and the optimisers are then as they were given."""
         if not self.path.exists():
             return 0
-        state = torch.load(self.path, weights_only=True, map_location="cpu")
-        model.load_state_dict(state["model"])
-        for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
-            optimiser.load_state_dict(saved)
-        return int(state["step"])
+        everything: list[Any] = [model, *optimisers]
+        before = [copy.deepcopy(part.state_dict()) for part in everything]
+        try:
+            state = torch.load(self.path, weights_only=True, map_location="cpu")
+            for part, saved in zip(everything, [state["model"], *state["optimisers"]], strict=True):
+                part.load_state_dict(saved)
+            return int(state["step"])
+        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError, EOFError, OSError,
+                pickle.UnpicklingError):
+            for part, was in zip(everything, before, strict=True):
+                part.load_state_dict(was)
+            return 0
 
 
 class StepLog:

@@ -30,6 +30,10 @@ def representation_of(config: Config) -> Representation:
         raise InputError("motion.representation", f"is {name!r}", f"choose among {', '.join(REPRESENTATIONS)}")
     return REPRESENTATIONS[name]
 
+LEAST_MOVEMENT = 1e-6
+"""Normalised units between the bounds of a dimension that moves. One that does not has bounds a rounding error apart
+(1e-27 to 1e-15 were met), one that does has more than 0.1."""
+
 
 @dataclass(frozen=True)
 class Statistics:
@@ -57,7 +61,7 @@ class Statistics:
     @property
     def present(self) -> Tensor:
         """[D_m] 1 where any training motion ever moved, 0 for joints that no source has."""
-        return torch.as_tensor(self.bounds[0] < self.bounds[1], dtype=torch.float32)
+        return torch.as_tensor(self.bounds[1] - self.bounds[0] > LEAST_MOVEMENT, dtype=torch.float32)
 
     def normalise(self, poses: Array, speaker: int) -> Array:
         """Vectors [..., D_m] to normalised features."""

@@ -1,101 +1,42 @@
-"""`python -m gesticulator.train --data STORE --out BUNDLE`: every stage, resumable, from a store to a bundle."""
+"""`gesticulator train --data STORE --out BUNDLE`: every stage, resumable, from a store to a bundle.
+
+Also `python -m gesticulator.train`. What is heavy is imported when the arguments are understood.
+"""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import dataclasses
-import json
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
+from data_module.errors import InputError
+from gesticulator.cli import PROGRAM, Command
 
-from data_module.errors import InputError, one_line_errors
-from data_module.files import write_text
-from data_module.store import Store
-from gesticulator import bundle as bundles
-from gesticulator.card import model_card
-from gesticulator.config import Config, with_settings
-from gesticulator.presets import PRESETS, preset
-from gesticulator.stages import BLOCKS, CORPUS, STAGES, Run, assemble, closure, wanted
+MOST_THREADS = 1024
+"""More threads than any machine has cores: a slip of the finger, which torch would try to start."""
+LARGEST_SEED = 2**31 - 1
 
 
-@dataclass(frozen=True)
-class TrainOptions:
-    """How a run is made. speech: folders of more sound for the predictive coding of the speech encoder. redo: stages
-    to train again. only: the stage to stop after, with what it needs."""
+class _List(argparse.Action):
+    """Print the names of presets or stages and leave, whatever else is asked."""
 
-    device: str = "cpu"
-    workers: int = 1
-    progress: bool = True
-    speech: tuple[Path, ...] = ()
-    redo: tuple[str, ...] = ()
-    only: str | None = None
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
+        from gesticulator.presets import PRESETS
+        from gesticulator.stages import STAGES
+
+        print("presets: " + ", ".join(PRESETS) + "\nstages: " + ", ".join(STAGES))
+        parser.exit()
 
 
-def train(config: Config, store: Store, out: Path, work: Path, options: TrainOptions | None = None
-          ) -> bundles.Bundle | None:
-    """Run every stage that is not finished and write the bundle; None when `only` stops before the last stage."""
-    options = options or TrainOptions()
-    stages = wanted(config)
-    if options.only is not None:
-        if STAGES[options.only] not in stages:
-            raise InputError(f"--stage {options.only}", "is not part of these settings",
-                             "see text, gate and front_end in --set")
-        stages = [STAGES[options.only]]
-    work.mkdir(parents=True, exist_ok=True)
-    _claim(work, store)
-    run = Run(config, store, work, options.device, options.progress, options.speech, options.workers)
-    for name in options.redo:
-        run.redo(STAGES[name])
-    run.get(BLOCKS)  # what is wrong with the store is said before hours of training
-    plan = list(closure(stages, config))
-    for number, stage in enumerate(plan, 1):
-        if options.progress:
-            state = "finished before" if run.finished(stage) else f"{run.schedule(stage).steps} steps"
-            print(f"stage {number} of {len(plan)}: {stage.name} ({state})", file=sys.stderr)
-        run.get(stage)
-    if options.only is not None:
-        return None
-    trained = assemble(run, provenance(run))
-    bundles.save(trained, out, model_card(trained))
-    return trained
-
-
-def _claim(work: Path, store: Store) -> None:
-    """A work folder belongs to one store."""
-    record = work / "store.json"
-    known = None
-    if record.exists():
-        with contextlib.suppress(ValueError, AttributeError):  # cut short by a crash: written again
-            known = json.loads(record.read_text()).get("fingerprint")
-    if known not in (None, store.fingerprint):
-        raise InputError(store.path, f"is not the store that {work} was started with (its settings or contents "
-                         "differ)", "give another --work folder or delete that one")
-    if known is None:
-        write_text(record, json.dumps({"fingerprint": store.fingerprint}))
-
-
-def provenance(run: Run) -> dict[str, Any]:
-    """What the weights are trained on, in plain values."""
-    store, corpus = run.store, run.get(CORPUS)
-    hours = {split: round(float(corpus.durations[corpus.select(split)].sum()) / 3600, 3)
-             for split in ("train", "val", "test")}
-    return {"store": store.corpus, "fingerprint": store.fingerprint, "licence": store.licence, "seed": store.seed,
-            "hours": hours, "blocks": len(corpus.silent), "more_speech": [folder.name for folder in run.speech]}
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = argparse.ArgumentParser("gesticulator.train", description="Train a bundle from a store.")
-    p.add_argument("--data", required=True, metavar="STORE", help="a store made by python -m data_module.build")
+def arguments(p: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    p.add_argument("--data", required=True, metavar="STORE", help="a store made by gesticulator build")
     p.add_argument("--out", required=True, metavar="BUNDLE", help="the folder to write the bundle to")
-    p.add_argument("--preset", default="default", help=", ".join(PRESETS))
+    p.add_argument("--preset", default="default", help="settings that belong together (--list shows them)")
     p.add_argument("--speech", action="append", default=[], metavar="DIR",
                    help="a folder of more sound (no motion, no text) for the speech encoder's first stage")
     p.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="settings",
@@ -103,34 +44,58 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--work", metavar="DIR", help="where stages are kept (default: BUNDLE.work); resumed when there")
     p.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
     p.add_argument("--threads", type=int, default=os.cpu_count() or 1, help="threads of torch (default: all cores)")
-    p.add_argument("--stage", choices=STAGES, help="train this stage (and what it needs) and stop")
-    p.add_argument("--redo", action="append", default=[], choices=STAGES, help="train this stage again")
+    p.add_argument("--stage", metavar="STAGE", help="train this stage (and what it needs) and stop")
+    p.add_argument("--redo", action="append", default=[], metavar="STAGE", help="train this stage again")
     p.add_argument("--seed", type=int, help="the seed of the run")
-    p.add_argument("--quiet", action="store_true", help="no progress bars")
-    return p
+    p.add_argument("--quiet", action="store_true", help="no progress")
+    p.add_argument("--list", action=_List, nargs=0, help="show the presets and the stages and stop")
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Train; InputError for what cannot be."""
+    for flag, value, least, most in (("--threads", asked.threads, 1, MOST_THREADS),
+                                     ("--seed", asked.seed or 0, 0, LARGEST_SEED)):
+        if not least <= value <= most:
+            raise InputError(f"{flag} {value}", "is out of range", f"choose {least} to {most}")
+    import torch
+
+    from data_module.store import Store
+    from gesticulator.config import with_settings
+    from gesticulator.presets import preset
+    from gesticulator.stages import STAGES
+    from gesticulator.stages.training import TrainOptions, train
+
+    for flag, names in (("--stage", [asked.stage] if asked.stage else []), ("--redo", asked.redo)):
+        for name in names:
+            if name not in STAGES:
+                raise InputError(f"{flag} {name}", "is not a stage", f"choose among {', '.join(STAGES)}")
+    if asked.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("--device cuda", "there is no CUDA device", "use --device cpu")
+    torch.set_num_threads(asked.threads)
+    config = with_settings(preset(asked.preset), asked.settings)
+    if asked.seed is not None:
+        config = dataclasses.replace(config, seed=asked.seed)
+    out = Path(asked.out)
+    work = Path(asked.work) if asked.work else out.with_name(out.name + ".work")
+    made = train(config, Store.open(asked.data), out, work, TrainOptions(
+        asked.device, asked.threads, not asked.quiet, tuple(map(Path, asked.speech)), tuple(asked.redo), asked.stage))
+    if made is not None:
+        print(f"{out}: trained on {made.provenance['hours']['train']} h; "
+              + "; ".join(f"{stage} " + ", ".join(f"{k} {v:.4g}" for k, v in figures.items())
+                          for stage, figures in made.figures.items()))
+    return 0
+
+
+COMMAND = Command(
+    "train a bundle from a store: every stage, resumable", arguments, run,
+    examples=("train --data store --out bundle", "train --data store --out bundle --preset tiny",
+              "train --data store --out bundle --set generator.lstm_width=320 --seed 2",
+              "train --data store --out bundle --stage generator"))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    arguments = parser().parse_args(argv)
-    with one_line_errors("gesticulator.train"):
-        if arguments.device == "cuda" and not torch.cuda.is_available():
-            raise InputError("--device cuda", "there is no CUDA device", "use --device cpu")
-        torch.set_num_threads(max(1, arguments.threads))
-        config = with_settings(preset(arguments.preset), arguments.settings)
-        if arguments.seed is not None:
-            config = dataclasses.replace(config, seed=arguments.seed)
-        out = Path(arguments.out)
-        work = Path(arguments.work) if arguments.work else out.with_name(out.name + ".work")
-        options = TrainOptions(arguments.device, arguments.threads, not arguments.quiet,
-                               tuple(Path(folder) for folder in arguments.speech), tuple(arguments.redo),
-                               arguments.stage)
-        made = train(config, Store.open(arguments.data), out, work, options)
-        if made is not None:
-            print(f"{out}: trained on {made.provenance['hours']['train']} h; "
-                  + "; ".join(f"{stage} " + ", ".join(f"{k} {v:.4g}" for k, v in own.items())
-                              for stage, own in made.figures.items()))
-    return 0
+    """Entry point of `python -m gesticulator.train`."""
+    return COMMAND.main(f"{PROGRAM} train", argv)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from gesticulator.fit import Batch, FitOptions, FitSettings, Task, fit, rate_factor
+from gesticulator.fit import Batch, Checkpoint, FitOptions, FitSettings, Task, fit, rate_factor
 
 
 class Model(nn.Module):
@@ -103,3 +103,25 @@ def test_rate_schedule() -> None:
     assert factors[-1] == pytest.approx(0.01, abs=1e-3)
     assert all(a >= b for a, b in pairwise(factors[20:]))
     assert rate_factor(FitSettings(steps=10, batch=1), 9) == 1.0
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"not a checkpoint", None])
+def test_a_damaged_checkpoint_begins_the_stage_anew(tmp_path: Path, damage: bytes | None) -> None:
+    whole = run(tmp_path / "a")
+    run(tmp_path / "b", (7,))
+    file = tmp_path / "b" / "stage.ckpt"
+    data = file.read_bytes()
+    file.write_bytes(data[:len(data) // 2] if damage is None else damage)
+    again = run(tmp_path / "b")
+    for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
+        assert torch.equal(a, b), name
+
+
+def test_a_checkpoint_of_another_model_leaves_the_model_as_it_was(tmp_path: Path) -> None:
+    file, model = tmp_path / "stage.ckpt", Model()
+    optimiser = torch.optim.Adam(model.net.parameters())
+    Checkpoint(file).save(5, model, [])  # the model fits, the optimisers do not
+    with torch.no_grad():
+        model.net[0].bias.fill_(7.0)
+    assert Checkpoint(file).load(model, [optimiser]) == 0
+    assert (model.net[0].bias == 7.0).all()

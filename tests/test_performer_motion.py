@@ -264,6 +264,31 @@ def test_missing_manifest_is_an_input_error(tmp_path: Path) -> None:
         load_strokes(tmp_path)
 
 
+_HEAD = "file,speaker,posture,lexeme,hand,emphasis\n"
+
+
+@pytest.mark.parametrize(("data", "says"), [
+    (_HEAD.encode("utf-16-le"), "not text"), ((_HEAD + "a.bvh,brad\n").encode(), "line 2.*too few columns"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left,0\0\n").encode(), "not text"), (b"", "lacks columns"),
+    (_HEAD.encode(), "lacks columns"),
+    ((_HEAD + "../../a.bvh,brad,Idle,Beat,left,0.5\n").encode(), r"line 2.*no file of this folder"),
+    ((_HEAD + "..\\a.bvh,brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + "/etc/passwd,brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + "C:a.bvh,brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + "a\x07.bvh,brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + ",brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left,soon\n").encode(), "seconds of its emphasis"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left,1e999\n").encode(), "seconds of its emphasis"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left," + "1" * 140_000 + "\n").encode(), "no row of a table"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left,0.5\n").encode(), "a.bvh.*does not exist"),
+])
+def test_a_broken_manifest_is_one_line(data: bytes, says: str, tmp_path: Path) -> None:
+    (tmp_path / "manifest.csv").write_bytes(data)
+    with pytest.raises(InputError, match=says) as caught:
+        load_strokes(tmp_path)
+    assert len(str(caught.value)) < 300 + len(str(tmp_path))
+
+
 # --- The recorded strokes
 
 

@@ -13,11 +13,11 @@ from data_module.errors import InputError
 from data_module.motion.motion_beats import beats_of_speed
 from data_module.speech.beats import merged
 from data_module.types import BeatFlag, Beats, Speech, Word
-from eval.audio_clusters import association
 from eval.draw import plots
 from eval.draw.lexicon_map import colours
 from eval.draw.strips import BEAT_COLOURS, save_strip
 from eval.metrics import pmb
+from eval.metrics.audio_clusters import association
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 from matplotlib.colors import to_hex
@@ -233,9 +233,9 @@ def test_bars_are_entropies_and_gains_of_the_association() -> None:
         assert heights[name] == [own[name]["entropy"]]
         assert heights[f"{name}, by chance"] == heights[f"_{name}, by chance"] == [own[name]["by_chance"]]
         spans = spans_of(gains, f"_{name}", 1)
-        assert spans == [[own[name]["gain"]["low"], own[name]["gain"]["high"]]] * 2
+        assert spans == [[own[name]["gain"].low, own[name]["gain"].high]] * 2
         assert [float(line.get_ydata()[0]) for line in gains.get_lines() if line.get_label() == f"_{name}"] == [
-            own[name]["gain"]["mean"]] * 2
+            own[name]["gain"].mean] * 2
     alone = [segment[0, 1] for part in bars.collections for segment in part.get_segments()]
     assert alone == [own["lexeme_entropy"]] * 2
     assert set(legend_of(figure)) == {"lexeme alone", *levels, *(f"{name}, by chance" for name in levels)}

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import soundfile
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
 from data_module.errors import InputError
+from data_module.files import lock
 from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import from_vector
@@ -23,11 +24,11 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator import infer, presets, train
-from gesticulator.stages import BLOCKS, LABELS, STAGES, Run, Stage, closure
+from gesticulator.stages import BLOCKS, LABELS, STAGES, Run, Stage, closure, training
 from gesticulator.stages.corpus import prepare
 from gesticulator.stages.labels import lexeme_speeds
+from gesticulator.stages.training import TrainOptions
 from gesticulator.stages.windows import Windows, sequences, with_silence
-from gesticulator.train import TrainOptions
 
 SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter": 10, "interpreter_text": 10, "gate": 6,
          "reward": 6, "reward_judge": 6, "q_network": 14, "generator": 12, "style": 8, "style_text": 8}
@@ -88,7 +89,7 @@ def with_caches(work: Path, folder: Path) -> Path:
 def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
         tiny_store: Path, work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store.open(tiny_store)
-    train.train(short(), store, tmp_path / "whole", with_caches(work, tmp_path / "whole.work"), QUIET)
+    training.train(short(), store, tmp_path / "whole", with_caches(work, tmp_path / "whole.work"), QUIET)
     broken, one_step = with_caches(work, tmp_path / "broken.work"), fitting._Learner.step
     plain = fitting.fit
     monkeypatch.setattr(fitting, "fit", lambda *given: plain(
@@ -107,12 +108,12 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
 
         monkeypatch.setattr(fitting._Learner, "step", counted)
         with pytest.raises(Killed):
-            train.train(short(), store, tmp_path / "broken", broken, QUIET)
+            training.train(short(), store, tmp_path / "broken", broken, QUIET)
         folder = next(iter(broken.glob(f"{stage}-*")))
         assert (folder / f"{stage}.ckpt").exists() and not (folder / "figures.json").exists(), stage
         assert not (tmp_path / "broken").exists(), "no bundle before the end"
     monkeypatch.setattr(fitting._Learner, "step", one_step)
-    train.train(short(), store, tmp_path / "broken", broken, QUIET)
+    training.train(short(), store, tmp_path / "broken", broken, QUIET)
     names = sorted(file.name for file in (tmp_path / "whole").glob("*.safetensors"))
     assert len(names) == 12 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
     for name in names:
@@ -226,7 +227,7 @@ def test_more_speech_is_heard(tiny_store: Path, work: Path, tmp_path: Path) -> N
     store, heard = Store.open(tiny_store), []
     own = with_caches(work, tmp_path / "work")
     for speech in ([], [tone(tmp_path / "a" / "x.wav", 200)]):
-        assert train.train(short(), store, tmp_path / "b", own, TrainOptions(
+        assert training.train(short(), store, tmp_path / "b", own, TrainOptions(
             progress=False, only="speech", speech=tuple(speech))) is None
         made = set(own.glob("speech-*")) - {folder for folder, _ in heard}
         assert len(made) == 1
@@ -241,13 +242,17 @@ def test_another_store_is_refused_in_a_used_work_folder(tiny_store: Path, work: 
         path, fingerprint = tiny_store, "another"
 
     with pytest.raises(InputError, match="not the store"):
-        train._claim(work, Other())  # type: ignore[arg-type]
+        training.claim(work, Other())  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
     (["--data", "nowhere"], "nowhere"), (["--preset", "huge"], "huge"), (["--set", "lexicon.siez=3"], "siez"),
     (["--set", "motion.representation=dance"], "dance"), (["--speech", "nowhere"], "nowhere"),
     (["--set", "front_end.name=ears"], "ears"), (["--set", "encoder.temperature=0"], "encoder.temperature"),
+    (["--set", "schedules.lexicon.steps=-3"], "schedules.lexicon.steps"), (["--set", "lexicon.size=0"], "lexicon.size"),
+    (["--set", "front_end.bands=0"], "front_end.bands"), (["--set", "generator.velocity=NaN"], "generator.velocity"),
+    (["--threads", "0"], "--threads 0"), (["--threads", "100000"], "--threads 100000"), (["--seed", "-1"], "--seed -1"),
+    (["--seed", str(2**31)], "--seed"), (["--stage", "song"], "song"), (["--redo", "song"], "song"),
 ])
 def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, work: Path, tmp_path: Path,
                                                     arguments: list[str], said: str,
@@ -266,8 +271,114 @@ def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: P
     monkeypatch.setattr("gesticulator.stages.corpus.read_words", lambda *_, **__: {})
     own = with_caches(work, tmp_path / "work")
     with pytest.raises(InputError, match=r"no recording with words.*text\.encoder"):
-        train.train(short(), Store.open(tiny_store), tmp_path / "b", own, QUIET)
+        training.train(short(), Store.open(tiny_store), tmp_path / "b", own, QUIET)
     assert not list(own.glob("speech-*"))
+
+
+def test_a_second_training_in_the_same_folder_is_told(tiny_store: Path, work: Path, tmp_path: Path) -> None:
+    own = with_caches(work, tmp_path / "work")
+    with lock(own, "a training"), pytest.raises(InputError, match="work"):
+        training.train(short(), Store.open(tiny_store), tmp_path / "b", own, QUIET)
+    assert not (own / "store.json").exists()
+
+
+class Small(torch.nn.Module):
+    """One number that learns to be 3."""
+
+    weights = {"error": 1.0}  # noqa: RUF012
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.number = torch.nn.Parameter(torch.zeros(1))
+
+    def losses(self, batch: fitting.Batch, progress: float = 1.0) -> dict[str, torch.Tensor]:
+        return {"error": (self.number - 3).pow(2).sum()}
+
+
+def small_stage(times: list[int]) -> Stage[Small]:
+    def train(run: Run, model: Small, folder: Path) -> dict[str, float]:
+        times.append(1)
+        return run.fit(stage, model, fitting.Task(lambda rng: {}, validate=lambda: {"left": float(
+            (model.number - 3).abs())}), folder)
+
+    stage: Stage[Small] = Stage("gate", (), schedule="gate", build=lambda run: Small(), train=train)
+    return stage
+
+
+@pytest.mark.parametrize(("name", "damage"), [
+    ("figures.json", b""), ("figures.json", b"[1]"), ("figures.json", b'{"left": 0.'), ("weights.safetensors", b""),
+    ("weights.safetensors", b"\x00" * 40), ("weights.safetensors", None), ("figures.json", None)])
+def test_a_damaged_stage_is_told_from_a_whole_one_and_done_again(name: str, damage: bytes | None, tiny_store: Path,
+                                                                 tmp_path: Path) -> None:
+    times: list[int] = []
+    stage = small_stage(times)
+
+    def value() -> float:
+        run = Run(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
+        found = float(run.get(stage).number)
+        assert run.finished(stage) and run.figures["gate"]["left"] == pytest.approx(3 - found)
+        return found
+
+    first = value()
+    assert value() == first and len(times) == 1, "a whole one is read"
+    file = next(tmp_path.glob(f"gate-*/{name}"))
+    file.unlink() if damage is None else file.write_bytes(damage)
+    assert value() == first and len(times) == 2
+
+
+def test_weights_of_another_shape_or_without_numbers_are_trained_again(tiny_store: Path, tmp_path: Path) -> None:
+    times: list[int] = []
+    stage = small_stage(times)
+    for bad in (torch.zeros(2), torch.tensor([float("nan")])):
+        run = Run(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
+        run.get(stage)
+        save_file({"number": bad}, run.folder(stage) / "weights.safetensors")
+        again = Run(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
+        assert again.get(stage).number.shape == (1,) and torch.isfinite(again.get(stage).number).all()
+    assert len(times) == 3
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK", b"\x80\x04." * 9, b"{}"])
+def test_a_damaged_cache_of_blocks_is_made_again(damage: bytes, tiny_store: Path, work: Path, tmp_path: Path) -> None:
+    own = with_caches(work, tmp_path / "work")
+    file = next(iter(sorted(own.glob("blocks-*/*.npz"))))
+    was = file.read_bytes()
+    file.write_bytes(damage)
+    prepare(Store.open(tiny_store), presets.preset("tiny"), own, progress=False)
+    assert file.read_bytes() == was
+
+
+def test_bytes_that_turned_over_in_a_cache_are_one_line(tiny_store: Path, work: Path, tmp_path: Path) -> None:
+    own = with_caches(work, tmp_path / "work")
+    file = next(iter(sorted(own.glob("blocks-*/*.npz"))))
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 255
+    file.write_bytes(bytes(data))
+    with pytest.raises(InputError, match=rf"{file.name}: is damaged"):
+        prepare(Store.open(tiny_store), presets.preset("tiny"), own, progress=False)
+
+
+def test_where_a_run_stands_is_said_and_what_is_not_measured_is_not_guessed(
+        tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    run = training.TimedRun(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
+    run.plan = [STAGES["lexicon"], STAGES["gate"], STAGES["style"]]
+    assert run.position(0) == "stage 1 of 3: lexicon, 200 steps; after it 2 stages not measured yet"
+    (tmp_path / "times.json").write_text(json.dumps({"lexicon": 3.0, "gate": 0.5, "style": "soon", "cql": -1}))
+    assert run.position(0) == "stage 1 of 3: lexicon, 200 steps, about 10 min; after it about 20 s, 1 stage not " \
+                              "measured yet"
+    assert run.position(2) == "stage 3 of 3: style, 60 steps"
+    # What is measured is the time that steps took, by a clock that is told.
+    clock = iter(range(0, 1000, 8))
+    monkeypatch.setattr(training.time, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(fitting.time, "monotonic", lambda: 0.0)
+    stage = small_stage([])
+    stage.train(run, Small(), tmp_path)  # type: ignore[misc]
+    assert run.times()["gate"] == pytest.approx(8 / 40) and run.times()["lexicon"] == 3.0
+    for text in ("", "[]", "{"):
+        (tmp_path / "times.json").write_text(text)
+        assert run.times() == {}
+    assert [training.about(s) for s in (0.2, 80, 91, 3600, 3 * 3600)] == ["about 1 s", "about 80 s", "about 2 min",
+                                                                         "about 60 min", "about 3.0 h"]
 
 
 def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, work: Path) -> None:

@@ -119,6 +119,12 @@ def scaled(motion: Motion, unit: float) -> Motion:
     return replace(motion, skeleton=skeleton, root_positions=motion.root_positions * unit)
 
 
+_EPS = 1e-9
+"""Metres: what is closer is in one place."""
+_NEEDED_BONES = (("Hips", "Head"), ("RightArm", "LeftArm"), *((side + bone, side + tip) for side in _SIDES
+                 for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand"))))
+
+
 def _rest_positions(skeleton: Skeleton) -> Array:
     identity = np.zeros((len(skeleton), 4))
     identity[:, 0] = 1.0
@@ -134,7 +140,10 @@ def _axes(rest: Array, table: Mapping[str, int]) -> Array:
 
     up = dominant(rest[table["Head"]] - rest[table["Hips"]])
     across = rest[table["LeftArm"]] - rest[table["RightArm"]]
-    left = dominant(across - (across @ up) * up)
+    across = across - (across @ up) * up
+    if np.linalg.norm(across) < _EPS:
+        raise InputError("skeleton", "has one arm above the other", "check its offsets")
+    left = dominant(across)
     matrix = np.stack([left, up, np.cross(left, up)])
     return Rotation.from_matrix(matrix).as_quat(scalar_first=True)
 
@@ -148,6 +157,9 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None) -> Moti
     """
     source, table = motion.skeleton, table or find_table(motion.skeleton.names)
     rest = _rest_positions(source)
+    for bone, tip in _NEEDED_BONES:
+        if np.linalg.norm(rest[table[tip]] - rest[table[bone]]) < _EPS:
+            raise InputError("skeleton", f"has {bone} and {tip} in one place", "check its offsets")
     ours_rest = _rest_positions(CHARACTER)
     change = _axes(rest, table)
     world = kinematics.global_rotations(source, motion.rotations)

@@ -78,14 +78,15 @@ def letters_to_sounds(word: str) -> str:
     sounds: list[str] = []
     at = 0
     while at < len(text):
-        if at and re.fullmatch("[aeiou][bcdfgklmnpstvz]e", text[at:]):  # a silent e: "mate", "use"
+        # A silent e: "mate", "use".
+        if at == len(text) - 3 and at and re.fullmatch("[aeiou][bcdfgklmnpstvz]e", text[at:]):
             sounds += [_LONG[text[at]], _SOUNDS[text[at + 1]]]
             break
         if text[at] in "cg" and text[at + 1:at + 2] in ("e", "i", "y") and at:
             sounds.append("S" if text[at] == "c" else "JH")
             at += 1
             continue
-        if text[at:] == "y" and at and len(sounds) > 1:
+        if at == len(text) - 1 and text[at] == "y" and at and len(sounds) > 1:
             sounds.append("IY")
             break
         size = next(size for size in (4, 3, 2, 1) if text[at:at + size] in _SOUNDS)

@@ -24,7 +24,6 @@ from data_module.motion.motion_beats import acting_positions, acting_speed
 from data_module.speech.beats import find_beats
 from data_module.store import Recording
 from data_module.types import Motion
-from eval import audio_clusters, style_editing
 from eval.draw.lexicon_map import NEIGHBOURS, draw_latents, embed, evenly, neighbours_agree
 from eval.draw.plots import (
     beat_strips,
@@ -36,8 +35,9 @@ from eval.draw.plots import (
     size_sweep,
 )
 from eval.draw.strips import draw_strip, frame_times, save_strip
-from eval.metrics import pmb
+from eval.metrics import audio_clusters, pmb
 from eval.metrics.diversity import nearest_lexemes
+from eval.probes import style_editing
 from eval.rows import OURS, PERFORMER, REAL_TAKE, TABLES
 from eval.rows.rg import SIZES
 from eval.rows.row import COLUMNS, PAPERS_DELTA
@@ -151,7 +151,7 @@ def edited(source: FigureSource) -> Drawn:
         raise InputError("style-editing", "hears no controls", "leave generator.use_control as the row sets it")
     found = style_editing.figures(style_editing.played_by(Gesticulator(bundle)),
                                   style_editing.excerpts(source.context.store, 4), bundle.levels)
-    numbers = {f"{feature}, asked {level}": row["mean"] for feature in style_editing.FEATURES
+    numbers = {f"{feature}, asked {level}": row.mean for feature in style_editing.FEATURES
                for level in style_editing.LEVELS
                for row in [found["rows"][style_editing.row_name(feature, level)][feature]]}
     return style_editing.figure_10(found), (
@@ -189,8 +189,8 @@ def clusters(source: FigureSource) -> Drawn:
         "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
         "lexeme. The paper's claim is that the high level says more than the low one."), {
         f"{name}, {what}": value for name, own in found.items() for what, value in (
-            *((f"{level}, gain in nats", own[level]["gain"]["mean"]) for level in levels),
-            *((f"{pair}, difference of gains", one["mean"]) for pair, one in own["gain_differences"].items()))}
+            *((f"{level}, gain in nats", own[level]["gain"].mean) for level in levels),
+            *((f"{pair}, difference of gains", one.mean) for pair, one in own["gain_differences"].items()))}
 
 
 def panels(title: str, *names: str) -> Callable[[FigureSource], Drawn]:

@@ -6,13 +6,13 @@
     beat_strips        motion beats beside onsets                       RG Fig. 16
     size_sweep         metrics against the size of the lexicon          RG Fig. 18
     overview           a few seconds of speech, blocks and motion       RG Fig. 2
-    differences        every claim of `eval.claims` with its interval
+    differences        every claim of `eval.rows.claims` with its interval
 
 Each takes numbers and gives a figure; nothing is computed here that is not said, so a picture holds what its numbers
 hold. The same input gives the same bytes (`save`). Colours are of the palette of Okabe and Ito (2008), which people
 with any colour vision tell apart, and no meaning hangs on colour alone: lines have markers, verdicts have shapes,
 lexemes, of which there are too many for any palette, have numbers. The other figures of the papers are drawn by
-`data_module.intervals` (5, 8a), `eval.draw.lexicon_map` (6, 8b), `eval.draw.strips` (9) and `eval.style_editing` (10).
+`data_module.intervals` (5, 8a), `lexicon_map` (6, 8b), `strips` (9) and `eval.probes.style_editing` (10).
 """
 
 from __future__ import annotations
@@ -377,7 +377,7 @@ def _legend_below(figure: Figure, axes: Iterable[Axes]) -> None:
 def cluster_bars(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     """How much the cluster of a block's sound tells of its lexeme, for each level of the encoder (RG Fig. 14).
 
-    found: "figure_14" of `eval.speech_levels`: whose motion -> `eval.audio_clusters.association`. Left the entropy of
+    found: whose motion -> `eval.metrics.audio_clusters.association`. Left the entropy of
     the lexeme given the cluster beside what the same lexemes, turned round, have by chance, under the entropy of the
     lexeme alone; right the gain, which alone has an interval. Clusters of a few blocks have a low entropy whatever they
     hold, so a bar means something only beside its chance. ValueError without a level.
@@ -420,7 +420,7 @@ def _draw_level(bars: Axes, gains: Axes, group: int, middle: float, wide: float,
     bars.bar(middle - wide / 2, own["entropy"], 0.9 * wide, color=colour, label=f"{hidden}{name}")
     bars.bar(middle + wide / 2, own["by_chance"], 0.9 * wide, facecolor="white", edgecolor=colour, hatch="///",
              linewidth=1.2, label=f"{hidden}{name}, by chance")
-    mean, low, high = _triple((own["gain"]["mean"], own["gain"]["low"], own["gain"]["high"]), name)
+    mean, low, high = _triple((own["gain"].mean, own["gain"].low, own["gain"].high), name)
     gains.vlines(middle, low, high, color=colour, linewidth=1.8, label=f"_{name}")
     gains.plot([middle], [mean], color=colour, marker=MARKERS[0], markersize=6.5, linestyle="none", label=f"_{name}")
     gains.annotate(f"p {own['p']:.2f}", (middle, max(high, mean)), (0, 4), textcoords="offset points", ha="center",

@@ -21,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
-from data_module.files import write_text
+from data_module.files import rename, write_text
 from data_module.layers import freeze
 from data_module.store import Store
 from gesticulator import fit as fitting
@@ -163,7 +163,7 @@ class Run:
     def train_stage(self, stage: Stage[Any], model: nn.Module) -> Figures:
         """Load a finished stage into `model`, or train it now; its figures on the validation split."""
         folder = self.folder(stage)
-        if not finished(folder):
+        if not finished(folder, model):
             folder.mkdir(parents=True, exist_ok=True)
             assert stage.train is not None
             keep(folder, model, stage.train(self, model, folder))
@@ -191,17 +191,23 @@ def keep(folder: Path, model: nn.Module, figures: Figures) -> None:
     save_file({key: value.detach().cpu().contiguous() for key, value in model.state_dict().items()}, temporary)
     with temporary.open("rb") as written:
         os.fsync(written.fileno())
-    temporary.replace(folder / WEIGHTS)
+    rename(temporary, folder / WEIGHTS)
     write_text(folder / FIGURES, json.dumps(figures))
 
 
-def finished(folder: Path) -> bool:
-    """Whether a stage's folder holds it whole; what a crash or a full disk left of one counts as nothing."""
+def finished(folder: Path, model: nn.Module | None = None) -> bool:
+    """Whether a stage's folder holds it whole, for this model where one is given; what a crash or a full disk left of
+    one counts as nothing."""
     try:
         figures = json.loads((folder / FIGURES).read_text())
-        return isinstance(figures, dict) and len(load_file(folder / WEIGHTS)) > 0
+        weights = load_file(folder / WEIGHTS)
     except (OSError, ValueError, SafetensorError):
         return False
+    if model is not None and {key: value.shape for key, value in weights.items()} != {
+            key: value.shape for key, value in model.state_dict().items()}:
+        return False
+    return isinstance(figures, dict) and len(weights) > 0 and all(
+        bool(torch.isfinite(value).all()) for value in weights.values())
 
 
 def closure(stages: Sequence[Stage[Any]], config: Config) -> Iterator[Stage[Any]]:

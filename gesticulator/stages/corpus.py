@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import zipfile
+import zlib
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -21,6 +23,7 @@ from data_module import blocks as block_module
 from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
+from data_module.files import rename
 from data_module.speech.features import Normaliser, reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder, word_frames
@@ -125,14 +128,26 @@ def _encode_one(source: str, target: str, config: Config, encoder: SpeechEncoder
 
 
 def _write(target: str, arrays: dict[str, NDArray[Any]], name: str) -> str:
-    temporary = f"{target}.tmp.npz"
-    np.savez(temporary, allow_pickle=False, **arrays)
-    os.replace(temporary, target)
+    temporary = Path(f"{target}.tmp")
+    with temporary.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)
+        stream.flush()
+        os.fsync(stream.fileno())
+    rename(temporary, Path(target))
     return name
 
 
+def whole(file: Path) -> bool:
+    """Whether a cached file of arrays is there and no crash cut it short (its list of arrays stands at its end)."""
+    try:
+        with zipfile.ZipFile(file) as arrays:
+            return bool(arrays.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
 def _all(job: Callable[..., str], jobs: list[tuple[Any, ...]], workers: int, title: str, progress: bool) -> None:
-    todo = [arguments for arguments, target in ((j, j[-1]) for j in jobs) if not Path(target).exists()]
+    todo = [arguments for arguments, target in ((j, j[-1]) for j in jobs) if not whole(Path(target))]
     calls = [arguments[:-1] for arguments in todo]
     bar = tqdm(total=len(jobs), initial=len(jobs) - len(todo), desc=title, disable=not progress)
     for _ in _run(job, calls, workers):
@@ -190,15 +205,14 @@ def read_words(store: Store, config: Config, folder: Path, *, progress: bool = T
     encoder = WordEncoder.open(config.text.encoder)
     key = digest(store.fingerprint, encoder.name, encoder.fingerprint)
     cache = folder / f"words-{key}.npz"
-    if not cache.exists():
+    if not whole(cache):
         vectors: dict[str, NDArray[Any]] = {}
         for info in tqdm(store.recordings, desc="words", disable=not progress):
             words = store.load(info.name).speech.words
             if words is not None and any(word.text for word in words):
                 vectors[info.name] = encoder.encode(words).astype(np.float16)
         _write(str(cache), vectors, "")
-    with np.load(cache, allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+    return _read(cache)
 
 
 def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
@@ -239,8 +253,11 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
 
 
 def _read(file: Path, leave_out: tuple[str, ...] = ()) -> dict[str, NDArray[Any]]:
-    with np.load(file, allow_pickle=False) as arrays:
-        return {key: arrays[key] for key in arrays.files if key not in leave_out}
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return {key: arrays[key] for key in arrays.files if key not in leave_out}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(file, f"is damaged ({error})", "delete it and start again") from None
 
 
 def _normalised(normaliser: Normaliser, parts: list[NDArray[Any]]) -> Tensor:
