@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from eval.figures import measure
 from hypothesis import given
 from hypothesis import strategies as st
 from untrained import PLAIN, untrained
@@ -17,6 +16,7 @@ from data_module.layers import freeze
 from data_module.motion import rotation
 from data_module.speech.beats import BeatSettings, find_beats, place_beats
 from data_module.types import Array, Speech
+from eval.clip import measure
 from generator.model import Generator, GeneratorConfig, GumbelCodes
 from generator.position import positional_block
 from gesticulator.pipeline import Gesticulator
