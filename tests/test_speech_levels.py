@@ -310,6 +310,7 @@ def test_a_bundle_without_an_encoder_is_refused(tiny_bundle: Path) -> None:
     from gesticulator import bundle as bundles
 
     bundle = bundles.load(tiny_bundle)
-    bare = replace(bundle, encoder=None, config=replace(bundle.config, front_end=configs.FrontEndConfig(name="mel")))
+    config = replace(bundle.config, front_end=configs.FrontEndConfig(name="mel"))
+    bare = replace(bundle, config=config).with_parts(encoder=None)
     with pytest.raises(InputError, match="'mel' and has no speech encoder"):
         speech_levels.encoder_of(bare, "bundle")
