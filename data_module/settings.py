@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Range:
+class SettingRange:
     """The numbers from `least` to `most`; `least` itself is left out where `above` is set."""
 
     least: float
@@ -41,7 +41,7 @@ class Range:
 
 
 @dataclass(frozen=True)
-class Choice:
+class SettingChoice:
     """One of some words."""
 
     words: tuple[str, ...]
@@ -60,18 +60,18 @@ _LONGEST = 2**16
 _WIDEST = 2**16
 """A square layer of this width holds 17 GB of weights: wider ones are slips of the finger."""
 
-Steps = Annotated[int, Range(0, _MOST_STEPS)]
-Count = Annotated[int, Range(1, _MOST_STEPS)]
-Natural = Annotated[int, Range(0, _MOST_STEPS)]
-Width = Annotated[int, Range(1, _WIDEST)]
-WidthOrNone = Annotated[int, Range(0, _WIDEST)]
+Steps = Annotated[int, SettingRange(0, _MOST_STEPS)]
+Count = Annotated[int, SettingRange(1, _MOST_STEPS)]
+Natural = Annotated[int, SettingRange(0, _MOST_STEPS)]
+Width = Annotated[int, SettingRange(1, _WIDEST)]
+WidthOrNone = Annotated[int, SettingRange(0, _WIDEST)]
 """0 leaves the layer out."""
-Depth = Annotated[int, Range(1, 64)]
+Depth = Annotated[int, SettingRange(1, 64)]
 """Layers one after the other."""
-Widths = Annotated[tuple[int, ...], Range(1, _WIDEST)]
-Share = Annotated[float, Range(0.0, 1.0)]
-Positive = Annotated[float, Range(0.0, above=True)]
-NotNegative = Annotated[float, Range(0.0)]
+Widths = Annotated[tuple[int, ...], SettingRange(1, _WIDEST)]
+Share = Annotated[float, SettingRange(0.0, 1.0)]
+Positive = Annotated[float, SettingRange(0.0, above=True)]
+NotNegative = Annotated[float, SettingRange(0.0)]
 
 
 @functools.cache
@@ -79,9 +79,10 @@ def _hints(cls: Any) -> dict[str, Any]:
     return typing.get_type_hints(cls, include_extras=True)
 
 
-def limits_of(hint: Any) -> Range | Choice | None:
+def limits_of(hint: Any) -> SettingRange | SettingChoice | None:
     """What the type of a field says of its values; None for a field that may be anything of its type."""
-    return next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Range | Choice)), None)
+    marks = getattr(hint, "__metadata__", ())
+    return next((mark for mark in marks if isinstance(mark, SettingRange | SettingChoice)), None)
 
 
 def check(settings: Any, path: str = "") -> None:

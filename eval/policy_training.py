@@ -43,7 +43,7 @@ from gesticulator.stages.reward import reward_table, taught_reward
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.base import LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
-from interpreters.episodes import Episodes, SilentLexemes, Take, build, distance_rewards
+from interpreters.episodes import BehaviourPolicies, Episodes, SilentLexemes, Take, build, distance_rewards
 from interpreters.reward import Centred, RewardTable
 from interpreters.simulator import Choose, Replay, Simulator, collect
 from lexicon.inventory import nearest_silent
@@ -185,8 +185,8 @@ def _episodes(context: RacerContext, config: Config) -> Episodes:
         interpreters: dict[str, LexemeInterpreter] = {
             "sampled": context.bundle.block_models.interpreter, "statistical": context.bundle.statistical()}
         build(context.takes, plain, context.taught(config).sequence, silent=context.silent,
-              vectors=context.bundle.vectors.numpy(), interpreters=interpreters, features=features_of(context.corpus),
-              seed=config.seed).save(file)
+              vectors=context.bundle.vectors.numpy(), seed=config.seed,
+              policies=BehaviourPolicies(interpreters, features_of(context.corpus))).save(file)
     return Episodes.load(file)
 
 

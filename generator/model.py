@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
@@ -18,6 +19,32 @@ if TYPE_CHECKING:
 
 State = tuple[Tensor, Tensor]
 """Hidden and cell state of the decoder, [layers, B, width] each."""
+
+
+@dataclass(frozen=True)
+class GeneratorWidths:
+    """What shapes a generator besides its settings.
+
+    frames: K; motion: D_m; audio: d + 1; lexeme: D_s; control: 2 F of a control's rows, read only where the settings
+    ask for it.
+    """
+
+    frames: int
+    motion: int
+    audio: int
+    lexeme: int
+    control: int = 0
+
+
+@dataclass(frozen=True)
+class BlockInputs:
+    """What N blocks are made from: audio windows [B, N, 3K, d], lexemes [B, N, D_s], style codes [B, N, d_z], and what
+    is asked of the style [B, N, K, 2 F], None when nothing is."""
+
+    audio: Tensor
+    lexeme: Tensor
+    style: Tensor
+    control: Tensor | None = None
 
 
 class StyleCodes(nn.Module):
@@ -64,29 +91,29 @@ class Generator(nn.Module):
     fade: Tensor
     present: Tensor
 
-    def __init__(self, config: GeneratorConfig, frames: int, motion_width: int, audio_width: int, lexeme_width: int,
-                 style_blocks: int = 0, control_width: int = 0, present: Tensor | None = None) -> None:
-        """control_width: 2 F, of a control's rows; read only where the settings ask for it. present: [D_m] 1 where the
-        data have the dimension; elsewhere no loss would hold it, so it is 0."""
+    def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, style_blocks: int = 0,
+                 present: Tensor | None = None) -> None:
+        """style_blocks: how many style codes are learned, 0 for none (inference). present: [D_m] 1 where the data have
+        the dimension; elsewhere no loss would hold it, so it is 0."""
         super().__init__()
-        self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
-        c = self.config = config
-        self.frames = frames
-        self.encode_motion = convolutions((motion_width, *[c.motion_features] * 3), norm=False)
-        self.encode_audio = BlockLinear(frames, audio_width, c.audio_features, bottleneck=c.audio_bottleneck)
+        self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
+        c, frames = config, widths.frames
+        self.config, self.frames = config, frames
+        self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
+        self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)
         position = positional_block(frames, c.position_width, direction=c.position_direction) \
             if c.position_width else torch.zeros(frames, 0)
         self.register_buffer("position", position, persistent=False)
         self.register_buffer("fade", torch.arange(frames - 1, -1, -1.0)[:, None] / frames, persistent=False)
-        self.control_width = control_width if c.use_control else 0
-        width = c.motion_features + c.audio_features + lexeme_width + c.style_width + c.position_width
+        self.control_width = widths.control if c.use_control else 0
+        width = c.motion_features + c.audio_features + widths.lexeme + c.style_width + c.position_width
         width += self.control_width
         self.mlp = nn.Sequential(nn.Linear(width, c.hidden), nn.LeakyReLU(SLOPE),
                                  nn.Linear(c.hidden, c.hidden), nn.LeakyReLU(SLOPE))
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
         self.lstm = nn.LSTM(c.groups * c.group_width, c.lstm_width, c.lstm_layers, batch_first=True)
-        self.to_motion = nn.Linear(c.lstm_width, motion_width)
-        self.start = nn.Sequential(nn.Linear(motion_width + lexeme_width, c.hidden), nn.LeakyReLU(SLOPE),
+        self.to_motion = nn.Linear(c.lstm_width, widths.motion)
+        self.start = nn.Sequential(nn.Linear(widths.motion + widths.lexeme, c.hidden), nn.LeakyReLU(SLOPE),
                                    nn.Linear(c.hidden, 2 * c.lstm_layers * c.lstm_width))
         self.styles = StyleCodes(style_blocks, c.style_width) if style_blocks else None
 
@@ -134,22 +161,21 @@ class Generator(nn.Module):
             motion = motion + self.fade * past[:, -1:]
         return motion * self.present, state, choice
 
-    def roll_out(self, seed: Tensor, motion: Tensor | None, audio: Tensor, lexeme: Tensor, style: Tensor,
-                 own_past: float = 1.0, temperature: float = 1.0, control: Tensor | None = None
-                 ) -> tuple[Tensor, Tensor]:
+    def roll_out(self, seed: Tensor, given: BlockInputs, motion: Tensor | None = None, own_past: float = 1.0,
+                 temperature: float = 1.0) -> tuple[Tensor, Tensor]:
         """Blocks 1..N one after the other, the decoder's state carried across.
 
-        seed: [B, K, D_m] the block before the first; motion: [B, N, K, D_m] the truth (needed when own_past < 1);
-        audio: [B, N, 3K, d] windows; lexeme: [B, N, D_s]; style: [B, N, d_z]; control: [B, N, K, 2 F] or None.
-        With probability `own_past` a block sees what was generated, else the truth. Gives [B, N, K, D_m] and the
-        code choices [B, N, K, H, C].
+        seed: [B, K, D_m] the block before the first; motion: [B, N, K, D_m] the truth (needed when own_past < 1). With
+        probability `own_past` a block sees what was generated, else the truth. Gives [B, N, K, D_m] and the code
+        choices [B, N, K, H, C].
         """
-        heard = self.encode_audio(audio)
-        state = self.first_state(seed[:, -1], lexeme[:, 0])
+        heard = self.encode_audio(given.audio)
+        state = self.first_state(seed[:, -1], given.lexeme[:, 0])
         past, made, choices = seed, [], []
-        for i in range(lexeme.shape[1]):
-            asked = None if control is None else control[:, i]
-            block, state, choice = self.step(past, heard[:, i], lexeme[:, i], style[:, i], state, temperature, asked)
+        for i in range(given.lexeme.shape[1]):
+            asked = None if given.control is None else given.control[:, i]
+            block, state, choice = self.step(past, heard[:, i], given.lexeme[:, i], given.style[:, i], state,
+                                             temperature, asked)
             made.append(block)
             choices.append(choice)
             past = block
@@ -188,8 +214,8 @@ class Generator(nn.Module):
         worn = style
         if self.training and self.config.style_dropout > 0:
             worn = style * (torch.rand(len(style), 1, 1, device=style.device) >= self.config.style_dropout)
-        made, _ = self.roll_out(motion[:, 0], motion[:, 1:], audio, lexemes, worn,
-                                self.own_past_probability(progress), temperature, control)
+        made, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, worn, control), motion[:, 1:],
+                                self.own_past_probability(progress), temperature)
         valid = batch["valid"][:, 1:]
         mask = batch["mask"][:, None, None] * valid[:, :, None, None]
         kept = valid > 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from data_module.settings import Choice, Depth, NotNegative, Positive, Range, Share, Width, WidthOrNone
+from data_module.settings import Depth, NotNegative, Positive, SettingChoice, SettingRange, Share, Width, WidthOrNone
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class GeneratorConfig:
     """d_z."""
     position_width: WidthOrNone = 32
     """d_P; 0 leaves the positional block out (Table 7)."""
-    position_direction: Annotated[str, Choice(("forward", "to_beat"))] = "forward"
+    position_direction: Annotated[str, SettingChoice(("forward", "to_beat"))] = "forward"
     """Whether the positional block counts the frames since the last beat or those that are left to the next."""
     hidden: Width = 512
     """Width of the MLP encoder."""
@@ -62,7 +62,7 @@ class GeneratorConfig:
     style_dropout: Share = 0.0
     """Share of training windows that get the zero code instead of their own. A learned code tells what only hindsight
     knows; without it the generator must take its timing from the sound. Off in the paper."""
-    swaps: Annotated[int, Range(0, 64)] = 1
+    swaps: Annotated[int, SettingRange(0, 64)] = 1
     """N_J, permutations of the other inputs for the lexeme loss."""
     swap_share: Share = 1.0
     """Share of the batch's blocks that each permutation takes."""

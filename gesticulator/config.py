@@ -9,12 +9,12 @@ from data_module.blocks import BlockSettings
 from data_module.controls import FEATURES
 from data_module.errors import InputError
 from data_module.settings import (
-    Choice,
     Count,
     Natural,
     NotNegative,
     Positive,
-    Range,
+    SettingChoice,
+    SettingRange,
     Share,
     Steps,
     Width,
@@ -54,9 +54,9 @@ class FitSettings:
     """Windows (or blocks) a step."""
     rate: Positive = 3e-4
     """Learning rate of Adam at its highest; 3e-4 is the papers' (RG 7.1.2)."""
-    betas: Annotated[tuple[float, float], Range(0.0, 0.9999)] = (0.9, 0.999)
+    betas: Annotated[tuple[float, float], SettingRange(0.0, 0.9999)] = (0.9, 0.999)
     """Of Adam: how slowly the mean and the square of the gradient are forgotten."""
-    schedule: Annotated[str, Choice(("constant", "cosine"))] = "constant"
+    schedule: Annotated[str, SettingChoice(("constant", "cosine"))] = "constant"
     """"constant", or "cosine": a warm-up of 2 % of the steps, then a fall to 1 % of the rate."""
     clip: NotNegative = 1.0
     """Largest gradient norm; 0 leaves gradients alone."""
@@ -73,7 +73,7 @@ class FrontEndConfig:
     "hf:NAME", hidden layers of a speech model of transformers."""
     bands: Width = 80
     """Mel bands, of "mel" alone."""
-    layers: Annotated[tuple[int, ...], Range(0, 1000)] = ()
+    layers: Annotated[tuple[int, ...], SettingRange(0, 1000)] = ()
     """Which layers are the low and the high level; empty for the front end's own (2 and 8 of the stack)."""
 
 
@@ -97,7 +97,7 @@ class ControlConfig:
     """Share of training windows where nothing is asked."""
     asked: Share = 0.5
     """Chance of each feature to be asked for in the others."""
-    features: Annotated[tuple[str, ...], Choice(FEATURES)] = ("height", "speed", "radius")
+    features: Annotated[tuple[str, ...], SettingChoice(FEATURES)] = ("height", "speed", "radius")
     """Those that may be asked for; one alone is the paper's form."""
 
 
@@ -107,9 +107,9 @@ class MotionConfig:
 
     least_deviation: Positive = 0.05
     """Radians (or metres): a dimension that varies less is scaled by this instead, so stillness is not blown up."""
-    representation: Annotated[str, Choice(("rotations", "positions"))] = "rotations"
+    representation: Annotated[str, SettingChoice(("rotations", "positions"))] = "rotations"
     """"rotations": exponential maps of 16 joints; "positions": ten joints in space, as TED has them."""
-    smoothing: Annotated[float, Range(0.0, 10.0)] = 0.05
+    smoothing: Annotated[float, SettingRange(0.0, 10.0)] = 0.05
     """Seconds, the standard deviation of the Gaussian over the finished motion: one frame at 20 fps, cut off at two
     frames either side (kernel size 5, RG 7.1.2)."""
 
@@ -120,7 +120,7 @@ class SilenceConfig:
 
     hint: bool = True
     """Teach the lexeme interpreter the silent lexeme nearest to a silent block's own."""
-    augmentation: Annotated[float, Range(0.0, 0.9)] = 0.05
+    augmentation: Annotated[float, SettingRange(0.0, 0.9)] = 0.05
     """Share of inserted silent blocks in the generator's training set; 0 turns it off."""
     longest_insert: Count = 10
     """Blocks of the longest run of silence that is inserted (5 s at most)."""
@@ -129,7 +129,7 @@ class SilenceConfig:
     rest_decay: Share = 0.5
     """At inference, from the third quiet block in a row on, the share of the way to the block's mean pose that a block
     goes; the small swings that the generator would repeat in every block of a rest are left out. 0 leaves them in."""
-    lexemes: Annotated[tuple[int, ...], Range(0, 65535)] = ()
+    lexemes: Annotated[tuple[int, ...], SettingRange(0, 65535)] = ()
     """The silent lexemes by hand; empty finds them."""
 
 
@@ -171,7 +171,7 @@ class SelectionConfig:
     """The same for the Q-network, whose scores are Q values: 0 is RACER's own greedy choice."""
     top: Natural = 0
     """Draw among the best `top` only; 0 for all."""
-    guidance: Annotated[float, Range(0.0, 100.0)] = 5.0
+    guidance: Annotated[float, SettingRange(0.0, 100.0)] = 5.0
     """How far what is asked of the style is followed: 1 takes what the models make of it, more goes on in the direction
     from what they would do unasked to what they do asked (they were taught both)."""
     activity: Share = 1.0
@@ -199,7 +199,7 @@ class Config:
     reward: RewardConfig = field(default_factory=RewardConfig)
     episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
     cql: QConfig = field(default_factory=QConfig)
-    tokens: Annotated[str, Choice(("lexicon", "racer"))] = "lexicon"
+    tokens: Annotated[str, SettingChoice(("lexicon", "racer"))] = "lexicon"
     """What names gestures: "lexicon", block by block at the beat, and a generator draws them; or "racer", RACER's own
     codec at a fixed rate, which decodes them itself."""
     racer: RacerConfig = field(default_factory=RacerConfig)
@@ -209,7 +209,7 @@ class Config:
     """Whose habits are taken when nobody is named; the first performer when empty or unknown."""
     window: Width = 8
     """Generated blocks in a training window: 4 s at 8 blocks of 0.5 s (RG 7.1.2)."""
-    seed: Annotated[int, Range(0, 2**31 - 1)] = 1
+    seed: Annotated[int, SettingRange(0, 2**31 - 1)] = 1
     """Every stage draws its own seed from this one and its name, so a stage more changes no other."""
 
     def __post_init__(self) -> None:

@@ -98,11 +98,11 @@ def tokens(sizes: Sizes) -> Lexicon | RacerCodec:
 
 def generator(sizes: Sizes) -> Generator:
     """G, E_M, E_A and, while it is trained, the style codes (RG 5.2)."""
-    from generator.model import Generator
+    from generator.model import Generator, GeneratorWidths
 
     config = sizes.config
-    return Generator(config.generator, sizes.frames, sizes.motion, sizes.low, config.lexicon.code_width,
-                     sizes.training_blocks, CONTROL_WIDTH, sizes.present)
+    return Generator(config.generator, GeneratorWidths(sizes.frames, sizes.motion, sizes.low, config.lexicon.code_width,
+                                                       CONTROL_WIDTH), sizes.training_blocks, sizes.present)
 
 
 def interpreter(sizes: Sizes) -> LstmInterpreter:

@@ -37,23 +37,18 @@ LITERAL = EpisodeConfig(truth=1.0, sampled=0.0, statistical=0.0, perturbed=0.0, 
 
 
 def paper_trinity() -> Config:
-    """Rhythmic Gesticulator's numbers for Trinity (RG 7.1.2), for a GPU.
-
-    400 windows of 8 blocks a step, 7,000 generator steps of 3.7 TFLOP (forward and backward, LSTM 2 x 1024, 8,192
-    logits a frame): 26 PFLOP, a quarter of an hour at 30 TFLOP/s, days on two CPU cores. 600 epochs of 4,700 windows.
-    The speech encoder is 512 wide: 12 GFLOP a window of 1.5 s forward and backward, 64 windows a step, 15 PFLOP in
-    20,000 steps.
-    The gate is ours (the paper names its lack as a limitation).
-    """
+    """Rhythmic Gesticulator's numbers for Trinity (RG 7.1.2), for a GPU; the gate is ours."""
     return Config(
         name="paper-trinity",
-        schedules=Schedules(lexicon=FitSettings(steps=12_000, batch=3000),
-                            generator=FitSettings(steps=7_000, batch=400),
-                            interpreter=FitSettings(steps=7_000, batch=500),
-                            style=FitSettings(steps=7_000, batch=500),
-                            speech=FitSettings(steps=20_000, batch=64),
-                            contrast=FitSettings(steps=10_000, batch=64),
-                            gate=FitSettings(steps=2_000, batch=500)),
+        schedules=Schedules(
+            lexicon=FitSettings(steps=12_000, batch=3000),
+            # 600 epochs of 4,700 windows, 3.7 TFLOP a step forward and backward: 26 PFLOP, a quarter of an hour at
+            # 30 TFLOP/s, days on two CPU cores.
+            generator=FitSettings(steps=7_000, batch=400),
+            interpreter=FitSettings(steps=7_000, batch=500), style=FitSettings(steps=7_000, batch=500),
+            # 12 GFLOP a window of 1.5 s forward and backward, 15 PFLOP in all.
+            speech=FitSettings(steps=20_000, batch=64), contrast=FitSettings(steps=10_000, batch=64),
+            gate=FitSettings(steps=2_000, batch=500)),
         rhythm=BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.5), fps=20.0),
         front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=512),
         text=TextConfig(encoder="bert-base-uncased"),
@@ -77,31 +72,15 @@ def paper_ted() -> Config:
 
 
 def default() -> Config:
-    """The shipped bundle, for two CPU cores: smaller than `paper_trinity`, with fewer steps to match.
-
-    Size: a speech encoder 128 wide for 512, a 384-d word encoder for 768; rows of audio and of text brought to 48 and
-    32 before their FC; lexicon convolutions 32, 64, 96, 128 wide; E_M 48 and E_A 32 wide; MLP 192; 16 groups of 32
-    classes; LSTM 2 x 192; interpreters 192 and 128 wide; batches of 64 windows. Training to match: a cosine fall of a
-    higher rate, since there are 35 epochs and not 600, and for the same reason 5e-2 for the style codes; a quarter of
-    the blocks in the lexeme loss; scheduled sampling complete after 40 % of the run.
-    Beyond size: the interpreter that reads is the audio-only one with a head beside it that reads the words of three
-    blocks and adds to its scores, since four hours hold too few words to learn both at once; the style interpreter
-    reads none (Table 3 finds little in them); the generator is taught frame differences, the three features of style
-    at once, and to do without a style code in three windows of ten, since the codes of unheard speech are guesses;
-    there are 100 lexemes, as TED has; the trunk's small turns count less (least deviation 0.1), so that lexemes tell
-    arms apart. Lexemes are drawn (temperature 0.7) and not taken by arg max, which from sound alone settles on few: a
-    rule that gestures by chance cannot be predicted block by block, only its manner can.
-    The Q-network looks ten blocks ahead (gamma 0.9), a little further than a reward looks back, and its target follows
-    every 25 steps: 800 steps would not bring values of a hundred blocks (gamma 0.99) to rest; for half of them it
-    learns what people do, before it learns what that is worth. alpha is 1: of those tried on the validation split (0.1
-    to 10) lower ones left the data for lexemes that the judging reward thinks little of.
-    """
+    """The shipped bundle, for two CPU cores: as `paper_trinity` but narrower, with fewer steps (35 epochs, not 600)."""
     return Config(
         name="default", default_speaker="connor",
-        schedules=Schedules(
+        schedules=Schedules(  # higher rates that fall, since there are few epochs
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
             generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
             interpreter=FitSettings(steps=500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            # It starts from the audio-only one, with a head beside it that reads the words: four hours hold too few
+            # words to learn hearing and reading at once.
             interpreter_text=FitSettings(steps=2_000, batch=64, rate=2e-3, schedule="cosine", weight_decay=0.1),
             style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
             speech=FitSettings(steps=1_000, batch=8, rate=1e-3, schedule="cosine"),
@@ -111,16 +90,29 @@ def default() -> Config:
             cql=FitSettings(steps=800, batch=64, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
                             weight_decay=0.01)),
         front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=128),
-        text=TextConfig(encoder="minilm"),
-        motion=MotionConfig(least_deviation=0.1), lexicon=LexiconConfig(size=100, widths=(32, 64, 96, 128)),
+        text=TextConfig(encoder="minilm"),  # 384-d word vectors for BERT's 768
+        # The trunk's small turns count less (0.1 radians for 0.05), so that lexemes tell arms apart.
+        motion=MotionConfig(least_deviation=0.1),
+        lexicon=LexiconConfig(size=100, widths=(32, 64, 96, 128)),  # 100 lexemes, as TED has
+        # The best lexeme of each block, from sound alone, is always one of a few: a rule that gestures by chance cannot
+        # be predicted block by block, only its manner can.
         selection=SelectionConfig(temperature=0.7),
-        generator=GeneratorConfig(motion_features=48, audio_features=32, audio_bottleneck=48, hidden=192, groups=16,
-                                  classes=32, lstm_width=192, own_past_until=0.4, swap_share=0.25, style_rate=5e-2,
-                                  use_control=True, velocity=10.0, style_dropout=0.3),
+        generator=GeneratorConfig(
+            motion_features=48, audio_features=32, audio_bottleneck=48, hidden=192, groups=16, classes=32,
+            lstm_width=192,
+            own_past_until=0.4,  # scheduled sampling complete after 40 % of the run
+            swap_share=0.25,  # a quarter of the blocks in the lexeme loss, which costs as much again as the rest
+            style_rate=5e-2,  # five times the paper's, for a tenth of the epochs
+            use_control=True, velocity=10.0,
+            style_dropout=0.3),  # the codes of unheard speech are guesses
         interpreter=LstmConfig(audio_features=32, audio_bottleneck=48, text_head=256, text_bottleneck=64,
                                use_control=True, width=192, dropout=0.2),
-        style=StyleConfig(audio_features=32, audio_bottleneck=48, width=128),
+        style=StyleConfig(audio_features=32, audio_bottleneck=48, width=128),  # it reads no words: Table 3 finds little
         gate=GateConfig(audio_features=16, audio_bottleneck=32, width=64),
+        # Ten blocks of foresight, a little further than a reward looks back: 800 steps would not bring values of a
+        # hundred blocks (gamma 0.99) to rest. For half of them it learns what people do, before it learns what that is
+        # worth. Of the alphas tried on the validation split (0.1 to 10) those below 1 left the data for lexemes that
+        # the judging reward thinks little of.
         cql=QConfig(conservative=1.0, gamma=0.9, copy_every=25, warm_up=0.5),
     )
 
@@ -156,22 +148,20 @@ _FIXED_RATE = BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.4, rule="even"
 
 
 def racer_trinity() -> Config:
-    """RACER as published (RACER 5.1, 5.2), for a GPU: its own codec, no lexicon of beats, no generator.
-
-    Codec: 512 wide, 512 codes, 6 s windows of 15 codes, batch 64, 500 epochs of 221 minutes: 17,000 steps of 0.5
-    TFLOP. Q-network: 768 wide, 12 heads, 12 layers (the paper does not say how many; 86 M weights), batch 256, 1,500
-    epochs: 13,000 steps. A pass over a batch of 256 windows of 30 tokens costs 1.3 TFLOP, a step about seven of them
-    (forward and backward, two target windows, two for the double choice): 120 PFLOP, an hour at 30 TFLOP/s, weeks on
-    two CPU cores. The data set is what was really done, as in the paper; mel and onset are heard, eight frames of them.
-    """
+    """RACER as published (RACER 5.1, 5.2), for a GPU: its own codec, no lexicon of beats, no generator."""
+    # The codec: 500 epochs of 221 minutes in 6 s windows of 15 codes, 0.5 TFLOP a step.
     learn = FitSettings(steps=17_000, batch=64, rate=3e-5)
     return Config(
         name="racer-trinity", tokens="racer", rhythm=_FIXED_RATE,
         schedules=Schedules(
             lexicon=learn, generator=NOT_TRAINED, interpreter=NOT_TRAINED, style=NOT_TRAINED, reward=learn,
+            # 1,500 epochs. A pass over 256 windows of 30 tokens costs 1.3 TFLOP, a step about seven of them (forward
+            # and backward, two target windows, two for the double choice): 120 PFLOP, an hour at 30 TFLOP/s, weeks on
+            # two CPU cores.
             cql=FitSettings(steps=13_000, batch=256, rate=1e-4, betas=(0.5, 0.999), schedule="cosine")),
         front_end=FrontEndConfig(name="mel", bands=128), episodes=LITERAL,
         reward=RewardConfig(width=256, projection=128, window=15, longest=15),
+        # The paper does not say how many layers; 12 make 86 M weights.
         cql=QConfig(width=768, heads=12, layers=12, audio_blocks=1, audio_bottleneck=0, audio_features=128,
                     use_speaker=False))
 
@@ -185,14 +175,7 @@ def racer_chinese() -> Config:
 
 
 def racer_native() -> Config:
-    """RACER's own form a quarter as wide, for two CPU cores: codec 128 wide, Q-network 192 wide with 3 heads.
-
-    Beyond width: 4 layers for 12, batches of 32 in the Q-network, far fewer steps at a higher rate, the mixture of
-    behaviours for the paper's ground truth alone (without the supervised interpreter, of which there is none over
-    these codes), 256 codes for 512 since four hours use no more, the performers told apart; as in `default` alpha 1,
-    ten decisions of foresight and a target that follows every 25 steps, most of the run supervised; codes are drawn
-    (temperature 1), since the greedy choice of so short a training is one resting code.
-    """
+    """RACER's own form a quarter as wide, for two CPU cores, with far fewer steps at a higher rate."""
     trinity = racer_trinity()
     return dataclasses.replace(
         trinity, name="racer-native", default_speaker="connor", front_end=FrontEndConfig(name="mel", bands=32),
@@ -203,10 +186,12 @@ def racer_native() -> Config:
             reward=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
             cql=FitSettings(steps=500, batch=32, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
                             weight_decay=0.01)),
-        selection=SelectionConfig(q_temperature=1.0),
+        selection=SelectionConfig(q_temperature=1.0),  # the best code of so short a training is one resting code
+        # A mixture, as in `default`, but without the supervised interpreter, of which there is none over these codes.
         episodes=EpisodeConfig(truth=0.7, sampled=0.0, statistical=0.15, perturbed=0.15, baseline=0),
-        racer=RacerConfig(width=128, size=256, revive_below=0.2),
+        racer=RacerConfig(width=128, size=256, revive_below=0.2),  # four hours use no more than 256 codes
         reward=RewardConfig(window=8, longest=15),
+        # Foresight, target and alpha as in `default`, most of the run supervised; the performers are told apart.
         cql=QConfig(width=192, heads=3, layers=4, audio_blocks=1, audio_bottleneck=0, audio_features=32,
                     use_speaker=True, conservative=1.0, gamma=0.9, copy_every=25, warm_up=0.8))
 

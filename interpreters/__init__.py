@@ -11,7 +11,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Entry:
+class InterpreterEntry:
     """A lexeme interpreter that a bundle may hold.
 
     about: a line for the command line. where: module and class. part: the part of a bundle that it is, empty for one
@@ -29,10 +29,10 @@ class Entry:
         return getattr(import_module(module), name)
 
 
-INTERPRETERS: dict[str, Entry] = {
-    "lstm": Entry("the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter",
+INTERPRETERS: dict[str, InterpreterEntry] = {
+    "lstm": InterpreterEntry("the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter",
                   "interpreter_text"),
-    "cql": Entry("RACER's Q-network", "interpreters.cql:QNetwork", "q_network"),
-    "statistical": Entry("a speaker's frequencies alone", "interpreters.statistical:StatisticalInterpreter"),
+    "cql": InterpreterEntry("RACER's Q-network", "interpreters.cql:QNetwork", "q_network"),
+    "statistical": InterpreterEntry("a speaker's frequencies alone", "interpreters.statistical:StatisticalInterpreter"),
 }
 """By name; the first that a bundle has is taken when none is named."""

@@ -113,7 +113,7 @@ class QNetwork(nn.Module):
     def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
         """Q(s_i, .) [B, M, S] for each of M decisions; the arguments are those of `tokens`.
 
-        Decisions past the first T are made in a window that slides, exactly as `step` makes them.
+        DecisionBatch past the first T are made in a window that slides, exactly as `step` makes them.
         """
         return sliding(self.tokens(previous, audio, speaker, silent), self.config.decisions, self.read)
 
@@ -146,7 +146,7 @@ class QNetwork(nn.Module):
         return scores, QState(state.speaker, tokens, present if keep else None, features.high)
 
 
-def cross_entropy(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
+def data_nll(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
     """log sum_a exp Q(s, a) - Q(s, a_data), [...], the first bracket of RACER Eq. 11.
 
     values, allowed: [..., S]; action: [...]. It is the cross-entropy of softmax(Q) over the allowed actions. 0 where
@@ -163,21 +163,35 @@ def backed_up(reward: Tensor, terminal: Tensor, next_value: Tensor, gamma: float
     return reward + gamma * next_value.masked_fill(terminal.bool(), 0.0)
 
 
-def conservative_q_loss(values: Tensor, next_value: Tensor, action: Tensor, reward: Tensor, terminal: Tensor,
-                        allowed: Tensor, *, gamma: float, valid: Tensor, known: Tensor, cloned: Tensor,
-                        huber: float = 0.0) -> tuple[Tensor, Tensor]:
+@dataclass(frozen=True)
+class DecisionBatch:
+    """What was done, and what came of it, [B, T] each but for `allowed`.
+
+    action: lexemes; reward; terminal: nothing follows; allowed: bool [B, T, S], A(s); valid: steps that exist; known:
+    steps whose next value is known; cloned: how much the data's action counts, less where it is not a person's.
+    """
+
+    action: Tensor
+    reward: Tensor
+    terminal: Tensor
+    allowed: Tensor
+    valid: Tensor
+    known: Tensor
+    cloned: Tensor
+
+
+def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float, huber: float = 0.0
+                        ) -> tuple[Tensor, Tensor]:
     """The terms of RACER Eq. 11, unweighted: E[log sum_a exp Q(s, a) - Q(s, a_data)] and E[(Q(s, a_data) - y)^2] / 2.
 
-    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'; action, reward, terminal: [B, T];
-    allowed: bool [B, T, S]. valid: [B, T] steps that exist (both means are over these); known: [B, T] steps whose next
-    value is known; cloned: [B, T] how much the first term counts, less where the behaviour is not a person's.
+    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'. Both means are over valid steps.
     """
-    conservative = cross_entropy(values, action, allowed)
-    chosen = values.gather(-1, action.unsqueeze(-1)).squeeze(-1)
-    target = backed_up(reward, terminal, next_value, gamma).detach()
+    conservative = data_nll(values, done.action, done.allowed)
+    chosen = values.gather(-1, done.action.unsqueeze(-1)).squeeze(-1)
+    target = backed_up(done.reward, done.terminal, next_value, gamma).detach()
     error = functional.huber_loss(chosen, target, reduction="none", delta=huber) if huber else (
         0.5 * (chosen - target).square())
-    return masked_mean(cloned * conservative, valid), masked_mean(error, valid * known)
+    return masked_mean(done.cloned * conservative, done.valid), masked_mean(error, done.valid * done.known)
 
 
 @contextmanager
@@ -267,8 +281,7 @@ class ConservativeQ(nn.Module):
         learns = bool(self.config.temporal) and progress >= self.config.warm_up
         conservative, difference = conservative_q_loss(
             values, self.next_values(batch) if learns else torch.zeros_like(now["reward"]),
-            now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),
-            gamma=self.config.gamma, valid=now["valid"], known=next_known(batch), cloned=now["cloned"],
-            huber=self.config.huber)
+            DecisionBatch(now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),
+                          now["valid"], next_known(batch), now["cloned"]), self.config.gamma, self.config.huber)
         terms = {"conservative": conservative}
         return {**terms, "temporal_difference": difference} if learns else terms

@@ -178,9 +178,9 @@ def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisio
     else:
         choices = np.where(lengths > 1, np.maximum(lengths - decisions, 1), 0)
     until = np.cumsum(choices)
-    drawn = rng.integers(until[-1], size=count)
-    which = np.searchsorted(until, drawn, side="right")
-    return which, (drawn - until[which] + choices[which]) * max(stretch, 1)
+    sampled = rng.integers(until[-1], size=count)
+    which = np.searchsorted(until, sampled, side="right")
+    return which, (sampled - until[which] + choices[which]) * max(stretch, 1)
 
 
 def _unpacked(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Episode]:
@@ -220,15 +220,23 @@ class SilentLexemes:
         return np.where(take.silent, self.nearest[take.lexemes], take.lexemes).astype(np.int64)
 
 
+@dataclass(frozen=True)
+class BehaviourPolicies:
+    """Who acts beside the person. interpreters: by behaviour ("sampled", "statistical"), those that have a share;
+    features(block number): what they hear."""
+
+    interpreters: Mapping[str, LexemeInterpreter]
+    features: Callable[[int], BlockFeatures]
+
+
 def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silent: SilentLexemes,
-          vectors: NDArray[np.floating[Any]], interpreters: Mapping[str, LexemeInterpreter] | None = None,
-          features: Callable[[int], BlockFeatures] | None = None, seed: int = 0) -> Episodes:
+          vectors: NDArray[np.floating[Any]], policies: BehaviourPolicies | None = None, seed: int = 0) -> Episodes:
     """The data set: every take as it was, and its share of what others would have done.
 
     reward: what a step earns, of a kind with `config.reward`; with another scheme than "window" it must look back over
-    a whole stretch. vectors: [S, D] the codebook. interpreters: those of "sampled" and "statistical" that have a share,
-    and features(block number): what they hear. The same seed gives the same data set, bit by bit, and each behaviour
-    draws on its own, so a share that changes leaves the others as they were.
+    a whole stretch. vectors: [S, D] the codebook. policies: who acts beside the person, where somebody has a share. The
+    same seed gives the same data set, bit by bit, and each behaviour samples on its own, so a share that changes leaves
+    the others as they were.
     """
     order = _by_distance(np.asarray(vectors, dtype=np.float64))
     takes = [Take(take.recording, take.speaker, take.blocks, silent.relabel(take), take.silent) for take in takes]
@@ -241,10 +249,10 @@ def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silen
         for take, length in _budgeted(takes, round(config.shares[name] * total), config.prefix, rng):
             if name == "perturbed":
                 acted = perturb(take, length, config, order, silent, rng)
-            elif interpreters is None or name not in interpreters or features is None:
+            elif policies is None or name not in policies.interpreters:
                 raise ValueError(f"the share of {name!r} needs its interpreter and what it hears")
             else:
-                acted = roll(interpreters[name], take, length, config, features, silent, rng)
+                acted = roll(policies, name, take, length, config, silent, rng)
             episodes.append(_episode(take, *acted, number, config, reward))
     return Episodes(episodes, cloned=config.cloned, stretch=0 if config.scheme == "window" else config.stretch)
 
@@ -265,13 +273,13 @@ def _budgeted(takes: Sequence[Take], budget: int, prefix: int, rng: np.random.Ge
 
 
 @torch.inference_mode()
-def roll(interpreter: LexemeInterpreter, take: Take, length: int, config: EpisodeConfig,
-         features: Callable[[int], BlockFeatures], silent: SilentLexemes, rng: np.random.Generator
-         ) -> tuple[Integers, NDArray[np.float64]]:
+def roll(policies: BehaviourPolicies, name: str, take: Take, length: int, config: EpisodeConfig, silent: SilentLexemes,
+         rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
     """Actions [length] of an interpreter that hears a take and takes over after its prefix, and ln pi_beta [length].
 
     The prefix is heard as well: whoever has a memory comes to it with the person's past.
     """
+    interpreter, features = policies.interpreters[name], policies.features
     actions, logs = take.lexemes[:length].copy(), np.zeros(length)
     state = interpreter.start(take.speaker, int(actions[0]))
     for i in range(1, length):

@@ -84,7 +84,7 @@ class LstmInterpreter(nn.Module):
     @property
     def weights(self) -> dict[str, float]:
         """Loss weights, keyed like `losses`."""
-        return {"cross_entropy": 1.0}
+        return {"nll": 1.0}
 
     def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
                text: Tensor | None = None, control: Tensor | None = None) -> tuple[Tensor, Hidden]:
@@ -115,7 +115,7 @@ class LstmInterpreter(nn.Module):
         return heard, hidden
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """Cross-entropy of the next lexeme.
+        """NLL of the next lexeme, in nats a block.
 
         batch: lexeme [B, N + 1] (with the silent hint), audio_high [B, N + 1, 3K, d], speaker [B, speakers],
         valid [B, N + 1], and text [B, N + 1, 3K, d_t + 1] and control [B, N + 1, K, 2 F] where they are heard. The
@@ -136,7 +136,7 @@ class LstmInterpreter(nn.Module):
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
                                         label_smoothing=self.config.label_smoothing)
         valid = batch["valid"][:, 1:].flatten()
-        return {"cross_entropy": (each * valid).sum() / valid.sum().clamp_min(1)}
+        return {"nll": (each * valid).sum() / valid.sum().clamp_min(1)}
 
     def start(self, speaker: int, first_lexeme: int) -> LstmState:
         """The state before the first block (the first lexeme comes back in `step` as the previous one)."""

@@ -7,13 +7,13 @@ from typing import Annotated
 
 from data_module.errors import InputError
 from data_module.settings import (
-    Choice,
     Count,
     Depth,
     Natural,
     NotNegative,
     Positive,
-    Range,
+    SettingChoice,
+    SettingRange,
     Share,
     Width,
     WidthOrNone,
@@ -28,8 +28,8 @@ SCHEMES = ("window", "prefix", "terminal", "difference")
 LEAST_TEMPERATURE = 0.01
 """tau of the contrastive loss never falls below this; beyond it one pair of a batch would decide the gradient."""
 
-Dropout = Annotated[float, Range(0.0, 0.99)]
-TextBlocks = Annotated[int, Range(1, 3)]
+Dropout = Annotated[float, SettingRange(0.0, 0.99)]
+TextBlocks = Annotated[int, SettingRange(1, 3)]
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class QConfig:
     """Width that each row of audio is brought to before that FC; 0 for none."""
     audio_blocks: TextBlocks = 3
     """Blocks of audio that a decision hears: 3, the one before and the one after too (RG Eq. 17), or 1 (the paper)."""
-    lookahead: Annotated[int, Range(0, 1)] = 1
+    lookahead: Annotated[int, SettingRange(0, 1)] = 1
     """1: the three blocks of a decision are the one before, its own and the one after; 0: the two before and its own,
     so that a stream need not wait for the next beat."""
     use_speaker: bool = True
@@ -239,12 +239,12 @@ class EpisodeConfig:
     """Of the roll-outs: lexemes are drawn from softmax(scores / temperature); 0 takes the best."""
     prefix: Count = 8
     """True lexemes before another behaviour takes over."""
-    reward: Annotated[str, Choice(REWARDS)] = "contrastive"
+    reward: Annotated[str, SettingChoice(REWARDS)] = "contrastive"
     """"contrastive" (RACER Eq. 8), or "distance" to the recorded motion (the paper's ablation)."""
     baseline: Natural = 8
     """Random sequences of lexemes whose mean reward on the same audio is taken off the contrastive reward; 0 for none
     (the paper). It changes no choice and spares the Q-network to learn what the audio alone earns."""
-    scheme: Annotated[str, Choice(SCHEMES)] = "window"
+    scheme: Annotated[str, SettingChoice(SCHEMES)] = "window"
     """What a step earns: "window" the reward of the blocks that trail it; "prefix" that of all since the stretch began;
     "terminal" that of the whole stretch, at its end; "difference" what the step added to the prefix."""
     stretch: Count = 15

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from data_module.settings import Choice, NotNegative, Share, Width, Widths
+from data_module.settings import NotNegative, SettingChoice, Share, Width, Widths
 
 HALVINGS = 3
 """Times that the encoder of RACER's codec halves the frame rate."""
 FRAMES = 2**HALVINGS
 """Frames per code of RACER's codec."""
 
-Codebook = Annotated[str, Choice(("ema", "gradient"))]
+Codebook = Annotated[str, SettingChoice(("ema", "gradient"))]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from data_module.errors import InputError
 from interpreters.base import BlockFeatures, LexemeInterpreter, Scores
 from interpreters.episodes import (
     BEHAVIOURS,
+    BehaviourPolicies,
     EpisodeConfig,
     Episodes,
     SilentLexemes,
@@ -79,7 +80,7 @@ def behaving() -> dict[str, LexemeInterpreter]:
 def made(config: EpisodeConfig | None = None, *, seed: int = 0, silent: SilentLexemes = SILENT,
          of: list[Take] | None = None) -> Episodes:
     return build(takes() if of is None else of, config or EpisodeConfig(), earned, silent=silent, vectors=VECTORS,
-                 interpreters=behaving(), features=features, seed=seed)
+                 policies=BehaviourPolicies(behaving(), features), seed=seed)
 
 
 def joined(episodes: Episodes, name: str) -> NDArray:
@@ -198,7 +199,7 @@ def test_without_temperature_the_best_is_taken_for_certain() -> None:
 def test_a_behaviour_hears_its_own_past() -> None:
     system = Scripted(np.zeros(SIZE))
     data = build(takes(), EpisodeConfig(truth=0.5, sampled=0.5, statistical=0, perturbed=0), earned, silent=SILENT,
-                 vectors=VECTORS, interpreters={"sampled": system}, features=features)
+                 vectors=VECTORS, policies=BehaviourPolicies({"sampled": system}, features))
     rolled = [episode for episode, kind in zip(data.episodes, own_kind(data), strict=True) if kind == SAMPLED]
     assert [list(episode.actions[:-1]) for episode in rolled] == system.told
 

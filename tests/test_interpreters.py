@@ -149,7 +149,7 @@ def test_a_reading_head_adds_to_the_voice_and_nothing_else_learns() -> None:
              "speaker": arguments[2], "valid": torch.ones(1, 4)}
     for _ in range(3):
         optimiser.zero_grad()
-        reads.train().losses(batch, 0.0)["cross_entropy"].backward()
+        reads.train().losses(batch, 0.0)["nll"].backward()
         optimiser.step()
     after = reads.eval().state_dict()
     moved = {name for name, value in after.items() if not torch.equal(value, before[name])}
@@ -208,7 +208,7 @@ def test_lstm_learns_a_lexeme_from_sound_and_filled_blocks_do_not_count() -> Non
                 "speaker": torch.eye(2)[torch.zeros(16, dtype=torch.long)], "valid": torch.ones(16, 5)}
 
     for step in range(60):
-        loss = model.losses(batch(), step / 60)["cross_entropy"]
+        loss = model.losses(batch(), step / 60)["nll"]
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -219,7 +219,7 @@ def test_lstm_learns_a_lexeme_from_sound_and_filled_blocks_do_not_count() -> Non
     b["valid"][:, 3:] = 0
     other = {**b, "lexeme": b["lexeme"].clone()}
     other["lexeme"][:, 4] = (other["lexeme"][:, 4] + 1) % SIZE
-    assert torch.equal(model.losses(b)["cross_entropy"], model.losses(other)["cross_entropy"])
+    assert torch.equal(model.losses(b)["nll"], model.losses(other)["nll"])
 
 
 def test_equation_24_on_three_lexemes_by_hand() -> None:
@@ -261,7 +261,7 @@ def test_a_lexeme_that_only_the_word_tells_is_learned_from_the_word() -> None:
                 "speaker": torch.eye(2)[torch.zeros(16, dtype=torch.long)], "valid": torch.ones(16, 5)}
 
     for step in range(80):
-        loss = model.losses(batch(), step / 80)["cross_entropy"]
+        loss = model.losses(batch(), step / 80)["nll"]
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

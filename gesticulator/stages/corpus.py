@@ -234,7 +234,7 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
     if not speakers:
         raise InputError(store.path, "has no recordings in its training split", "build the store again")
     speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0 for info in infos])
-    statistics = _statistics(config, speakers, speaker_of, [info.split for info in infos], loaded, encoded)
+    statistics = measured(config, speakers, speaker_of, [info.split for info in infos], loaded, encoded)
     motion = [statistics.normalise(own["motion"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
     first = [statistics.normalise(own["first"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
     low = _normalised(statistics.low, [own["low"] for own in encoded])
@@ -285,8 +285,16 @@ def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: 
             torch.as_tensor(word_table(table, table.shape[1]).astype(np.float16)), has)
 
 
-def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64], splits: list[str],
+BOUNDS = (0.1, 99.9)
+"""Percent: one frame in a thousand at either end is left out, as captures jump now and then."""
+
+
+def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64], splits: list[str],
                 loaded: list[dict[str, NDArray[Any]]], encoded: list[dict[str, NDArray[Any]]]) -> Statistics:
+    """What is measured on the training split, of the cached blocks and features of every recording.
+
+    speaker_of: [R]; splits, loaded, encoded: of each of R recordings.
+    """
     width = loaded[0]["motion"].shape[-1]
     train = [index for index, split in enumerate(splits) if split == "train"]
     mean, rest = np.zeros((len(speakers), width)), np.zeros((len(speakers), width))
@@ -302,7 +310,7 @@ def _statistics(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[n
     deviation = np.concatenate(centred).std(axis=0)
     present = np.stack([loaded[i]["mask"] for i in train]).any(axis=0)
     deviation = np.where(present, np.maximum(deviation, config.motion.least_deviation), 1.0)
-    bounds = np.percentile(np.concatenate(centred) / deviation, [0.1, 99.9], axis=0)
+    bounds = np.percentile(np.concatenate(centred) / deviation, BOUNDS, axis=0)
     quiet = [settled(loaded[i]["silent"], 1) for i in train]
     normalisers, silences = [], []
     for level in ("low", "high"):

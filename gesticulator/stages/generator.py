@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from data_module.layers import freeze
-from generator.model import Generator
+from generator.model import BlockInputs, Generator
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.stages.base import Figures, Run, Stage
@@ -39,7 +39,7 @@ def _train(run: Run, model: Generator, folder: Path) -> Figures:
         for batch in checks:
             b = {key: value.to(run.device) for key, value in with_vectors(batch).items()}
             zero = torch.zeros(*b["style"][:, 1:].shape, config.generator.style_width, device=run.device)
-            made, _ = model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:], zero)
+            made, _ = model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], zero))
             true = b["motion"][:, 1:]
             totals.append(((made - true).pow(2).mean(), (lexicon.encode(made.flatten(0, 1))
                                                          - lexicon.encode(true.flatten(0, 1))).pow(2).mean()))

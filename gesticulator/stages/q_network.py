@@ -25,8 +25,8 @@ from gesticulator.stages.labels import LABELS, Labelled, model_sizes
 from gesticulator.stages.lexicon import TOKENS
 from gesticulator.stages.reward import REWARD, step_reward
 from interpreters.base import BlockFeatures
-from interpreters.cql import ConservativeQ, QNetwork, cross_entropy
-from interpreters.episodes import Episodes, SilentLexemes, Take, build
+from interpreters.cql import ConservativeQ, QNetwork, data_nll
+from interpreters.episodes import BehaviourPolicies, Episodes, SilentLexemes, Take, build
 from interpreters.statistical import StatisticalInterpreter
 
 _CHECKS, _WINDOWS = 4, 64
@@ -66,8 +66,8 @@ def _make_episodes(run: Run) -> Episodes:
     if config.tokens == "lexicon":
         others["sampled"] = run.get(INTERPRETER)
     episodes = build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
-                     silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy(), interpreters=others,
-                     features=features_of(corpus), seed=run.seed(EPISODES))
+                     silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy(), policies=BehaviourPolicies(
+                         others, features_of(corpus)), seed=run.seed(EPISODES))
     episodes.save(file)
     return episodes
 
@@ -124,7 +124,7 @@ def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> d
         allowed = learner.online.allowed(batch["silent"])
         masked = q.masked_fill(~allowed, -torch.inf)
         valid, action = batch["valid"], batch["action"][..., None]
-        nll = cross_entropy(q, batch["action"], allowed)
+        nll = data_nll(q, batch["action"], allowed)
         right = (masked.argmax(-1, keepdim=True) == action)[..., 0].float()
         count = valid.sum()
         taken = q.gather(-1, action)[..., 0]
