@@ -64,7 +64,7 @@ MANY = 24
 # ------------------------------------------------------------------------------------------------- what is there
 
 @dataclass(frozen=True)
-class Figure:
+class ReportFigure:
     """A figure. paper: its name there, such as "RG Fig. 11"; picture: its file, None where only the numbers are."""
 
     paper: str
@@ -80,7 +80,7 @@ class Results:
 
     folder: Path
     tables: Mapping[str, list[Table]]
-    figures: list[Figure]
+    figures: list[ReportFigure]
     unreadable: list[str]
 
     def facts(self, name: str) -> Mapping[str, Any]:
@@ -112,18 +112,18 @@ def probe_files() -> dict[str, str]:
     return {name.replace("-", "_"): name for name in PROBES}
 
 
-def _figures(folder: Path, unreadable: list[str]) -> list[Figure]:
+def _figures(folder: Path, unreadable: list[str]) -> list[ReportFigure]:
     """The ablation's figures and the pictures of other commands, in the papers' order."""
     found = []
     for file in sorted((folder / "ablation").glob("figure-*.json")):
         try:
             told = loads(file.read_text(encoding="utf-8"))
             picture = next((own for ending in (".svg", ".png") if (own := file.with_suffix(ending)).is_file()), None)
-            found.append(Figure(told["figure"], told["title"], told["caption"], dict(told["numbers"]), picture))
+            found.append(ReportFigure(told["figure"], told["title"], told["caption"], dict(told["numbers"]), picture))
         except (ValueError, KeyError, TypeError, RecursionError):
             unreadable.append(f"ablation/{file.name}")
     pictures = folder.parent / "pictures"
-    found += [Figure(paper, title, caption, {}, pictures / file) for file, (paper, title, caption) in PICTURES.items()
+    found += [ReportFigure(*about, {}, pictures / file) for file, about in PICTURES.items()
               if (pictures / file).is_file()]
     return sorted(found, key=lambda figure: (_order(figure.paper), figure.title))
 

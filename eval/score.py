@@ -75,7 +75,7 @@ Figures = dict[str, dict[str, Marked]]
 # ------------------------------------------------------------------------------------------------------------ rows
 
 @dataclass
-class Row:
+class ScoreRow:
     """A set of motions and what was measured. kind: "truth", "system" or "control".
 
     values: metric -> [clips]; sets: metric -> a figure of the clips with these numbers; features: network -> [n, E] by
@@ -132,9 +132,9 @@ class ScoreContext:
     encoder: ClipEncoder | None
     seed: int
 
-    def row(self, name: str, kind: str, motions: list[Motion]) -> Row:
+    def row(self, name: str, kind: str, motions: list[Motion]) -> ScoreRow:
         """Everything about one set of motions."""
-        row = Row(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
+        row = ScoreRow(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
         own = self.clips.motions[TRUTH]
         truth = baselines.to_common_length(motions, own)[1]
         _put(row, MOTION_METRICS, [
@@ -151,7 +151,7 @@ class ScoreContext:
         self._lexemes(row)
         return row
 
-    def _lexemes(self, row: Row) -> None:
+    def _lexemes(self, row: ScoreRow) -> None:
         """What the lexemes nearest to a row's blocks say, where there is a lexicon."""
         of_sets = ("diversity", "motion_variance")
         if self.encoder is None:
@@ -171,7 +171,7 @@ class ScoreContext:
             *(part[chosen].sum(axis=0) for part in moments))
 
 
-def _put(row: Row, metrics: Sequence[str], every: Sequence[Values]) -> None:
+def _put(row: ScoreRow, metrics: Sequence[str], every: Sequence[Values]) -> None:
     """The values of all clips into a row, and why some have none."""
     for metric in metrics:
         row.values[metric] = np.array([values.numbers[metric] for values in every])
@@ -201,7 +201,8 @@ def control_rows(clips: ClipSet, seed: int) -> tuple[dict[str, list[Motion]], li
 
 # --------------------------------------------------------------------------------------------------------- figures
 
-def row_figures(row: Row, truth: Row, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
+def row_figures(row: ScoreRow, truth: ScoreRow, context: ScoreContext
+                ) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
     """Every metric of a row, and the distances by network."""
     out: dict[str, Interval] = {name: stats.mean_interval(values, seed=context.seed)
                                 for name, values in row.values.items()}
@@ -246,7 +247,7 @@ def fgd_verdict(figure: fgd.Figure) -> str:
     return f"roughly: chance is {100 * figure.bias / figure.distance:.0f} % of it, and a tenth from {wanted} windows on"
 
 
-def floor_figures(truth: Row, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
+def floor_figures(truth: ScoreRow, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
     """Distances between two halves of the truth; what is no distance between sets has none."""
     out = {name: Marked(Interval.undefined(), reason=NO_FLOOR) for name in (*CLIP_METRICS, *SET_METRICS)}
     place = {id(motion): k for k, motion in enumerate(truth.motions)}
@@ -270,7 +271,7 @@ def floor_figures(truth: Row, context: ScoreContext) -> tuple[dict[str, Marked],
     return out | {key: fgd_cell(figure) for key, figure in distances.items()}, distances
 
 
-def differences(first: Row, second: Row, truth: Row, context: ScoreContext) -> dict[str, Marked]:
+def differences(first: ScoreRow, second: ScoreRow, truth: ScoreRow, context: ScoreContext) -> dict[str, Marked]:
     """First less second, paired over clips, with intervals."""
     out = {name: stats.paired(first.values[name], second.values[name], seed=context.seed) for name in CLIP_METRICS}
     for name in SET_METRICS:
@@ -286,7 +287,7 @@ def _less(first: Callable[[Indices], float], second: Callable[[Indices], float])
     return lambda chosen: first(chosen) - second(chosen)
 
 
-def mismatches(rows: Sequence[Row], context: ScoreContext) -> dict[str, dict[str, Mismatch]]:
+def mismatches(rows: Sequence[ScoreRow], context: ScoreContext) -> dict[str, dict[str, Mismatch]]:
     """The mismatch test of each row by each metric of synchrony."""
     known = [k for k, track in enumerate(context.tracks) if track is not None]
     few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
@@ -310,7 +311,7 @@ class Flag:
     says: str
 
 
-def flags(rows: Mapping[str, Row], figures: Figures, metrics: Mapping[str, Metric], seed: int) -> list[Flag]:
+def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, Metric], seed: int) -> list[Flag]:
     """Which control beats what, by which metric.
 
     A control beats a system when its value is the better one, by more than rounding; the truth when it is as good or
@@ -352,7 +353,8 @@ def _badness(metric: Metric, figures: Figures, name: str, row: str) -> float:
     return -value if metric.good == "high" else value
 
 
-def _against_truth(name: str, metric: Metric, control: Row, truth: Row, figures: Figures, seed: int) -> list[str]:
+def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow, figures: Figures, seed: int
+                   ) -> list[str]:
     own, theirs = mean_of(figures, control.name, name), mean_of(figures, TRUTH, name)
     if not (math.isfinite(own) and math.isfinite(theirs)):
         return []

@@ -69,7 +69,7 @@ _SLOT = re.compile(r"\{\{([a-z_]+)\}\}")
 
 
 @dataclass(frozen=True)
-class Take:
+class StudyTake:
     """One recording by every system: the speech and one motion per system, `seconds` of which all of them cover."""
 
     name: str
@@ -83,12 +83,26 @@ class Take:
 
 
 @dataclass(frozen=True)
-class Clip:
+class StudyClip:
     """A stretch of a take: its start in seconds, and the share of it that is speech."""
 
     take: int
     start: float
     speech: float
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """clips: how many stretches, `seconds` long each. seed: which stretches, and the order. raters: how many orders the
+    page holds; rater raters + 1 gets that of rater 1. videos: "mp4" or "webm" writes each item as a video beside the
+    page, which then draws nothing."""
+
+    clips: int = 10
+    seconds: float = 30.0
+    seed: int = 0
+    raters: int = 30
+    aspects: Sequence[str] = DEFAULT_ASPECTS
+    videos: str | None = None
 
 
 # ---------------------------------------------------------------- the material
@@ -120,7 +134,7 @@ def _pairs(folder: Path) -> dict[str, tuple[Path, Path]]:
     return both
 
 
-def read_takes(systems: dict[str, Path]) -> list[Take]:
+def read_takes(systems: dict[str, Path]) -> list[StudyTake]:
     """The recordings that every system has; InputError when there is none, or when the sound of one differs."""
     found = {name: _pairs(folder) for name, folder in systems.items()}
     common = sorted(set.intersection(*(set(pairs) for pairs in found.values())))
@@ -133,7 +147,7 @@ def read_takes(systems: dict[str, Path]) -> list[Take]:
         for _, other in files[1:]:
             if not _same_sound(first, load_speech(other)):
                 raise InputError(other, f"is not the sound of {files[0][1]}", "compare systems on the same speech")
-        takes.append(Take(stem, first, tuple(read_bvh(motion) for motion, _ in files)))
+        takes.append(StudyTake(stem, first, tuple(read_bvh(motion) for motion, _ in files)))
     return takes
 
 
@@ -146,18 +160,19 @@ def _same_sound(a: Speech, b: Speech) -> bool:
     return float(x @ y) >= _ALIKE * float(np.sqrt((x @ x) * (y @ y)))
 
 
-def choose_clips(takes: Sequence[Take], count: int, seconds: float, seed: int) -> list[Clip]:
+def choose_clips(takes: Sequence[StudyTake], count: int, seconds: float, seed: int) -> list[StudyClip]:
     """`count` stretches that do not overlap, spread over the takes, each with enough speech; InputError for fewer."""
     if count < 1 or not (np.isfinite(seconds) and seconds >= 1):
         raise InputError("--clips, --seconds", f"cannot be {count} and {seconds:g}", "ask for one clip of 1 s at least")
     rng = np.random.default_rng(seed)
-    offered: list[list[Clip]] = []
+    offered: list[list[StudyClip]] = []
     for number, take in enumerate(takes):
         slots = int((take.seconds + 1e-6) // seconds)
         shift = rng.uniform(0.0, max(take.seconds - slots * seconds, 0.0))
         loud = ~pauses(silent_frames(take.speech.samples, take.speech.sample_rate))
         starts = shift + seconds * np.arange(slots)
-        clips = [Clip(number, round(start, 3), round(_share(loud, start, seconds), 3)) for start in starts.tolist()]
+        clips = [StudyClip(number, round(start, 3), round(_share(loud, start, seconds), 3))
+                 for start in starts.tolist()]
         clips = [clip for clip in clips if clip.speech >= ENOUGH_SPEECH]
         offered.append([clips[k] for k in rng.permutation(len(clips))])
     # One of each take before a second one of any.
@@ -199,13 +214,10 @@ def orders(systems: int, clips: int, raters: int, seed: int) -> list[list[tuple[
 
 # ---------------------------------------------------------------- the page
 
-def make(systems: dict[str, Path], out: Path, *, clips: int = 10, seconds: float = 30.0, seed: int = 0,
-         raters: int = 30, aspects: Sequence[str] = DEFAULT_ASPECTS, videos: str | None = None) -> Path:
-    """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same page and key.
-
-    raters: how many orders the page holds; rater raters + 1 gets that of rater 1. videos: "mp4" or "webm" writes each
-    item as a video beside the page, which then draws nothing.
-    """
+def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
+    """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same page and key."""
+    clips, seconds, seed, raters = options.clips, options.seconds, options.seed, options.raters
+    aspects, videos = options.aspects, options.videos
     if raters < 1:
         raise InputError("--raters", f"must be 1 or more, not {raters}")
     if videos is not None:
@@ -258,7 +270,7 @@ def _opaque(source: str, what: str) -> str:
     return hashlib.sha256(f"{source} {what}".encode()).hexdigest()[:10]
 
 
-def _digest(takes: Sequence[Take], seed: int) -> str:
+def _digest(takes: Sequence[StudyTake], seed: int) -> str:
     digest = hashlib.sha256(str(seed).encode())
     for take in takes:
         digest.update(take.name.encode() + take.speech.samples.tobytes())
@@ -330,9 +342,9 @@ def run(arguments: argparse.Namespace) -> int:
         ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
         publish(anova.tables(ratings, arguments.seed), arguments.out)
         return 0
-    systems, aspects = parse_systems(arguments.systems), list(dict.fromkeys(arguments.aspects))
-    page = make(systems, arguments.out, clips=arguments.clips, seconds=arguments.seconds, seed=arguments.seed,
-                raters=arguments.raters, aspects=aspects, videos=arguments.videos)
+    page = make(parse_systems(arguments.systems), arguments.out, StudyOptions(
+        arguments.clips, arguments.seconds, arguments.seed, arguments.raters, list(dict.fromkeys(arguments.aspects)),
+        arguments.videos))
     print(f"{page} is for the raters (1 to {arguments.raters}: page?rater=7 fills in the number); "
           f"keep {arguments.out / 'key.json'} to yourself")
     return 0

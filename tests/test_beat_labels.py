@@ -18,9 +18,9 @@ from data_module.errors import InputError
 from data_module.store import Store
 from eval import label_files
 from eval.commands import PROBE
-from eval.label_files import Choice, Labels, find_labels, read_labels, read_table
+from eval.label_files import LabelChoice, Labels, find_labels, read_labels, read_table
 from eval.probes import beat_labels
-from eval.probes.beat_labels import Found, Marked, f_measure, judge, offset, scores
+from eval.probes.beat_labels import Found, LabelledRecording, f_measure, judge, offset, scores
 from eval.table import load
 
 TIMES = [0.5, 1.25, 2.0]
@@ -130,17 +130,17 @@ def test_huge_numbers_and_long_lines_cost_no_time(text: str, wrong: str | None, 
 def test_choices(tmp_path: Path) -> None:
     file = tmp_path / "marks"
     file.write_text("10\t20\tb\n30\t30\tb\n")
-    assert read_labels(file, Choice("middle", rate=20)).times == pytest.approx([0.75, 1.5])
-    assert read_labels(file, Choice("end", rate=1000)).times == pytest.approx([0.02, 0.03])
+    assert read_labels(file, LabelChoice("middle", rate=20)).times == pytest.approx([0.75, 1.5])
+    assert read_labels(file, LabelChoice("end", rate=1000)).times == pytest.approx([0.02, 0.03])
     file.write_text(_LONG_GRID)
-    assert read_labels(file, Choice(tier="words", at="end")).times == pytest.approx([3.0])
+    assert read_labels(file, LabelChoice(tier="words", at="end")).times == pytest.approx([3.0])
     file.write_text("file,ready,emphasis\na/one.bvh,0.1,0.5\ntwo,0.2,0.7\na/one.bvh,0.3,\n")
-    assert {name: told.times.tolist() for name, told in read_table(file, Choice(column="emphasis")).items()} == {
+    assert {name: told.times.tolist() for name, told in read_table(file, LabelChoice(column="emphasis")).items()} == {
         "a/one.bvh": [0.5], "two": [0.7]}
     assert label_files.is_table_of_recordings(file)
     for wrong in ({"at": "apex"}, {"rate": 0.0}):
         with pytest.raises(InputError):
-            Choice(**wrong)
+            LabelChoice(**wrong)
 
 
 def test_the_label_file_of_a_recording(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_the_recordings_of_a_store_that_have_labels(tiny_store: Path, tmp_path: 
     assert truth is not None
     beats = [stroke.beat for stroke in truth.strokes]
     (tmp_path / f"{name}_beats.json").write_text(json.dumps(beats))
-    labels_of = beat_labels.labels_by_name(tmp_path, Choice())
+    labels_of = beat_labels.labels_by_name(tmp_path, LabelChoice())
     clips = beat_labels.from_store(store, None, labels_of)
     assert [clip.name for clip in clips] == [name]
     told = judge(clips, [0.1])
@@ -267,7 +267,7 @@ def test_real_stroke_times_are_where_the_arms_come_to_rest(outside_data: Path, t
     rows = (strokes / "manifest.csv").read_text().splitlines()
     table = tmp_path / "some.csv"
     table.write_text("\n".join([rows[0], *(row for row in rows[1:] if "brad_Idle01" in row)]))
-    labels_of = beat_labels.labels_by_name(table, Choice(column="emphasis"))
+    labels_of = beat_labels.labels_by_name(table, LabelChoice(column="emphasis"))
     clips = beat_labels.from_files(None, strokes, labels_of, leave_out="ToIdle|ScratchHead|WeightShift")
     assert len(clips) > 10 and all(len(clip.labels.times) == 1 for clip in clips)
     told = judge(clips, [0.2])["rows"]["motion beats B"]
@@ -281,7 +281,7 @@ def test_a_real_take_marked_at_its_own_motion_beats(outside_data: Path, tmp_path
     marks = Labels(np.array([1.0]), "none yet")
     beats = beat_labels.detections(beat_labels._marked(motion, None, marks, None))["motion beats A"]
     (tmp_path / "own.txt").write_text("\n".join(f"{time:.6f}" for time in beats))
-    told = judge(beat_labels.from_files(sound, motion, beat_labels.labels_by_name(tmp_path / "own.txt", Choice())))
+    told = judge(beat_labels.from_files(sound, motion, beat_labels.labels_by_name(tmp_path / "own.txt", LabelChoice())))
     assert told["rows"]["motion beats A"]["tolerances"]["0.1"]["f"].mean == 1.0
     for name in ("onsets", "beats"):  # real speech: far from 1, and chance beside it
         row = told["rows"][name]["tolerances"]["0.2"]
@@ -290,4 +290,4 @@ def test_a_real_take_marked_at_its_own_motion_beats(outside_data: Path, tmp_path
 
 def test_a_label_beyond_the_recording_is_refused() -> None:
     with pytest.raises(InputError, match="has a label at"):
-        Marked("x", Labels(np.array([40.0]), "seconds"), 3.0)
+        LabelledRecording("x", Labels(np.array([40.0]), "seconds"), 3.0)

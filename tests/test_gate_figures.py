@@ -16,7 +16,17 @@ from data_module.store import Recording, RecordingInfo, StoreWriter
 from data_module.types import Array, Speech
 from eval.commands import PROBE
 from eval.probes import gate as figures
-from eval.probes.gate import Judged, Played, auc, brier, calibration, calibration_error, knowledge, resampled, row
+from eval.probes.gate import (
+    GatedMotion,
+    GateScores,
+    auc,
+    brier,
+    calibration,
+    calibration_error,
+    knowledge,
+    resampled,
+    row,
+)
 from eval.stats import Interval
 from eval.table import load
 from gesticulator import bundle as bundles
@@ -80,7 +90,7 @@ def test_groups_are_drawn_whole() -> None:
     assert (got.low, got.high) == (0.0, 3.0)
 
 
-def judged(count: int = 8, length: int = 120) -> list[Judged]:
+def judged(count: int = 8, length: int = 120) -> list[GateScores]:
     """A gate that is right nine times in ten and says so; silence knows the pauses; loudness is noise. Half of the
     recordings are of a lively performer; two share their speech."""
     rng, out = np.random.default_rng(0), []
@@ -88,7 +98,7 @@ def judged(count: int = 8, length: int = 120) -> list[Judged]:
         active = rng.random(length) < (0.8 if i % 2 else 0.4)
         said = np.where(active ^ (rng.random(length) < 0.1), 0.9, 0.1)
         pause = ~active & (rng.random(length) < 0.3)
-        out.append(Judged(f"speech {min(i, count - 2)}", active, {
+        out.append(GateScores(f"speech {min(i, count - 2)}", active, {
             figures.GATE: said, figures.LOUDNESS: rng.random(length), figures.SILENCE: (~pause).astype(float),
             figures.PERFORMER: np.full(length, 0.8 if i % 2 else 0.4)}))
     return out
@@ -112,10 +122,10 @@ def test_knowledge_of_known_systems() -> None:
     assert got["calibration"]["brier_of_the_base_rate"] == pytest.approx(got["active"] * (1 - got["active"]))
 
 
-def hands(gesturing: list[bool], closed: list[bool], speeds: list[float]) -> Played:
+def hands(gesturing: list[bool], closed: list[bool], speeds: list[float]) -> GatedMotion:
     """Blocks of half a second at 10 frames a second, the hands at a constant speed in each."""
     speed = np.repeat(np.array(speeds), 5)
-    return Played(np.arange(len(speeds) + 1) / 2, np.array(gesturing), np.array(closed), speed, 10.0)
+    return GatedMotion(np.arange(len(speeds) + 1) / 2, np.array(gesturing), np.array(closed), speed, 10.0)
 
 
 def test_use_of_a_known_gate() -> None:

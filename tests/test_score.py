@@ -143,7 +143,7 @@ def test_the_tables_hold_every_figure_and_come_back(result: Scores, tmp_path: Pa
 
 def test_a_jitter_that_wins_is_told_of() -> None:
     def judged(jitter: float) -> list[Flag]:
-        rows = {name: score.Row(name, kind, [], [], {"consistency": np.array(values)}) for name, kind, values in (
+        rows = {name: score.ScoreRow(name, kind, [], [], {"consistency": np.array(values)}) for name, kind, values in (
             (TRUTH, TRUTH, [0.5, 0.6]), ("ours", "system", [0.4, 0.5]), ("jitter", "control", [jitter, jitter + 0.1]))}
         figures = {name: {"consistency": Marked(Interval.exact(float(row.values["consistency"].mean()), 2))}
                    for name, row in rows.items()}

@@ -16,7 +16,16 @@ from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.store import RecordingInfo, Store
 from data_module.types import Array
 from eval.commands import PROBE
-from eval.linear_probes import Judged, Spoken, Tokens, grouped, probe_frames, probe_words, same_word, tokens_of
+from eval.linear_probes import (
+    LevelFeatures,
+    ProbeScore,
+    Tokens,
+    grouped,
+    probe_frames,
+    probe_words,
+    same_word,
+    tokens_of,
+)
 from eval.metrics import audio_clusters
 from eval.probes import speech_levels
 from eval.table import load
@@ -26,7 +35,7 @@ from gesticulator import presets
 BLOCKS, FRAMES = 60, 10
 
 
-def spoken(number: int, voice: str, vocabulary: list[str], seed: int = 0) -> Spoken:
+def spoken(number: int, voice: str, vocabulary: list[str], seed: int = 0) -> LevelFeatures:
     """A recording of words of 5 frames. Row "content": the word's own vector, with noise; "sound": energy and pitch in
     a mix of columns, and the voice; "noise": nothing."""
     rng = np.random.default_rng([seed, number])
@@ -42,7 +51,7 @@ def spoken(number: int, voice: str, vocabulary: list[str], seed: int = 0) -> Spo
     sound = np.stack([energy, pitch, timbre], axis=-1) @ mixing + 0.3 * rng.standard_normal((BLOCKS, FRAMES, 24))
     pitch = np.where(rng.random(pitch.shape) < 0.3, np.nan, pitch)
     features = {"content": content, "sound": sound, "noise": rng.standard_normal((BLOCKS, FRAMES, 24))}
-    return Spoken(f"r{number}", f"g{number // 2}", voice, {k: v.astype(np.float16) for k, v in features.items()},
+    return LevelFeatures(f"r{number}", f"g{number // 2}", voice, {k: v.astype(np.float16) for k, v in features.items()},
                   energy, pitch, word_at, tuple(words), np.arange(BLOCKS) % 10 == 0)
 
 
@@ -51,7 +60,7 @@ TRAIN = [spoken(i, f"voice{'x' * (i % 4)}", OLD) for i in range(8)]
 TEST = [spoken(10 + i, f"other{'x' * (i % 3)}", NEW + OLD[:20]) for i in range(6)]
 
 
-def mean(judged: Judged) -> float:
+def mean(judged: ProbeScore) -> float:
     there = np.isfinite(judged.values)
     return float(np.average(judged.values[there], weights=judged.weights[there]))
 
@@ -73,10 +82,10 @@ def test_energy_and_pitch_are_found_where_they_are_and_nowhere_else() -> None:
 
 
 def test_r2_is_one_less_error_over_variance_of_the_frames_that_count() -> None:
-    def target(own: Spoken) -> Array:
+    def target(own: LevelFeatures) -> Array:
         return own.pitch
 
-    def stacked(parts: list[Spoken]) -> tuple[Array, Array]:
+    def stacked(parts: list[LevelFeatures]) -> tuple[Array, Array]:
         xs, ys = [], []
         for own in parts:
             kept = np.isfinite(own.pitch) & ~own.silent[:, None]
@@ -133,11 +142,11 @@ def test_too_little_to_fit_is_no_figure() -> None:
 
 
 def test_recordings_of_a_group_count_once_and_differences_are_paired() -> None:
-    judged = Judged(np.array([0.2, 0.4, np.nan, 0.9]), np.array([1.0, 3.0, 0.0, 2.0]))
+    judged = ProbeScore(np.array([0.2, 0.4, np.nan, 0.9]), np.array([1.0, 3.0, 0.0, 2.0]))
     both = grouped(judged, ["a", "a", "b", "c"])
     assert np.allclose(both.values, [0.35, np.nan, 0.9], equal_nan=True)
     assert both.weights.tolist() == [4, 0, 2]
-    low = Judged(judged.values - 0.1, judged.weights)
+    low = ProbeScore(judged.values - 0.1, judged.weights)
     rows = {"level 8": dict.fromkeys(speech_levels.TASKS, judged), "level 2": dict.fromkeys(speech_levels.TASKS, low)}
     found = speech_levels.summary(rows, ["a", "a", "b", "c"])
     assert found["table"]["level 8"]["pitch"].mean == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)

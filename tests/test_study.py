@@ -113,10 +113,10 @@ def test_items_hold_the_motion_and_the_sound_that_the_key_says(made: Path, syste
 
 def test_same_input_gives_the_same_page_and_another_seed_another(made: Path, systems: dict[str, Path],
                                                                  tmp_path: Path) -> None:
-    again = study.make(systems, tmp_path / "again", clips=4, seconds=2, raters=24)
+    again = study.make(systems, tmp_path / "again", study.StudyOptions(clips=4, seconds=2, raters=24))
     # Not the texts themselves: pytest would explain at length how two megabytes differ.
     assert hash(again.read_bytes()) == hash((made / "page" / "index.html").read_bytes())
-    other = _data(study.make(systems, tmp_path / "other", clips=4, seconds=2, raters=24, seed=1))
+    other = _data(study.make(systems, tmp_path / "other", study.StudyOptions(clips=4, seconds=2, raters=24, seed=1)))
     first = _data(again)
     assert other["study"] != first["study"] and other["orders"] != first["orders"]
     assert not {item["id"] for item in other["items"]} & {item["id"] for item in first["items"]}
@@ -131,7 +131,7 @@ def test_clips_do_not_overlap_have_speech_and_are_spread(systems: dict[str, Path
         assert a.take != b.take or abs(a.start - b.start) >= 2.0 - 1e-3
     quiet = Speech(np.full(9 * RATE, 1e-6, np.float32), RATE)
     with pytest.raises(InputError, match="only 0 stretches"):
-        study.choose_clips([study.Take("still", quiet, takes[0].motions)], 1, 2.0, seed=0)
+        study.choose_clips([study.StudyTake("still", quiet, takes[0].motions)], 1, 2.0, seed=0)
 
 
 # ---------------------------------------------------------------- the order
@@ -420,7 +420,7 @@ def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str
 
 def test_videos_keep_ids_and_orders(films: dict[str, Path], systems: dict[str, Path], tmp_path: Path) -> None:
     """Ratings of the drawn figures and of the videos may be put together."""
-    drawn = study.make(systems, tmp_path / "drawn", clips=2, seconds=1, raters=12)
+    drawn = study.make(systems, tmp_path / "drawn", study.StudyOptions(clips=2, seconds=1, raters=12))
     told, keys = _data(drawn), (tmp_path / "drawn" / "key.json", films["webm"] / "key.json")
     own = _data(films["webm"] / "page" / "index.html")
     assert keys[0].read_text() == keys[1].read_text()

@@ -123,7 +123,7 @@ def draw_latents(points: Array, labels: Labels, silent: Sequence[int], size: int
 # ---------------------------------------------------------------------------------------------- what goes with it
 
 @dataclass(frozen=True)
-class Word:
+class LexemeWord:
     """A word on the blocks of a lexeme: how often, and how many standard errors more often than elsewhere."""
 
     text: str
@@ -132,7 +132,7 @@ class Word:
 
 
 @dataclass(frozen=True)
-class Entry:
+class LexemeEntry:
     """One lexeme. share: of all blocks; shares: of each performer's; hand_speed: m/s on its blocks as performed (NaN
     where none was read); decoded_speed: m/s of the decoded lexeme in normalised time; in_silence: share of its blocks
     that lie in a pause; strokes: shares of its blocks; sample: where its sample gesture is from."""
@@ -145,13 +145,13 @@ class Entry:
     hand_speed: float
     decoded_speed: float
     in_silence: float
-    words: tuple[Word, ...]
+    words: tuple[LexemeWord, ...]
     strokes: dict[str, float]
     sample: str
 
 
 def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int = LEAST, sure: float = SURE,
-                most: int = MOST_WORDS) -> list[tuple[Word, ...]]:
+                most: int = MOST_WORDS) -> list[tuple[LexemeWord, ...]]:
     """For each lexeme the words that stand on its blocks more often than on others.
 
     counts: [S, W] of words on the blocks of each lexeme. The measure is the z-score of the difference in log odds
@@ -167,7 +167,7 @@ def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int
         z = difference / np.sqrt(1 / here + 1 / rest)
     z = np.where((counts >= least) & np.isfinite(z), z, -np.inf)
     chosen = [[w for w in np.argsort(-row, kind="stable")[:most] if row[w] >= sure] for row in z]
-    return [tuple(Word(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in own)
+    return [tuple(LexemeWord(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in own)
             for lexeme, own in enumerate(chosen)]
 
 
@@ -233,7 +233,7 @@ class Survey:
                 self.samples[lexeme] = Sample(float(distances[nearest]), f"{recording.info.name}, {start:.2f} s",
                                               _stretch(recording.motion, start, end))
 
-    def entries(self, silent: Sequence[int], decoded_speed: Array) -> list[Entry]:
+    def entries(self, silent: Sequence[int], decoded_speed: Array) -> list[LexemeEntry]:
         """The lexicon, lexeme by lexeme. decoded_speed: [S] m/s."""
         total = sum(self.blocks.values(), np.zeros(self.size))
         vocabulary = sorted({text for _, text in self.words})
@@ -243,7 +243,7 @@ class Survey:
             counts[lexeme, place[text]] = count
         words = distinctive(counts, vocabulary)
         speed = np.where(self.seconds > 0, self.way / np.maximum(self.seconds, 1), np.nan)
-        return [Entry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
+        return [LexemeEntry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
                       {name: float(own[i] / max(own.sum(), 1)) for name, own in sorted(self.blocks.items())},
                       float(speed[i]), float(decoded_speed[i]), float(self.silent[i] / max(total[i], 1)), words[i],
                       self._strokes_of(i), self.samples[i].source if i in self.samples else "")
@@ -329,14 +329,14 @@ def _pose(now: Mapping[str, Array], near: Mapping[str, float]) -> str:
             f'{"".join(map(arm, front))}</g>')
 
 
-def pictures(entry: Entry, sample: Motion | None, own: Motion) -> str:
+def pictures(entry: LexemeEntry, sample: Motion | None, own: Motion) -> str:
     """The sample gesture of a lexeme beside the lexeme as decoded."""
     drawn, said = (picture(sample), entry.sample) if sample is not None else ("", "on no block that was read")
     return (f'<figure class="sample">{drawn}<figcaption>{html.escape(said)}</figcaption></figure>'
             f'<figure>{picture(own, ("front",))}<figcaption>as decoded</figcaption></figure>')
 
 
-def card(entry: Entry, drawing: str, colour: str, widest: float) -> str:
+def card(entry: LexemeEntry, drawing: str, colour: str, widest: float) -> str:
     """One lexeme of the page. widest: the share that fills a bar."""
     who = "".join(f'<span>{html.escape(name)}</span><span><span class="bar" style="width:'
                   f'{min(100.0, 80 * share / max(widest, 1e-9)):.0f}px"></span>{100 * share:.1f} %</span>'
@@ -358,7 +358,8 @@ def _plain(value: float) -> float:
     return value if math.isfinite(value) else -1.0
 
 
-def page(entries: Sequence[Entry], drawings: Sequence[str], command: tuple[str, str], title: str, note: str) -> str:
+def page(entries: Sequence[LexemeEntry], drawings: Sequence[str], command: tuple[str, str], title: str, note: str
+         ) -> str:
     """The contact sheet, nothing outside it. command: what stands before and after the list of ticked lexemes."""
     widest = max((share for own in entries for share in own.shares.values()), default=1.0)
     cards = "\n".join(card(own, drawing, colour, widest)

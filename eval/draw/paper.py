@@ -26,6 +26,7 @@ from data_module.store import Recording
 from data_module.types import Motion
 from eval.draw.lexicon_map import NEIGHBOURS, draw_latents, embed, evenly, neighbours_agree
 from eval.draw.plots import (
+    Overview,
     beat_strips,
     cluster_bars,
     delta_curves,
@@ -125,12 +126,12 @@ def pipeline(source: FigureSource) -> Drawn:
     """RG Fig. 2, on a stretch of real data."""
     recording, clip, motion = source.first, source.clips(OURS)[0], source.motion(OURS)
     rhythm = source.context.first.config.rhythm
-    picture = overview(recording.speech, find_beats(recording.speech, rhythm.beats),
-                       cut(recording.speech, rhythm).edges, clip["lexemes"],
-                       acting_speed(acting_positions(motion), motion.fps), motion.fps, source.start, STRETCH,
-                       recording.speech.words or (), silent=source.context.first.get(LABELS).silent.tolist(),
-                       motion_beats=clip["beats"])
-    return picture, "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.", {}
+    shown = Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
+                     cut(recording.speech, rhythm).edges, clip["lexemes"],
+                     acting_speed(acting_positions(motion), motion.fps), motion.fps, recording.speech.words or (),
+                     source.context.first.get(LABELS).silent.tolist(), clip["beats"])
+    return (overview(shown, source.start, STRETCH),
+            "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.", {})
 
 
 def strip(name: str) -> Callable[[FigureSource], Drawn]:

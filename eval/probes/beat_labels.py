@@ -57,7 +57,7 @@ from data_module.store import Store
 from data_module.types import Array, BeatFlag, Motion, Speech
 from eval import label_files
 from eval.foreign import MOTIONS, find_sound, read_motion
-from eval.label_files import AT, Choice, Labels
+from eval.label_files import AT, LabelChoice, Labels
 from eval.metrics import pmb
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
@@ -81,7 +81,7 @@ _FLAGS = {BeatFlag.ONSET: "beats: onset", BeatFlag.LOUD_PSEUDO: "beats: loud pse
 
 
 @dataclass(frozen=True)
-class Marked:
+class LabelledRecording:
     """A recording with its labels: [n] seconds; speech or motion is None where there is none."""
 
     name: str
@@ -196,7 +196,7 @@ def _even(clip: Found, phase: float) -> Found:
 
 # ---------------------------------------------------------------------------------------------------- what is scored
 
-def detections(clip: Marked) -> dict[str, Array]:
+def detections(clip: LabelledRecording) -> dict[str, Array]:
     """What each detector finds in a recording, [m] rising seconds, by the detector's name."""
     out: dict[str, Array] = {}
     if clip.speech is not None:
@@ -209,7 +209,8 @@ def detections(clip: Marked) -> dict[str, Array]:
     return out
 
 
-def judge(clips: Sequence[Marked], tolerances: Sequence[float] = TOLERANCES, seed: int = 0) -> dict[str, Any]:
+def judge(clips: Sequence[LabelledRecording], tolerances: Sequence[float] = TOLERANCES, seed: int = 0
+          ) -> dict[str, Any]:
     """Every detector on the recordings that it can work on, as plain values; InputError without recordings."""
     if not clips:
         raise InputError("--labels", "fit none of the recordings", "name labels like their recordings")
@@ -258,7 +259,7 @@ def tables(result: Mapping[str, Any]) -> list[Table]:
 
 # ---------------------------------------------------------------------------------------------------- what is read
 
-def labels_by_name(path: Path, choice: Choice) -> Callable[[str], Labels | None]:
+def labels_by_name(path: Path, choice: LabelChoice) -> Callable[[str], Labels | None]:
     """How to get a recording's labels: from a table of recordings, a folder of files, or the one file for any name."""
     if path.is_dir():
         def in_folder(name: str) -> Labels | None:
@@ -275,7 +276,8 @@ def labels_by_name(path: Path, choice: Choice) -> Callable[[str], Labels | None]
     return lambda name: only
 
 
-def from_store(store: Store, names: Sequence[str] | None, labels_of: Callable[[str], Labels | None]) -> list[Marked]:
+def from_store(store: Store, names: Sequence[str] | None, labels_of: Callable[[str], Labels | None]
+               ) -> list[LabelledRecording]:
     """The recordings of a store that have labels; of those that are named each must."""
     clips = []
     for name in names or store.names:
@@ -285,12 +287,12 @@ def from_store(store: Store, names: Sequence[str] | None, labels_of: Callable[[s
                 raise InputError(name, "has no labels", "name the label file like the recording")
             continue
         own = store.load(name)
-        clips.append(Marked(name, labels, own.speech.duration, own.speech, own.motion))
+        clips.append(LabelledRecording(name, labels, own.speech.duration, own.speech, own.motion))
     return clips
 
 
 def from_files(sound: Path | None, motion: Path | None, labels_of: Callable[[str], Labels | None],
-               fps: float | None = None, leave_out: str | None = None) -> list[Marked]:
+               fps: float | None = None, leave_out: str | None = None) -> list[LabelledRecording]:
     """A sound, a motion or both of one name, or all motions below a folder with the sounds of their names."""
     if motion is not None and motion.is_dir():
         files = [file for file in sorted(motion.rglob("*")) if file.suffix.lower() in MOTIONS and file.is_file()]
@@ -316,11 +318,11 @@ def _left_out(name: str, pattern: str | None) -> bool:
         raise InputError("--leave-out", f"is no regular expression ({error})", "quote what is no pattern") from None
 
 
-def _marked(motion: Path | None, sound: Path | None, labels: Labels, fps: float | None) -> Marked:
+def _marked(motion: Path | None, sound: Path | None, labels: Labels, fps: float | None) -> LabelledRecording:
     speech = load_speech(sound) if sound is not None else None
     moves = read_motion(motion, fps) if motion is not None else None
     lengths = [one.duration for one in (speech, moves) if one is not None]
-    return Marked((motion or sound or Path()).stem, labels, max(lengths), speech, moves)
+    return LabelledRecording((motion or sound or Path()).stem, labels, max(lengths), speech, moves)
 
 
 def _plain(name: str) -> str:
@@ -351,7 +353,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> list[Table]:
     """Judge every detector; InputError for labels that belong to nothing."""
-    choice = Choice(arguments.at, arguments.tier, arguments.column, arguments.label_fps)
+    choice = LabelChoice(arguments.at, arguments.tier, arguments.column, arguments.label_fps)
     labels_of = labels_by_name(Path(arguments.labels), choice)
     if arguments.store:
         if arguments.sound or arguments.motion:

@@ -45,7 +45,7 @@ _ARM_JOINTS = tuple(side + part for side in ("Right", "Left") for part in ("Arm"
 
 
 @dataclass(frozen=True)
-class Take:
+class MeasuredRecording:
     """What is measured on one recording. Speeds in m/s, heights in m over the hips, accelerations in rad/s2."""
 
     name: str
@@ -149,7 +149,7 @@ def gain_r2(train: Sequence[tuple[Array, Array]], test: Sequence[tuple[Array, Ar
     return np.array([1.0 - ((g - said) ** 2).mean() / spread for g, said in pairs])
 
 
-def measure(name: str, motion: Motion, speech: Speech, truth: Mapping[str, Any] | None = None) -> Take:
+def measure(name: str, motion: Motion, speech: Speech, truth: Mapping[str, Any] | None = None) -> MeasuredRecording:
     """Everything about one recording; without its truth (a real take) what needs it is empty."""
     table = skeletons.find_table(motion.skeleton.names)
     joints = [table[joint] for joint in _ARM_JOINTS]
@@ -162,7 +162,7 @@ def measure(name: str, motion: Motion, speech: Speech, truth: Mapping[str, Any] 
     matched = rhythm(beats, onsets, duration)
     seam, away = _seams(motion, joints, strokes)
     times = np.array([s["syllable"] for s in strokes])
-    return Take(
+    return MeasuredRecording(
         name, str(truth["split"]) if truth else "real", stroke_misses(motion, strokes),
         stroke_misses(motion, strokes, shift=7.3), matched, len(beats) / motion.duration,
         (np.linalg.norm(np.diff(hands, axis=0), axis=-1) * motion.fps).ravel().astype(np.float32),
@@ -173,7 +173,7 @@ def measure(name: str, motion: Motion, speech: Speech, truth: Mapping[str, Any] 
         tuple(str(s["clip"]).removesuffix("-mirrored") for s in strokes))
 
 
-def measure_folder(folder: Path, limit: int | None = None) -> list[Take]:
+def measure_folder(folder: Path, limit: int | None = None) -> list[MeasuredRecording]:
     """Measure every recording of a data set, or `limit` of them, evenly chosen. InputError when there is none."""
     files = sorted(path for path in folder.glob("*.json") if path.with_suffix(".bvh").is_file())
     if not files:
@@ -188,7 +188,8 @@ def measure_folder(folder: Path, limit: int | None = None) -> list[Take]:
     return takes
 
 
-def _pooled(takes: Sequence[Take], field: str, levels: Sequence[float] = PERCENTILES) -> dict[str, Interval]:
+def _pooled(takes: Sequence[MeasuredRecording], field: str, levels: Sequence[float] = PERCENTILES
+            ) -> dict[str, Interval]:
     """Mean over recordings of each percentile, with its interval."""
     rows = np.array([np.percentile(getattr(take, field), levels) for take in takes if len(getattr(take, field))])
     return {f"{level:g}": mean_interval(rows[:, k]) for k, level in enumerate(levels)} if len(rows) else {}
@@ -203,7 +204,7 @@ def longest_repetition(clips: Sequence[str]) -> int:
     return longest
 
 
-def summary(takes: Sequence[Take]) -> dict[str, Any]:
+def summary(takes: Sequence[MeasuredRecording]) -> dict[str, Any]:
     """The figures over recordings, each with n and a bootstrap interval over recordings where it is a mean."""
     from scipy.stats import combine_pvalues
 
@@ -238,7 +239,7 @@ def summary(takes: Sequence[Take]) -> dict[str, Any]:
     return out
 
 
-def _gain_figure(takes: Sequence[Take]) -> Interval:
+def _gain_figure(takes: Sequence[MeasuredRecording]) -> Interval:
     """R2 on the split "test", fitted on the others; without such a split every fifth recording is held out."""
     held = [take.split == "test" for take in takes]
     if not any(held) or all(held):

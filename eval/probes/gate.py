@@ -54,7 +54,7 @@ Flags = NDArray[np.bool_]
 # ------------------------------------------------------------------------------------------------ known when?
 
 @dataclass(frozen=True)
-class Judged:
+class GateScores:
     """One recording. active: [N] the performer gestures on the block; scores: by name, [N], higher for likelier, those
     of the gate being probabilities; group: recordings of one group share their speech."""
 
@@ -113,7 +113,7 @@ def resampled(owner: NDArray[np.int64], statistic: Callable[[Array], float], dra
                         groups, draws=draws, basic=False)
 
 
-def knowledge(judged: Sequence[Judged], draws: int = DRAWS) -> dict[str, Any]:
+def knowledge(judged: Sequence[GateScores], draws: int = DRAWS) -> dict[str, Any]:
     """AUC of every score over all blocks and within recordings, the gate's lead over each, and its calibration."""
     groups = sorted({own.group for own in judged})
     owner = np.concatenate([np.full(len(own.active), groups.index(own.group)) for own in judged])
@@ -161,7 +161,7 @@ def loudness(speech: Speech, edges: Array) -> Array:
 
 
 @torch.no_grad()
-def judge(system: Gesticulator, recording: Recording) -> Judged:
+def judge(system: Gesticulator, recording: Recording) -> GateScores:
     """The gate and its controls on one recording, block by block as in use."""
     bundle, speech = system.bundle, recording.speech
     gate = gate_of(bundle, "--bundle")
@@ -175,7 +175,7 @@ def judge(system: Gesticulator, recording: Recording) -> Judged:
         said[i], state = gate.step(state, BlockFeatures(low, low))
     habit = 1.0 - float(bundle.inventory.frequencies[bundle.speakers[who]][bundle.silent].sum())
     quiet = encoded.blocks.silent
-    return Judged(recording.info.group or recording.info.name, ~np.isin(read.labels, bundle.silent), {
+    return GateScores(recording.info.group or recording.info.name, ~np.isin(read.labels, bundle.silent), {
         GATE: said, LOUDNESS: loudness(speech, encoded.blocks.edges), SILENCE: (~quiet).astype(np.float64),
         PERFORMER: np.full(len(said), habit)})
 
@@ -190,7 +190,7 @@ def gate_of(bundle: Bundle, subject: str) -> Any:
 # ---------------------------------------------------------------------------------------------------- in use
 
 @dataclass(frozen=True)
-class Played:
+class GatedMotion:
     """One performance. edges: [N + 1] s; gesturing: [N] the lexeme is not silent; closed: [N] the gate shut the block;
     speed: [T - 1] mean of both hands between frames, m/s, at `fps`."""
 
@@ -201,12 +201,12 @@ class Played:
     fps: float
 
 
-def within(played: Played, blocks: Flags) -> Flags:
+def within(played: GatedMotion, blocks: Flags) -> Flags:
     """[T - 1] the frames of the chosen blocks [N]."""
     return blocks[block_of_frames(played.edges, len(played.speed), played.fps)]
 
 
-def row(played: Sequence[Played], ungated: Sequence[Played]) -> dict[str, Any]:
+def row(played: Sequence[GatedMotion], ungated: Sequence[GatedMotion]) -> dict[str, Any]:
     """Figures of one activity, each with its difference from the same recordings without the gate.
 
     Speeds in closed blocks are medians over frames; beside them the median in the same blocks without the gate.
@@ -234,7 +234,7 @@ def _median(values: Array) -> float:
     return float(np.median(values)) if len(values) else float("nan")
 
 
-def play(system: Gesticulator, recording: Recording, activity: float) -> Played:
+def play(system: Gesticulator, recording: Recording, activity: float) -> GatedMotion:
     """One recording at one activity, in the habits of its performer where the bundle knows them."""
     who = recording.info.speaker if recording.info.speaker in system.speakers else None
     made = system(recording.speech, speaker=who, activity=activity)
@@ -243,15 +243,15 @@ def play(system: Gesticulator, recording: Recording, activity: float) -> Played:
         closed = np.zeros(len(gesturing), bool)
     else:
         closed = np.ones(len(gesturing), bool) if activity <= 0 else made.gate < 1 - activity
-    return Played(made.blocks.edges, gesturing, closed, hand_speeds(made.motion).mean(axis=1), made.motion.fps)
+    return GatedMotion(made.blocks.edges, gesturing, closed, hand_speeds(made.motion).mean(axis=1), made.motion.fps)
 
 
-def performed(bundle: Bundle, recording: Recording) -> Played:
+def performed(bundle: Bundle, recording: Recording) -> GatedMotion:
     """The performer's own motion, whose still blocks count as closed."""
     blocks = cut(recording.speech, bundle.config.rhythm)
     read = encode_motion(bundle, recording.motion, blocks, recording.info.speaker)
     gesturing = ~np.isin(read.labels, bundle.silent)
-    return Played(read.blocks.edges, gesturing, ~gesturing, hand_speeds(recording.motion).mean(axis=1),
+    return GatedMotion(read.blocks.edges, gesturing, ~gesturing, hand_speeds(recording.motion).mean(axis=1),
                   recording.motion.fps)
 
 

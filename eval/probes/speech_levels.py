@@ -40,7 +40,7 @@ from data_module.text.word_vectors import word_frames
 from data_module.types import Array, Samples
 from eval.draw.lexicon_map import evenly
 from eval.encode import encode_motion
-from eval.linear_probes import Judged, Spoken, grouped, probe_frames, probe_words, tokens_of
+from eval.linear_probes import LevelFeatures, ProbeScore, grouped, probe_frames, probe_words, tokens_of
 from eval.metrics import audio_clusters
 from eval.stats import Interval, mean_interval
 from eval.table import Column, Table
@@ -79,7 +79,7 @@ def pitch_of(stretched: Samples, frames: int, sample_rate: int) -> Array:
     return np.asarray(np.log2(found[:stretched.shape[0] * frames]), dtype=np.float64).reshape(-1, frames)
 
 
-def listen(recording: Recording, config: Config, encoders: Mapping[str, SpeechEncoder]) -> Spoken:
+def listen(recording: Recording, config: Config, encoders: Mapping[str, SpeechEncoder]) -> LevelFeatures:
     """A recording through every encoder (rows "NAMElevel L") and the mel front end, as in use: windows of three blocks
     at the voice's own level."""
     speech, rate = recording.speech, recording.speech.sample_rate
@@ -100,7 +100,7 @@ def listen(recording: Recording, config: Config, encoders: Mapping[str, SpeechEn
                 parts.setdefault(prefix + level_name(level), []).append(rows[:, middle].numpy().astype(np.float16))
     features = {name: np.concatenate(rows) for name, rows in parts.items()}
     words, info = speech.words or (), recording.info
-    return Spoken(
+    return LevelFeatures(
         info.name, info.group or info.name, info.voice, features,
         features[MEL][..., -1].astype(np.float64),
         pitch_of(stretched, frames, rate), word_frames(words, blocks, config.text.bridge),
@@ -113,9 +113,10 @@ def plain(word: str, language: str) -> str:
     return f"{language}:{bare}" if bare else ""
 
 
-def probes(train: Sequence[Spoken], test: Sequence[Spoken], progress: bool = False) -> dict[str, dict[str, Judged]]:
+def probes(train: Sequence[LevelFeatures], test: Sequence[LevelFeatures], progress: bool = False
+           ) -> dict[str, dict[str, ProbeScore]]:
     """Every task for every row that both have: {row: {task: figure per recording}}."""
-    out: dict[str, dict[str, Judged]] = {}
+    out: dict[str, dict[str, ProbeScore]] = {}
     for row in tqdm(test[0].features, desc="probes", disable=not progress):
         out[row] = probe_words(tokens_of(train, row), tokens_of(test, row), len(test))
         out[row]["energy"] = probe_frames(train, test, row, lambda own: own.energy)
@@ -123,14 +124,14 @@ def probes(train: Sequence[Spoken], test: Sequence[Spoken], progress: bool = Fal
     return out
 
 
-def compare(rows: Mapping[str, Mapping[str, Judged]], groups: Sequence[str], task: str, better: str, worse: str
+def compare(rows: Mapping[str, Mapping[str, ProbeScore]], groups: Sequence[str], task: str, better: str, worse: str
             ) -> Interval:
     """How much more one row knows of a task than another, paired over recordings, with its interval."""
     a, b = (grouped(rows[name][task], groups) for name in (better, worse))
     return mean_interval(a.values - b.values, a.weights)
 
 
-def summary(rows: Mapping[str, Mapping[str, Judged]], groups: Sequence[str], low: int = LOW, high: int = HIGH
+def summary(rows: Mapping[str, Mapping[str, ProbeScore]], groups: Sequence[str], low: int = LOW, high: int = HIGH
             ) -> dict[str, Any]:
     """The table, and what the paper claims as paired differences: above 0 where it holds."""
     table: dict[str, dict[str, Interval]] = {}
@@ -187,7 +188,7 @@ def lexemes(system: Gesticulator, recording: Recording, seed: int = 0) -> dict[s
             for name, motion in (("performer", recording.motion), ("generated", made.motion.crop(0, length)))}
 
 
-def figure_14(test: Sequence[Spoken], labels: Sequence[Mapping[str, NDArray[np.int64]]], low: str, high: str,
+def figure_14(test: Sequence[LevelFeatures], labels: Sequence[Mapping[str, NDArray[np.int64]]], low: str, high: str,
               clusters: int = audio_clusters.CLUSTERS) -> dict[str, Any]:
     """`audio_clusters.association` of the blocks with speech, for each whose motion (RG Figure 14)."""
     spoken = [~own.silent for own in test]
@@ -212,7 +213,7 @@ def figures(system: Gesticulator, store: Store, *, split: Split = "test", limit:
     encoders = {"": encoder, "untrained ": untrained(encoder)}
     train_infos, test_infos, apart = hold_out(store, split, limit, train_limit)
 
-    def heard(infos: Sequence[RecordingInfo], title: str) -> list[Spoken]:
+    def heard(infos: Sequence[RecordingInfo], title: str) -> list[LevelFeatures]:
         return [listen(store.load(info.name), config, encoders)
                 for info in tqdm(infos, desc=title, disable=not progress)]
 
