@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import reprlib
 import sys
@@ -49,7 +50,14 @@ def one_line(error: InputError | OSError) -> str:
 
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
-    """Print an `InputError`, or a failure of the disk, as one line and leave with exit code 2."""
+    """Print an `InputError`, or a failure of the disk, as one line and leave with exit code 2.
+
+    What is printed within it never fails for the sake of a character: one that the terminal's encoding lacks, or a byte
+    of a file's name that is no text, is written as a \\x escape.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         yield
     except InputError as error:

@@ -248,10 +248,10 @@ def _why_not_a_store(folder: Path) -> tuple[str, str]:
     if not folder.exists():
         if folder.with_name(folder.name + ".partial").is_dir():
             return "is half-written", "run the same build again to finish it"
-        return "does not exist", "build it with python -m data_module.build"
+        return "does not exist", "build it with gesticulator build"
     if (folder / _BEGUN).is_file():
         return "is half-written", "run the same build again to finish it"
-    return "is not a store (no store.json)", "give a folder made by python -m data_module.build"
+    return "is not a store (no store.json)", "give a folder made by gesticulator build"
 
 
 def _difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

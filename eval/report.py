@@ -16,7 +16,7 @@ import argparse
 import importlib
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -247,7 +247,7 @@ def _number(value: Any) -> str:
 
 def _other_lines(results: Results) -> list[str]:
     """What the probes and the benchmarks found; and those that were not run."""
-    told = {name: (PROBES[probe].question, f"gesticulator probe {probe}") for name, probe in probe_files().items()}
+    told = {name: (PROBES[probe].about, f"gesticulator probe {probe}") for name, probe in probe_files().items()}
     told |= BENCHMARKS
     lines = []
     for name, (question, command) in told.items():
@@ -289,6 +289,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--title", default=TITLE, help=f"heading of the page ({TITLE})")
 
 
-def run(arguments: argparse.Namespace) -> Sequence[Path]:
-    """Write it; the page's path."""
-    return [report(arguments.results, arguments.out, " ".join(arguments.title.split()) or TITLE)]
+def run(arguments: argparse.Namespace) -> int:
+    """Write it and name it."""
+    print(report(arguments.results, arguments.out, " ".join(arguments.title.split()) or TITLE))
+    return 0

@@ -55,7 +55,7 @@ from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_feature
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.stats import Indices, Interval
-from eval.table import Cell, Column, Marked, Table, shown_cell
+from eval.table import Cell, Column, Marked, Table, publish, shown_cell
 
 FLOOR, STILL = "truth, half against half", "still"
 NO_FLOOR = "a floor is of distances between sets"
@@ -635,7 +635,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, metavar="FILE.json", help="a .md is written beside it")
 
 
-def run(arguments: argparse.Namespace) -> Scores:
+def scored(arguments: argparse.Namespace) -> Scores:
     """What the command measures; InputError for what the user gave and cannot be used."""
     rate, piece = (None if value is None else _positive(name, value)
                    for name, value in (("--rate", arguments.rate), ("--piece", arguments.piece)))
@@ -651,3 +651,9 @@ def run(arguments: argparse.Namespace) -> Scores:
     clips = common_clips(folders, rate, piece)
     clips.notes[:0] = left_out
     return score(clips, networks, bundle, with_controls=not arguments.no_controls, seed=arguments.seed)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, write and show."""
+    publish(tables(scored(arguments)), arguments.out)
+    return 0

@@ -323,15 +323,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     a.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
 
 
-def run(arguments: argparse.Namespace) -> None:
+def run(arguments: argparse.Namespace) -> int:
     """Make the page, or analyse what was saved; InputError for input that cannot be used."""
     if arguments.command == "analyse":
         key = anova.read_key(arguments.key)
         ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
         publish(anova.tables(ratings, arguments.seed), arguments.out)
-        return
+        return 0
     systems, aspects = parse_systems(arguments.systems), list(dict.fromkeys(arguments.aspects))
     page = make(systems, arguments.out, clips=arguments.clips, seconds=arguments.seconds, seed=arguments.seed,
                 raters=arguments.raters, aspects=aspects, videos=arguments.videos)
     print(f"{page} is for the raters (1 to {arguments.raters}: page?rater=7 fills in the number); "
           f"keep {arguments.out / 'key.json'} to yourself")
+    return 0

@@ -40,10 +40,12 @@ def number(name: str) -> Callable[[str], float]:
 def arguments(p: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE.bvh [options]"
-    p.add_argument("speech", nargs="*", metavar="SPEECH", help="sound files (0.3 s to one hour), folders of them, "
-                   "patterns such as '*.wav', or - for standard input")
-    out = p.add_argument_group("what is written", "A path that ends in / or is a folder takes a file for each "
-                               "recording, by its\nname; anything else is the file itself. Missing folders are made.")
+    p.add_argument("speech", nargs="*", metavar="SPEECH", help="sound files (WAV, FLAC, OGG, MP3; M4A, MP4, "
+                   "WebM and other video with PyAV; 0.3 s to one hour), folders of them, patterns such as '*.wav', or "
+                   "- for standard input")
+    out = p.add_argument_group("what is written (one of them at least)", "A path that ends in / or is a folder takes a "
+                               "file for each recording, by its\nname; anything else is the file itself. Missing "
+                               "folders are made.")
     out.add_argument("-o", "--output", metavar="FILE.bvh", help="the motion")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--explain", metavar="FILE.json", help="what was done: settings, blocks, their best lexemes")

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from data_module import blocks as block_module
 from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.features import FrontEnd, front_end, reference_level
+from data_module.speech.features import FrontEnd, reference_level
+from data_module.speech.front_ends import front_end
 from data_module.types import Array, Blocks, Samples, Speech
 from gesticulator.config import Config
 

@@ -152,7 +152,7 @@ def gated(bias: float = 0.0) -> bundles.Bundle:
         model.classify.weight.mul_(20)
         model.classify.bias.fill_(bias)
     config = replace(bundle.config, gate=model.config)
-    return replace(bundle, gate=model, config=config)
+    return replace(bundle, config=config).with_parts(gate=model)
 
 
 def recording(bundle: bundles.Bundle, index: int = 0) -> Recording:

@@ -261,15 +261,25 @@ def test_names_that_the_terminal_cannot_show(name: str, recording: Path, tiny_bu
     assert done.stdout.startswith(b"caf\\") and b"real-time factor" in done.stdout
 
 
+@pytest.mark.skipif(os.name != "posix", reason="closes descriptors in a shell")
+def test_closed_streams_change_no_byte(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    run([str(recording), "-o", str(tmp_path / "open.bvh"), "--quiet"], tiny_bundle)
+    for name, closed in (("error", "2>&-"), ("all", "<&- >&- 2>&-")):
+        done = subprocess.run(["sh", "-c", f'"$0" -m gesticulator.infer "$1" -o "$2" --bundle "$3" {closed}',
+                               sys.executable, str(recording), str(tmp_path / f"{name}.bvh"), str(tiny_bundle)])
+        assert done.returncode == 0
+        assert (tmp_path / f"{name}.bvh").read_bytes() == (tmp_path / "open.bvh").read_bytes()
+
+
 def test_the_threads_of_the_environment_change_no_bit(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     made = []
-    for threads in ("1", "2", "3"):
+    for threads in ("1", "3"):
         target = tmp_path / f"{threads}.json"
         subprocess.run([sys.executable, "-m", "gesticulator.infer", str(recording), "--explain", str(target), "-o",
                         str(tmp_path / "o.bvh"), "--bundle", str(tiny_bundle), "--quiet"], check=True,
                        env={**os.environ, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads})
         made.append((target.read_bytes(), (tmp_path / "o.bvh").read_bytes()))
-    assert made[0] == made[1] == made[2]
+    assert made[0] == made[1]
 
 
 def test_a_recording_from_standard_input(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from data_module.corpora.performer import Script
 from data_module.errors import InputError
 from data_module.performer import espeak, voices
 from data_module.performer.plan import plan
-from data_module.performer.strokes import procedural_strokes
+from data_module.performer.procedural import procedural_strokes
 from data_module.performer.text import compose
 from data_module.speech.audio import write_flac
 from data_module.types import Speech

@@ -13,6 +13,7 @@ from data_module.motion.motion_beats import acting_positions, acting_speed, beat
 from data_module.performer import meaning
 from data_module.performer.plan import drives, plan, runs_of
 from data_module.performer.play import FPS, monotone_cubic, perform
+from data_module.performer.procedural import procedural_strokes
 from data_module.performer.strokes import (
     LEFT,
     RIGHT,
@@ -21,7 +22,6 @@ from data_module.performer.strokes import (
     held_out_keys,
     load_strokes,
     mirror,
-    procedural_strokes,
     stroke_times,
 )
 from data_module.performer.types import Played, Spoken

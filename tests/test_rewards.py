@@ -191,7 +191,7 @@ def bundle(tiny_store: Path, work: Path) -> bundles.Bundle:
                           corpus.motion.shape[-1], corpus.low.shape[-1]) for _ in range(2)]
     for model in models:
         freeze(model)
-    return dataclasses.replace(own, statistics=corpus.statistics, reward=models[0], reward_judge=models[1])
+    return dataclasses.replace(own, statistics=corpus.statistics).with_parts(reward=models[0], reward_judge=models[1])
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +199,7 @@ def corpus(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> Corpus:
     return prepare(Store.open(tiny_store), bundle.config, work, progress=False)
 
 
-def test_what_is_probe_is_the_reward_of_the_model(bundle: bundles.Bundle, corpus: Corpus) -> None:
+def test_a_probe_gives_the_reward_of_the_model(bundle: bundles.Bundle, corpus: Corpus) -> None:
     labels = token_labels(bundle.lexicon, corpus)
     assert bundle.reward is not None
     probe, own = RewardProbe.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")[0]

@@ -279,7 +279,7 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
         folder.mkdir()
         write_bvh(folder / f"{file.stem}.bvh", own)
     shutil.copy(file.with_suffix(".wav"), real / f"{file.stem}.wav")
-    result = score.run(Namespace(
+    result = score.scored(Namespace(
         truth=real, system=[f"itself={real}", f"shaken={shaken}"], speech=None, fgd=None, work=None, bundle=None,
         piece="8", rate=None, fps=[], no_controls=False, seed=0,
         split="test"))
@@ -335,7 +335,7 @@ def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, 
         motion.rotations + 0.02 * np.sin(np.arange(len(motion)) / 7)[:, None, None])))
     in_three_formats(off, tmp_path)
     shutil.copy(file.with_suffix(".wav"), real / "a.wav")
-    result = score.run(asked(real, [f"{name}={tmp_path / name}" for name in ("bvh", "smplx", "npy")], piece="5"))
+    result = score.scored(asked(real, [f"{name}={tmp_path / name}" for name in ("bvh", "smplx", "npy")], piece="5"))
     distances = [key for key, column in result.metrics.items() if column.part == "fgd"]
     assert mean_of(result.figures, "bvh", "maje_length") > 5
     for other in ("smplx", "npy"):
@@ -384,10 +384,10 @@ def test_a_speech_folder_without_the_sound_is_an_error(truth: dict[str, Clip], t
     real = write_clips(tmp_path / "real", {"clip0": truth["clip0"]}, sound=False)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="empty: has no sound for clip0"):
-        score.run(asked(real, [f"ours={real}"], speech=tmp_path / "empty"))
+        score.scored(asked(real, [f"ours={real}"], speech=tmp_path / "empty"))
     with pytest.raises(InputError, match=r"name the folder of the Human3\.6M"):
-        score.run(asked(real, [f"ours={real}"], fgd=tmp_path / "none"))
-    row = score.run(asked(real, [f"ours={real}"])).figures["ours"]
+        score.scored(asked(real, [f"ours={real}"], fgd=tmp_path / "none"))
+    row = score.scored(asked(real, [f"ours={real}"])).figures["ours"]
     assert row["pmb_A"].reason == "1 of 1 clips: its speech is not known"
 
 

@@ -267,7 +267,7 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     torch.manual_seed(1)
     encoder = SpeechEncoder(EncoderConfig(width=4)).eval()
     heard = speech_levels.listen(recording, config, {"": encoder})
-    from data_module.speech.features import front_end
+    from data_module.speech.front_ends import front_end
     from gesticulator.speech_features import encode_speech
 
     front = front_end("vqwav2vec", bands=32, frames=30, samples_per_frame=800, sample_rate=16000, encoder=encoder)
@@ -310,6 +310,7 @@ def test_a_bundle_without_an_encoder_is_refused(tiny_bundle: Path) -> None:
     from gesticulator import bundle as bundles
 
     bundle = bundles.load(tiny_bundle)
-    bare = replace(bundle, encoder=None, config=replace(bundle.config, front_end=configs.FrontEndConfig(name="mel")))
+    config = replace(bundle.config, front_end=configs.FrontEndConfig(name="mel"))
+    bare = replace(bundle, config=config).with_parts(encoder=None)
     with pytest.raises(InputError, match="'mel' and has no speech encoder"):
         speech_levels.encoder_of(bare, "bundle")

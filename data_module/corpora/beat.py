@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import DroppedError, Imported, Item, Options, split_of, trimmed
+from data_module.corpora.base import DroppedError, Imported, Item, Options, split_of, trimmed
 from data_module.corpora.takes import Take, find_takes, read_motion, with_text
 from data_module.errors import InputError
 from data_module.motion.bvh import CENTIMETRES, BvhWarning

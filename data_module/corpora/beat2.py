@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import DroppedError, Imported, Item, Options
+from data_module.corpora.base import DroppedError, Imported, Item, Options
 from data_module.corpora.beat import NAME, info_of
 from data_module.corpora.takes import with_text
 from data_module.errors import InputError

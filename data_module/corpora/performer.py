@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from data_module.corpora import Item, Options, split_of
+from data_module.corpora.base import Item, Options, split_of
 from data_module.errors import InputError
 from data_module.files import read_text
 from data_module.performer import text, voices
@@ -131,7 +131,7 @@ class Performer:
     @functools.cached_property
     def _strokes(self) -> Any:
         if self._source is None:
-            from data_module.performer.strokes import procedural_strokes
+            from data_module.performer.procedural import procedural_strokes
 
             return procedural_strokes()
         from data_module.performer.strokes import load_strokes

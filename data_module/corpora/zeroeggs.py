@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import Imported, Item, Options
+from data_module.corpora.base import Imported, Item, Options
 from data_module.corpora.takes import find_takes, read_take
 from data_module.errors import InputError
 from data_module.files import read_table

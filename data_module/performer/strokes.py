@@ -27,6 +27,7 @@ from data_module.types import Array, Motion, Skeleton
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
 HELD_OUT_SHARE = 0.15
+"""Share of each person's clips that are kept for test."""
 
 # Retargeted from one another: the same person, who must not stand on both sides of a split.
 _PERSON = {"brad2": "brad"}
@@ -48,10 +49,15 @@ _COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"
 _LONGEST = 600.0
 """Seconds of a clip; those published last twenty at most."""
 _MIN_REACH = 0.05
+"""Metres that a hand must leave its place by, to be a stroke and no fidget."""
 _FINE_FPS = 120.0
+"""Frames per second at which a clip's times are measured: four to a frame of the clips."""
 _SMOOTH = 0.05
+"""Seconds that speed is smoothed over, as for motion beats."""
 _BEAT_DEPTH = 0.35
+"""Share of a clip's hardest brake that the brake of its beat must have."""
 _AFTER_EMPHASIS = 0.12
+"""Seconds that the beat may come after the author's mark of the emphasis."""
 
 
 @dataclass(frozen=True)
@@ -395,10 +401,3 @@ def _measure(figure: Figure, row: Mapping[str, str], rotations: Array, fps: floa
     return Stroke(stem, stem, row["speaker"], row["posture"], row["lexeme"], hand, fps, logs,
                   logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
                   steady=stem in _NOT_FASTER)
-
-
-def procedural_strokes() -> StrokeSet:
-    """A small set by formula on the 16-joint character: one performer, "puppet", in need of no recording."""
-    from data_module.performer import procedural  # It builds on the nouns of this file.
-
-    return procedural.make()

@@ -192,7 +192,7 @@ def _decoder(raw: BinaryIO, name: object) -> Iterator[tuple[Sound, Promise]]:
             yield replace(sound, frames=sound.frames if promise.known else 0), promise
         return
     # A WAV written to a pipe may say 0 bytes of sound; the decoder would believe it.
-    with sndfile(cast(BinaryIO, Patched(raw, promise.patch)) if promise.patch else raw) as sound:
+    with sndfile(cast(BinaryIO, Patched(raw, promise.patch))) as sound:
         yield sound, promise
 
 

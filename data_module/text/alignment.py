@@ -27,10 +27,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 ALIGNER_RATE = 16000
+"""Hertz that the aligner's acoustic model was trained on."""
 FRAME = 0.01
 """Seconds per frame of the aligner, and of the loudness that finds the pauses."""
 LONGEST_PIECE = 10.0
+"""Seconds of sound that are aligned at a time."""
 SHORTEST_PAUSE = 0.15
+"""Seconds of a pause at which the sound is cut."""
 LONGEST_WIDE = 180.0
 """Seconds; the wide beam costs about 0.15 s a second and grows with the length, so a longer recording goes without."""
 LEAST_COVERED = 0.85

@@ -34,7 +34,9 @@ BRIDGE = 0.15
 """Seconds: a shorter gap between two words is no silence."""
 
 _BATCH = 8
-_ROUNDING = 1e-9  # seconds: a word that ends on a frame has that frame
+"""Sentences at a time: few, so that they stay in the processor's cache."""
+_ROUNDING = 1e-9
+"""Seconds: a word that ends on a frame has that frame."""
 _SENTENCE_END = re.compile(r"[.!?…。！？][\"'’”»)\]]*$")
 # What a BERT's file may lack: the layer above the last one, which is not used here.
 _UNUSED = ("pooler.", "cls.")

@@ -73,10 +73,11 @@ def quality(context: EvalContext) -> list[Table]:
         clips["lstm on the real take's voice"] = [measure(made.motion, speech, made.blocks.edges)]
     bigram = Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size)
     seconds = sum(one.speech.duration for one in recordings)
-    lexicon = replace(lexicon_table(context, recordings, take), facts={**context.described(), "seconds": seconds})
-    return [lexicon, accuracy_table(context, {
-        "lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}),
-        rhythm_table(clips), hands_table(clips)]
+    lexicon = lexicon_table(context, recordings, take)
+    interpreters: dict[str, LexemeInterpreter] = {
+        "lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}
+    return [replace(lexicon, facts={**lexicon.facts, **context.described(), "seconds": seconds}),
+            accuracy_table(context, interpreters), rhythm_table(clips), hands_table(clips)]
 
 
 def play(system: Gesticulator, recordings: Sequence[Recording], interpreter: str | LexemeInterpreter, progress: bool,
@@ -147,7 +148,8 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
     return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, body,
                  "through", [f"Lexemes used on the test split: {100 * used['usage']:.0f} %; perplexity "
                              f"{used['perplexity']:.1f}. Variance of the features: {unknown.var(0).mean():.3f}. Means "
-                             "over recordings with bootstrap 95 % intervals."])
+                             "over recordings with bootstrap 95 % intervals."],
+                 {**used, "variance": float(unknown.var(0).mean())})
 
 
 # ----------------------------------------------------------------------------------------------------------- accuracy

@@ -193,7 +193,8 @@ def about(facts: Mapping[str, Any]) -> Table:
         "another network for FGD: compare the order, not the values. FGD, diversity and motion variance are means of "
         "the jackknife's values, so less biased than the figures of the sets (in the JSON). (!): a control, motion "
         "that is known to be wrong, does as well as `ours` or better.",
-        *(f"Not run: {name}: {why}." for name, why in facts["refused"].items())], facts={**facts, "rows": plain})
+        *facts.get("notes", ()), *(f"Not run: {name}: {why}." for name, why in facts["refused"].items())],
+        facts={**facts, "rows": plain})
 
 
 def all_tables(cells: Cells, facts: Mapping[str, Any]) -> list[Table]:
