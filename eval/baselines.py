@@ -14,6 +14,10 @@ A metric is worth what it makes of these (mir_eval's rule that perfect input giv
   improves by it rewards noise (the beat consistency of the BEAT family does: 0.48 clean, 0.81 with jitter).
 
 - `mean_pose`: each clip held still. MAJE and MAD praise it.
+- `mirrored`: the left arm does what the right arm does, at the same moment. What looks at one hand, or at the mean of
+  both, cannot see it; to the eye it is the first sign of a machine.
+- `bobbing`: the mean pose whose forearms go up and down in turn and stop at each onset of the sound. What rewards
+  timing alone takes it for the best gesturer of all.
 
 Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
 
@@ -23,6 +27,7 @@ style codes. `ReplayInterpreter` gives lexemes that are known beforehand, so tha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -37,11 +42,16 @@ from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
+    from gesticulator.speech_features import SpeechFeatures
     from gesticulator.stages import Corpus
     from interpreters.base import BlockFeatures
 
 JITTER = 0.02
 """Metres: the standard deviation along each axis."""
+BOB = 0.5
+"""Radians of an elbow: about 12 cm at the wrist."""
+_BOB_LASTS, _BOB_APART = 0.2, 0.25
+"""Seconds of one movement, and between two."""
 _EPS = 1e-9
 
 Clips = Sequence[Motion]
@@ -132,8 +142,48 @@ def mean_pose(clips: Clips) -> list[Motion]:
     return out
 
 
+def mirrored(clips: Clips, seed: int = 0) -> list[Motion]:
+    """Each clip of the 16-joint character with the right arm's motion, mirrored, on the left arm as well (the seed is
+    there so that all controls are called alike)."""
+    out = []
+    for clip in clips:
+        turns = clip.rotations.copy()
+        for left, name in enumerate(clip.skeleton.names):
+            if name.startswith("Left"):
+                right = clip.rotations[:, clip.skeleton.index("Right" + name.removeprefix("Left"))]
+                turns[:, left] = right * np.array([1.0, 1.0, -1.0, -1.0])
+        out.append(replace(clip, rotations=turns))
+    return out
+
+
+def bobbing(clips: Clips, onsets: Sequence[Array]) -> list[Motion]:
+    """Each clip's mean pose whose elbows go up and down in turn, and stop at onsets [n] (seconds) of the sound.
+
+    Onsets closer than `_BOB_APART` to the one before are left out: the arm could not follow.
+    """
+    out = []
+    for clip, times in zip(mean_pose(clips), onsets, strict=True):
+        at = np.arange(len(clip)) / clip.fps
+        raised = np.zeros(len(clip))
+        last, sign = -math.inf, 1.0
+        for onset in np.sort(np.asarray(times)):
+            if onset - last < _BOB_APART:
+                continue
+            # A minimum-jerk movement brakes hardest when four fifths of it are done: that falls on the onset.
+            u = np.clip((at - onset) / _BOB_LASTS + 0.8, 0.0, 1.0)
+            raised += sign * u ** 3 * (10.0 - 15.0 * u + 6.0 * u ** 2)
+            last, sign = onset, -sign
+        turns = clip.rotations.copy()
+        for side, outward in (("Right", 1.0), ("Left", -1.0)):
+            joint = clip.skeleton.index(side + "ForeArm")
+            turn = rotation.from_exponential_map(BOB * raised[:, None] * np.array([0.0, outward, 0.0]))
+            turns[:, joint] = rotation.multiply(turns[:, joint], turn)
+        out.append(replace(clip, rotations=turns))
+    return out
+
+
 CONTROLS: Mapping[str, Callable[[Clips, int], list[Motion]]] = {
-    "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered,
+    "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered, "mirrored": mirrored,
 }
 """Those that make one set of clips of another, by the name they have in a table."""
 
@@ -185,6 +235,28 @@ def _groups(clips: Clips, groups: Sequence[str] | None) -> NDArray[np.str_]:
     if len(groups) != len(clips):
         raise ValueError(f"{len(clips)} clips have {len(groups)} groups")
     return np.array(groups, dtype=np.str_)
+
+
+ROLLED = 60
+"""Blocks, some 20 s: by then no word, phrase or loudness is what it was."""
+
+
+def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
+    """What is heard comes `by` blocks late (half the recording where that is less), and wraps around; the grid stays.
+
+    A system that follows the voice loses its timing by that; one that only moves on its grid keeps it. Durations
+    belong to the grid, so the tempo in the last column of the features stays, too.
+    """
+    by = min(by, len(encoded.blocks) // 2)
+    blocks = replace(encoded.blocks, silent=np.roll(encoded.blocks.silent, by))
+
+    def late(features: NDArray[np.float32]) -> NDArray[np.float32]:
+        moved = np.roll(features, by, axis=0)
+        moved[..., -1] = features[..., -1]
+        return moved
+
+    text = None if encoded.text is None else np.roll(encoded.text, by, axis=0)
+    return replace(encoded, blocks=blocks, low=late(encoded.low), high=late(encoded.high), text=text)
 
 
 # -------------------------------------------------------------------------------------------------------- interpreters

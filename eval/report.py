@@ -47,7 +47,9 @@ PICTURES = {
 """Pictures that other commands leave in `pictures` beside the results: the paper's figure, a title, a caption."""
 CHAPTERS = ("metrics.joint_error", "metrics.fgd", "metrics.gesture_features", "metrics.pmb", "metrics.diversity",
             "metrics.accuracy", "metrics.smoothness", "metrics.beat_consistency", "metrics.mismatch",
-            "metrics.evaluate", "metrics.audio_clusters", "baselines", "stats")
+            "metrics.evaluate", "metrics.audio_clusters", "metrics.eye", "metrics.eye.body", "metrics.eye.hands",
+            "metrics.eye.trunk", "metrics.eye.strokes", "metrics.eye.voice", "metrics.eye.frechet", "unit_selection",
+            "baselines", "stats")
 """The modules of `eval` whose docstrings are the chapters."""
 COMMANDS = """\
 gesticulator build performer --out STORE                   # a corpus, or see `gesticulator build --help`

@@ -54,7 +54,7 @@ def clip(seed: int) -> Clip:
     corners = np.concatenate([[0.0], beats, [SECONDS]])
     angles = rng.uniform(0.2, 1.0, len(corners)) * np.resize([1, -1], len(corners))
     maps = np.zeros((len(time), len(CHARACTER), 3))
-    for name, sign in (("RightArm", 1.0), ("LeftArm", -1.0)):
+    for name, sign in (("RightArm", 1.0), ("LeftArm", -0.8)):
         maps[:, CHARACTER.index(name), 2] = sign * np.interp(time, corners, angles)
     maps[:, CHARACTER.index("Spine"), 0] = 0.05 * np.sin(time)
     samples = np.zeros(round(SECONDS * RATE), np.float32)
@@ -90,7 +90,8 @@ def test_perfect_input_gets_the_perfect_score(result: Scores) -> None:
 
 
 def test_controls_stand_beside_and_flag_what_they_beat(result: Scores) -> None:
-    assert set(result.figures) == {TRUTH, "same", "held", FLOOR, STILL, "shuffled", "reversed", "jitter"}
+    assert set(result.figures) == {TRUTH, "same", "held", FLOOR, STILL, "shuffled", "reversed", "jitter", "mirrored",
+                                   "bobbing"}
     said = {(flag.metric, flag.control): flag.says for flag in result.flags}
     assert "not told from the truth" in said["jerk", "reversed"]
     assert "beats held" in said["jerk", "shuffled"], "the real speed of another clip is nearer than no speed"

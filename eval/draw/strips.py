@@ -9,7 +9,6 @@ before it; underneath, where they are given, the waveform and its beats on the s
 
 from __future__ import annotations
 
-import argparse
 import io
 import math
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from data_module.motion import bvh, kinematics, rotation, skeletons
+from data_module.motion import kinematics, rotation, skeletons
 from data_module.types import Array, BeatFlag, Beats, Motion, Speech
 
 if TYPE_CHECKING:
@@ -122,15 +121,15 @@ def draw_strip(motion: Motion, times: Array, views: Sequence[str] = ("front", "s
         axis = canvas.add_axes((0.0, top - share, 1.0, share))
         top -= share
         if row < len(views):
-            _draw_row(axis, motion, np.asarray(times), views[row])
+            draw_row(axis, motion, np.asarray(times), views[row])
         elif speech is not None:
-            _draw_sound(axis, speech, beats, np.asarray(times))
+            draw_sound(axis, speech, beats, np.asarray(times))
     if title:
         canvas.text(0.5, 1.0 - 0.5 * over / (sum(high) + over), title, fontsize=11, color=INK, ha="center", va="center")
     return canvas
 
 
-def save_strip(figure: Figure, path: str | Path) -> None:
+def save_strip(figure: Figure, path: str | Path, dpi: int = 150) -> None:
     """Write a picture whole or not at all, the same bytes for the same figure; the suffix picks png, svg or pdf.
 
     It leaves out the date, the version and matplotlib's random names. The names within an SVG are hashes of what they
@@ -143,28 +142,44 @@ def save_strip(figure: Figure, path: str | Path) -> None:
     if kind not in _UNSAID:
         raise InputError(target, f"'{target.suffix}' is no picture format", "use .png, .svg or .pdf")
     with rc_context({"svg.hashsalt": "eval.draw.plots", "svg.fonttype": "path"}):
-        figure.savefig(out, format=kind, dpi=150, metadata=_UNSAID[kind])
+        figure.savefig(out, format=kind, dpi=dpi, metadata=_UNSAID[kind])
     write_bytes(target, out.getvalue())
 
 
-def _draw_row(axis: Axes, motion: Motion, times: Array, view: str) -> None:
+@dataclass(frozen=True)
+class RowStyle:
+    """How a row of figures is drawn. spacing: metres between figures; low, high: metres over the floor that are shown;
+    clock: whether each figure bears its time; margin: metres beside the first and the last figure."""
+
+    spacing: float = _FIGURE_SPACING
+    low: float = 1.93 - _FLOOR_TO_TOP
+    high: float = 1.93
+    clock: bool = True
+    margin: float = _MARGIN
+
+
+def draw_row(axis: Axes, motion: Motion, times: Array, view: str, style: RowStyle | None = None) -> None:
+    """One view of a motion: a figure for each of `times` (seconds), with the path of both hands since the last one."""
+    style = style or RowStyle()
     across, depth = VIEWS[view]
     # Seen from the left, +Z points to the left of the picture.
     sign = -1.0 if view == "side" else 1.0
     # A figure's trail starts where the figure before it stood; the first has none.
     gap = float(times[1] - times[0]) if len(times) > 1 else 0.5
     for k, time in enumerate(times):
-        centre = k * _FIGURE_SPACING
+        centre = k * style.spacing
         moments = np.linspace(max(time - gap, 0.0), time, _TRAIL_STEPS) if k else np.array([time])
         points = figure_points(motion, moments)
         flat = {name: np.stack([sign * p[:, across] + centre, p[:, 1]], axis=1) for name, p in points.items()}
         near = {name: float(p[-1, depth]) for name, p in points.items()}
         _draw_figure(axis, flat, near, view, order=10 * k)
-        axis.text(centre, -0.07, f"{time:.2f} s", ha="center", va="top", fontsize=8, color=SOFT)
-    axis.axhline(0.0, color=FLOOR, linewidth=1.5, zorder=-10)
-    axis.text(0.1 - _MARGIN, 1.86, view, fontsize=9, color=SOFT, style="italic", va="top")
-    axis.set_xlim(-_MARGIN, (len(times) - 1) * _FIGURE_SPACING + _MARGIN)
-    axis.set_ylim(1.93 - _FLOOR_TO_TOP, 1.93)
+        if style.clock:
+            axis.text(centre, -0.07, f"{time:.2f} s", ha="center", va="top", fontsize=8, color=SOFT)
+    if style.low < 0:
+        axis.axhline(0.0, color=FLOOR, linewidth=1.5, zorder=-10)
+    axis.text(0.1 - style.margin, style.high - 0.07, view, fontsize=9, color=SOFT, style="italic", va="top")
+    axis.set_xlim(-style.margin, (len(times) - 1) * style.spacing + style.margin)
+    axis.set_ylim(style.low, style.high)
     axis.axis("off")
 
 
@@ -273,12 +288,14 @@ def capsule_outline(start: Array, end: Array, width: tuple[float, float], steps:
                            np.asarray(start) + r0 * np.stack([np.cos(back), np.sin(back)], axis=1)])
 
 
-def _draw_sound(axis: Axes, speech: Speech, beats: Beats | None, times: Array) -> None:
+def draw_sound(axis: Axes, speech: Speech, beats: Beats | None, times: Array,
+               style: RowStyle | None = None) -> None:
     """The waveform under the figures: time runs as they do, so that each stands above its own moment."""
     start, end = float(times[0]), float(times[-1])
     gap = (end - start) / max(len(times) - 1, 1) or 1.0
     # The same share of a spacing beyond the first and the last figure as in the rows above.
-    margin = _MARGIN / _FIGURE_SPACING * gap
+    style = style or RowStyle()
+    margin = style.margin / style.spacing * gap
     low, high = max(start - margin, 0.0), min(end + margin, speech.duration)
     bins = np.linspace(low, high, 1200)
     places = np.clip((bins * speech.sample_rate).astype(int), 0, len(speech.samples) - 1)
@@ -296,33 +313,3 @@ def _draw_sound(axis: Axes, speech: Speech, beats: Beats | None, times: Array) -
     axis.set_xlim(start - margin, end + margin)
     axis.set_ylim(-limit * 1.05, limit * 1.35)
     axis.axis("off")
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """What `gesticulator draw strip` takes."""
-    parser.add_argument("motion", type=Path, help="a BVH file of an upper body")
-    parser.add_argument("--out", type=Path, help="the picture, .png, .svg or .pdf (beside the motion when not told)")
-    parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
-    parser.add_argument("--seconds", type=float, help="how long a stretch (all of it)")
-    parser.add_argument("--frames", type=int, default=8, help="how many figures (8)")
-    parser.add_argument("--fps", type=float, help="frame rate, where the file's own is wrong")
-    parser.add_argument("--sound", type=Path, help="the recording, drawn underneath with its beats")
-    parser.add_argument("--title", default="")
-
-
-def run(arguments: argparse.Namespace) -> list[Path]:
-    """Draw it; the picture's path."""
-    motion = bvh.read_bvh(arguments.motion, fps=arguments.fps)
-    times = frame_times(motion, arguments.start, arguments.seconds, arguments.frames)
-    speech, beats = _listen(arguments.sound) if arguments.sound else (None, None)
-    out = arguments.out or arguments.motion.with_suffix(".png")
-    save_strip(draw_strip(motion, times, speech=speech, beats=beats, title=arguments.title), out)
-    return [out]
-
-
-def _listen(path: Path) -> tuple[Speech, Beats]:
-    from data_module.speech.audio import load_speech
-    from data_module.speech.beats import BeatSettings, find_beats
-
-    speech = load_speech(path)
-    return speech, find_beats(speech, BeatSettings())

@@ -9,6 +9,7 @@ from __future__ import annotations
 from eval.plugin import Plugin
 
 PROBES: dict[str, Plugin] = {
+    "eye": Plugin("eval.probes.eye", "does motion read as a person, beside a real take, the corpus, unit selection?"),
     "quality": Plugin("eval.probes.quality", "how good is a bundle on the test split, beside baselines?"),
     "policies": Plugin("eval.probes.policies", "which interpreter chooses best, judged as policies?"),
     "parts": Plugin("eval.probes.parts", "what did words and the learned speech levels buy?"),
