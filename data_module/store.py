@@ -22,7 +22,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.arrays import read_npz
+from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError, shown
 from data_module.files import read_text, rename, write_bytes, write_text
 from data_module.motion import rotation
@@ -335,8 +335,8 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
     try:
         if arrays["joints"].tolist() != list(JOINTS):
             raise ValueError("other joints")
-        motion = Motion(CHARACTER, rotation.normalise(arrays["rotations"].astype(np.float64)),
-                        arrays["root_positions"].astype(np.float64), float(arrays["fps"].item()),
+        motion = Motion(CHARACTER, rotation.normalise(as_floats(arrays["rotations"])),
+                        as_floats(arrays["root_positions"]), float(arrays["fps"].item()),
                         tuple(_typed(name, str) for name in arrays["absent"].tolist()))
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
         truth = None

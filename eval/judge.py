@@ -72,7 +72,7 @@ class JudgedClip:
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedClip:
     """A motion to be judged. truth: the performer's, None where there is none; speaker: "" for a stranger; values: what
     is known of it already; lexemes, edges: those that it was made of and in, where they are the judge's."""
 
@@ -102,7 +102,7 @@ class Judge:
     by: Sequence[gesture_features.Features]
 
     @torch.no_grad()
-    def clip(self, played: Played, place: int) -> JudgedClip:
+    def clip(self, played: PlayedClip, place: int) -> JudgedClip:
         """Everything that is measured on a clip; place: seed of the shifts that give the chance level of PMB."""
         motion, speech, truth = played.motion, played.speech, played.truth
         clip = measure(motion, speech.speech, played.edges, speech.onsets)

@@ -43,7 +43,7 @@ from gesticulator.stages.reward import reward_table, taught_reward
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.base import LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
-from interpreters.episodes import BehaviourPolicies, Episodes, SilentLexemes, Take, build, distance_rewards
+from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, SilentLexemes, build, distance_rewards
 from interpreters.reward import Centred, RewardTable
 from interpreters.simulator import Choose, Replay, Simulator, collect
 from lexicon.inventory import nearest_silent
@@ -70,7 +70,7 @@ class RacerContext:
 
     bundle: bundles.Bundle
     run: Run
-    takes: list[Take]
+    takes: list[Demonstration]
     silent: SilentLexemes
     judge: PolicyJudge
     tables: dict[str, RewardTable]

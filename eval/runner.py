@@ -44,7 +44,7 @@ from eval import baselines, policy_training
 from eval.cells import Cell, CellStore, family
 from eval.clip import real_take
 from eval.foreign import find_motions, read_folder
-from eval.judge import ClipSpeech, Judge, JudgedClip, Played, features_of
+from eval.judge import ClipSpeech, Judge, JudgedClip, PlayedClip, features_of
 from eval.metrics import fgd, gesture_features
 from eval.policy import Decisions, accuracy
 from eval.policy_training import RacerContext
@@ -412,7 +412,7 @@ def played(context: AblationContext, name: str, bundle: bundles.Bundle, seed: in
         if seed == SHOWN_SEED:
             write_bvh(place.folder / f"{corpus.names[number]}.bvh", made.motion)
         values = accuracies(context, system, row.interpreter, number) if over_judge else {}
-        out.append(context.judge.clip(Played(
+        out.append(context.judge.clip(PlayedClip(
             corpus.names[number], made.motion, context.speech(recording), recording.motion, recording.info.speaker,
             values, made.lexemes if over_judge else None, made.blocks.edges), k))
     return out
@@ -448,7 +448,7 @@ def reference(context: AblationContext, name: str, split: str) -> Cell | None:
         found = floor(context, split)
     elif name == REAL_TAKE:
         take = real_take(FPS)
-        found = take and context.judge.summary([context.judge.clip(Played(
+        found = take and context.judge.summary([context.judge.clip(PlayedClip(
             "take", take[0], ClipSpeech.of(take[1], context.first.config.rhythm)), 0)], context.real(split),
             paired=False)
     else:
@@ -473,7 +473,7 @@ def moved(context: AblationContext, name: str, split: str, place: PlayedStore) -
                        else baselines.CONTROLS[name](motions, 0))
         except ValueError:
             return None
-    clips = [context.judge.clip(Played(
+    clips = [context.judge.clip(PlayedClip(
         recording.info.name, motion, context.speech(recording).lasting(motion.duration, context.first.config.rhythm),
         recording.motion, recording.info.speaker), k)
         for k, (recording, motion) in enumerate(zip(recordings, motions, strict=True))]
@@ -520,7 +520,7 @@ def system(context: AblationContext, name: str, folder: Path) -> Cell:
         motion = resample(own.motion, recording.motion.fps)
         motion = motion.crop(0, min(len(motion), len(recording.motion)))
         speech = context.speech(recording).lasting(motion.duration, context.first.config.rhythm)
-        clips.append(context.judge.clip(Played(clip, motion, speech, recording.motion, recording.info.speaker), k))
+        clips.append(context.judge.clip(PlayedClip(clip, motion, speech, recording.motion, recording.info.speaker), k))
         real.append(context.real("test")[numbers[clip]])
     place = PlayedStore.of(context, f"{name}-0", key)
     place.begin()

@@ -15,7 +15,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ _AT_RANDOM = 0.5
 
 
 @dataclass(frozen=True)
-class Take:
+class Demonstration:
     """What was really done in a recording of M blocks.
 
     recording, speaker: their numbers; blocks: [M] block numbers in the corpus, in order; lexemes: [M]; silent: [M].
@@ -213,7 +213,7 @@ class SilentLexemes:
         """The lexemes that a block may take; None for all."""
         return self.indices if silent and len(self.indices) else None
 
-    def relabel(self, take: Take) -> Integers:
+    def relabel(self, take: Demonstration) -> Integers:
         """[M] lexemes of a take, silent ones in its silences."""
         if len(self.indices) == 0:
             return take.lexemes.astype(np.int64)
@@ -229,7 +229,7 @@ class BehaviourPolicies:
     features: Callable[[int], BlockFeatures]
 
 
-def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silent: SilentLexemes,
+def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward, *, silent: SilentLexemes,
           vectors: NDArray[np.floating[Any]], policies: BehaviourPolicies | None = None, seed: int = 0) -> Episodes:
     """The data set: every take as it was, and its share of what others would have done.
 
@@ -239,7 +239,7 @@ def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silen
     the others as they were.
     """
     order = _by_distance(np.asarray(vectors, dtype=np.float64))
-    takes = [Take(take.recording, take.speaker, take.blocks, silent.relabel(take), take.silent) for take in takes]
+    takes = [replace(take, lexemes=silent.relabel(take)) for take in takes]
     base = sum(len(take.blocks) - 1 for take in takes)
     total = base / config.truth if config.truth > 0 else base
     episodes = [_episode(take, take.lexemes, np.zeros(len(take.blocks)), 0, config, reward)
@@ -257,8 +257,8 @@ def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silen
     return Episodes(episodes, cloned=config.cloned, stretch=0 if config.scheme == "window" else config.stretch)
 
 
-def _budgeted(takes: Sequence[Take], budget: int, prefix: int, rng: np.random.Generator
-              ) -> Iterator[tuple[Take, int]]:
+def _budgeted(takes: Sequence[Demonstration], budget: int, prefix: int, rng: np.random.Generator
+              ) -> Iterator[tuple[Demonstration, int]]:
     """Takes in random order, each with how much of it to act, until all but the prefixes come to `budget` decisions."""
     usable = [take for take in takes if len(take.blocks) > prefix]
     if budget > 0 and not usable:
@@ -273,8 +273,8 @@ def _budgeted(takes: Sequence[Take], budget: int, prefix: int, rng: np.random.Ge
 
 
 @torch.inference_mode()
-def roll(policies: BehaviourPolicies, name: str, take: Take, length: int, config: EpisodeConfig, silent: SilentLexemes,
-         rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
+def roll(policies: BehaviourPolicies, name: str, take: Demonstration, length: int, config: EpisodeConfig,
+         silent: SilentLexemes, rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
     """Actions [length] of an interpreter that hears a take and takes over after its prefix, and ln pi_beta [length].
 
     The prefix is heard as well: whoever has a memory comes to it with the person's past.
@@ -299,7 +299,7 @@ def log_probability(scores: Scores, action: int, allowed: Integers | None, tempe
     return float(scores[action] / temperature - logsumexp(np.asarray(among) / temperature))
 
 
-def perturb(take: Take, length: int, config: EpisodeConfig, order: Integers, silent: SilentLexemes,
+def perturb(take: Demonstration, length: int, config: EpisodeConfig, order: Integers, silent: SilentLexemes,
             rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
     """Actions [length]: the take's lexemes, some replaced after the prefix, and ln pi_beta [length]. order: [S, S]."""
     actions, logs = take.lexemes[:length].copy(), np.zeros(length)
@@ -336,7 +336,7 @@ def _by_distance(vectors: NDArray[np.float64]) -> Integers:
     return np.argsort(distances, axis=1, kind="stable")
 
 
-def _episode(take: Take, actions: Integers, logs: NDArray[np.float64], behaviour: int, config: EpisodeConfig,
+def _episode(take: Demonstration, actions: Integers, logs: NDArray[np.float64], behaviour: int, config: EpisodeConfig,
              reward: Reward) -> Episode:
     """The episode of actions [m] on the first m blocks of a take; what lies within the prefix is the truth."""
     length = len(actions)

@@ -16,10 +16,10 @@ from interpreters.base import BlockFeatures, LexemeInterpreter, Scores
 from interpreters.episodes import (
     BEHAVIOURS,
     BehaviourPolicies,
+    Demonstration,
     EpisodeConfig,
     Episodes,
     SilentLexemes,
-    Take,
     build,
     distance_rewards,
     looked_up,
@@ -53,10 +53,10 @@ class Scripted:
         return self.scores, state
 
 
-def takes(lengths: tuple[int, ...] = (40, 31, 55), seed: int = 0) -> list[Take]:
+def takes(lengths: tuple[int, ...] = (40, 31, 55), seed: int = 0) -> list[Demonstration]:
     rng = np.random.default_rng(seed)
     begins = np.cumsum(lengths) - lengths
-    return [Take(number, number % 2, np.arange(begin, begin + length), rng.integers(SIZE, size=length),
+    return [Demonstration(number, number % 2, np.arange(begin, begin + length), rng.integers(SIZE, size=length),
                  rng.random(length) < 0.3)
             for number, (begin, length) in enumerate(zip(begins, lengths, strict=True))]
 
@@ -78,7 +78,7 @@ def behaving() -> dict[str, LexemeInterpreter]:
 
 
 def made(config: EpisodeConfig | None = None, *, seed: int = 0, silent: SilentLexemes = SILENT,
-         of: list[Take] | None = None) -> Episodes:
+         of: list[Demonstration] | None = None) -> Episodes:
     return build(takes() if of is None else of, config or EpisodeConfig(), earned, silent=silent, vectors=VECTORS,
                  policies=BehaviourPolicies(behaving(), features), seed=seed)
 

@@ -27,7 +27,7 @@ from eval.rows.row import DECISIONS, VALUES
 from eval.stats import Interval
 from eval.table import Marked
 from gesticulator import bundle as bundles
-from interpreters.episodes import Take
+from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel, RewardTable
 
 SIZE = 4
@@ -96,7 +96,7 @@ def decisions(lexemes: list[int], silent: list[int] | None = None) -> Decisions:
     count = len(lexemes)
     quiet = np.isin(np.arange(count), silent or [])
     corpus = SimpleNamespace(low=torch.zeros(count, 3, 1), high=torch.zeros(count, 3, 1), silent=quiet)
-    take = Take(5, 0, np.arange(count), np.array(lexemes), quiet)
+    take = Demonstration(5, 0, np.arange(count), np.array(lexemes), quiet)
     return Decisions(corpus, [take], np.array([2, 3]), True, SIZE)  # type: ignore[arg-type]
 
 

@@ -24,7 +24,7 @@ from gesticulator import bundle as bundles
 from gesticulator.stages.corpus import Corpus, prepare
 from gesticulator.stages.lexicon import token_labels
 from gesticulator.stages.q_network import takes_of
-from interpreters.episodes import Take
+from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
 
 # ------------------------------------------------------------------------------------------------------- quantities
@@ -120,9 +120,10 @@ def test_the_gap_beside_the_reach() -> None:
     assert np.isnan(rewards.domain_gap(flat, flat, flat, one, 1)["ratio"])
 
 
-def take(lexemes: list[int], silent: list[int], recording: int = 0) -> Take:
+def take(lexemes: list[int], silent: list[int], recording: int = 0) -> Demonstration:
     count = len(lexemes)
-    return Take(recording, 0, np.arange(count) + 100 * recording, np.array(lexemes), np.isin(np.arange(count), silent))
+    return Demonstration(recording, 0, np.arange(count) + 100 * recording, np.array(lexemes),
+                         np.isin(np.arange(count), silent))
 
 
 def test_actions_of_spoken_decisions_alone() -> None:

@@ -39,7 +39,7 @@ from gesticulator.stages.corpus import Corpus
 from gesticulator.stages.lexicon import decoded_blocks, token_labels
 from gesticulator.stages.q_network import takes_of
 from gesticulator.stages.reward import block_audio, reward_table
-from interpreters.episodes import Take
+from interpreters.episodes import Demonstration
 from interpreters.reward import RewardModel, RewardTable
 
 Integers = NDArray[np.int64]
@@ -202,7 +202,7 @@ class RewardProbe:
         heard = torch.as_tensor(audio)
         return _numbers(self.table.rewards(torch.as_tensor(lexemes), heard, torch.ones(heard.shape)))
 
-    def every(self, take: Take) -> Array:
+    def every(self, take: Demonstration) -> Array:
         """[M - 1, S] the reward of each lexeme at each block of a take but the first, after the true ones."""
         return _numbers(self.table.sequence_every(torch.as_tensor(take.lexemes), torch.as_tensor(take.blocks))[1:])
 
@@ -224,7 +224,7 @@ def audible(own: Integers, silent: Mask) -> Mask:
     return np.asarray(~silent[own].all(axis=1))
 
 
-def retrieved(probe: RewardProbe, takes: Sequence[Take], silent: Mask) -> dict[str, Any]:
+def retrieved(probe: RewardProbe, takes: Sequence[Demonstration], silent: Mask) -> dict[str, Any]:
     """Retrieval figures by the kind of motion and the kind of rivals; windows of all takes, one window apart."""
     length = probe.model.config.window
     every = [windows(take.blocks, length, length) for take in takes]
@@ -243,7 +243,7 @@ def retrieved(probe: RewardProbe, takes: Sequence[Take], silent: Mask) -> dict[s
     return {"windows": len(own), "rows": out}
 
 
-def shift_values(probe: RewardProbe, kind: str, takes: Sequence[Take], place: int) -> dict[str, Array]:
+def shift_values(probe: RewardProbe, kind: str, takes: Sequence[Demonstration], place: int) -> dict[str, Array]:
     """Rewards [n] of every window of a take: by shift in blocks, with other recordings' motion, and with random motion:
     captured blocks of any take, or any lexemes, each drawn by itself."""
     take, length = takes[place], probe.model.config.window
@@ -261,7 +261,7 @@ def shift_values(probe: RewardProbe, kind: str, takes: Sequence[Take], place: in
     return out
 
 
-def by_shift(probe: RewardProbe, takes: Sequence[Take], silent: Mask) -> dict[str, dict[str, Array]]:
+def by_shift(probe: RewardProbe, takes: Sequence[Demonstration], silent: Mask) -> dict[str, dict[str, Array]]:
     """Rewards [n] of all windows that are not silent, by kind of motion and shift; "owner": which take each is of."""
     length = probe.model.config.window
     kept = [audible(windows(take.blocks, length), silent) for take in takes]
@@ -296,12 +296,12 @@ def domain_gap(captured: Array, decoded: Array, random: Array, owner: Integers, 
             "ratio": abs(gap.mean) / reach.mean if reach.mean > 0 else float("nan")}
 
 
-def spoken(takes: Sequence[Take]) -> list[Mask]:
+def spoken(takes: Sequence[Demonstration]) -> list[Mask]:
     """[M - 1] of each take: which decisions are not in a silent block; the first block is no decision."""
     return [~take.silent[1:] for take in takes]
 
 
-def of_actions(every: Sequence[Array], takes: Sequence[Take]) -> dict[str, Any]:
+def of_actions(every: Sequence[Array], takes: Sequence[Demonstration]) -> dict[str, Any]:
     """What rewards [M - 1, S] of each take say of single actions."""
     kept = spoken(takes)
     rewards = [values[own] for values, own in zip(every, kept, strict=True)]
@@ -320,7 +320,7 @@ def of_actions(every: Sequence[Array], takes: Sequence[Take]) -> dict[str, Any]:
             "spread_states": mean_interval(spread[:, 1], sizes, seed=SEED)}
 
 
-def agreed(first: Sequence[Array], second: Sequence[Array], takes: Sequence[Take]) -> Interval:
+def agreed(first: Sequence[Array], second: Sequence[Array], takes: Sequence[Demonstration]) -> Interval:
     """Correlation over actions of two models' rewards [M - 1, S] of each take, the mean over decisions in speech."""
     kept = spoken(takes)
     owner = np.repeat(np.arange(len(takes)), [int(own.sum()) for own in kept])
@@ -348,7 +348,7 @@ def acceptance(result: dict[str, Any], window: int) -> dict[str, bool]:
                   "true lexeme above chance": actions["median_rank_of_recordings"].below(actions["chance_rank"])}
 
 
-def figures(probe: RewardProbe, takes: Sequence[Take], silent: Mask, every: Sequence[Array]) -> dict[str, Any]:
+def figures(probe: RewardProbe, takes: Sequence[Demonstration], silent: Mask, every: Sequence[Array]) -> dict[str, Any]:
     """All figures of one model; every: [M - 1, S] of each take, as `RewardProbe.every` gives it."""
     shifts = by_shift(probe, takes, silent)
     captured, decoded = (shifts[kind][str(SHIFTS[0])] for kind in MOTIONS)

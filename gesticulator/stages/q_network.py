@@ -26,19 +26,19 @@ from gesticulator.stages.lexicon import TOKENS
 from gesticulator.stages.reward import REWARD, step_reward
 from interpreters.base import BlockFeatures
 from interpreters.cql import ConservativeQ, QNetwork, data_nll
-from interpreters.episodes import BehaviourPolicies, Episodes, SilentLexemes, Take, build
+from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, SilentLexemes, build
 from interpreters.statistical import StatisticalInterpreter
 
 _CHECKS, _WINDOWS = 4, 64
 """Validation batches, and windows in each."""
 
 
-def takes_of(corpus: Corpus, labels: NDArray[np.int64], split: str) -> list[Take]:
+def takes_of(corpus: Corpus, labels: NDArray[np.int64], split: str) -> list[Demonstration]:
     """What was really done in the recordings of a split."""
     out = []
     for recording in corpus.recordings(split):
         own = corpus.blocks_of(recording)
-        out.append(Take(recording, int(corpus.speaker_of[recording]), own, labels[own], corpus.silent[own]))
+        out.append(Demonstration(recording, int(corpus.speaker_of[recording]), own, labels[own], corpus.silent[own]))
     return out
 
 
