@@ -22,8 +22,8 @@ from data_module.motion.skeletons import from_vector
 from data_module.speech.beats import detect_onsets
 from data_module.store import Store
 from data_module.types import Array
-from eval import pmb
 from eval.bootstrap import interval
+from eval.metrics import pmb
 from gesticulator import config as configs
 from gesticulator.pipeline import FPS
 from gesticulator.prepare import Corpus, prepare

@@ -1,10 +1,10 @@
-"""python -m data_module.build CORPUS --out STORE: read or make a data set, and write its store.
+"""gesticulator build CORPUS --out STORE (python -m data_module.build): read or make a data set, and write its store.
 
-    python -m data_module.build performer --source DIR --out STORE    # DIR holds strokes/ and speech/
-    python -m data_module.build performer --preset tiny --out STORE   # three minutes, in seconds, from nothing
-    python -m data_module.build folder --source DIR --out STORE       # your own NAME.bvh beside NAME.wav
-    python -m data_module.build trinity --source DIR --out STORE      # somebody's data set; --help lists them all
-    python -m data_module.build smartbody --source DIR --out STROKES  # the performer's strokes, from what is published
+    gesticulator build performer --source DIR --out STORE    # DIR holds strokes/ and speech/
+    gesticulator build performer --preset tiny --out STORE   # three minutes, in seconds, from nothing
+    gesticulator build folder --source DIR --out STORE       # your own NAME.bvh beside NAME.wav
+    gesticulator build trinity --source DIR --out STORE      # somebody's data set; --help lists them all
+    gesticulator build smartbody --source DIR --out STROKES  # the performer's strokes, from what is published
 
 A build that was stopped goes on where it was; the result does not depend on that, nor on the number of workers. What
 was found (minutes, blocks, intervals, units, joints that are lacking, what was left out and why) is printed and kept in
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 from data_module import build_report as reports
 from data_module.build_report import Outcome, Report
 from data_module.errors import InputError, one_line_errors
-from data_module.files import write_text
+from data_module.files import lock, write_text
 
 if TYPE_CHECKING:
     from data_module.corpora import Item, Options
@@ -90,9 +90,15 @@ def build(corpus: str, source: Path | None, out: Path, options: Options, *, work
           progress: bool = True) -> Report:
     """Build the store `out` of a corpus, with `workers` processes, and the data set `out`/dataset when asked.
 
-    A store that is there already with the same settings is left as it is. `InputError` when it has other settings, or
-    when nothing can be used.
+    A store that is there already with the same settings is left as it is. `InputError` when it has other settings,
+    when nothing can be used, or while another process builds there.
     """
+    with lock(out, "a build", beside=True):
+        return _build(corpus, source, out, options, workers, dataset, progress)
+
+
+def _build(corpus: str, source: Path | None, out: Path, options: Options, workers: int, dataset: bool,
+           progress: bool) -> Report:
     from data_module import corpora, store
 
     begun = time.monotonic()
@@ -225,8 +231,9 @@ def _make_strokes(name: str, source: Path | None, out: Path, options: Options) -
     """Clips without speech: `out` becomes the folder strokes/ that the performer plays, not a store."""
     from data_module import corpora
 
-    maker = corpora.open_strokes(name, source, options)
-    count = maker.write(out)
+    with lock(out, "a build", beside=True):
+        maker = corpora.open_strokes(name, source, options)
+        count = maker.write(out)
     print(f"{out}: {count} strokes, with manifest.csv; the performer takes them as SOURCE/strokes")
     for note in maker.notes():
         print(f"  {note}")
@@ -234,10 +241,10 @@ def _make_strokes(name: str, source: Path | None, out: Path, options: Options) -
     return 0
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m data_module.build", formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Read or make a data set, write its store, and report what is in it.", epilog=_FORMATS)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What a build takes, and at the end of the help what can be read."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = _FORMATS + (f"\n{parser.epilog}" if parser.epilog else "")
     parser.add_argument("corpus", help="one of those below")
     parser.add_argument("--source", type=Path, metavar="DIR",
                         help="the data to build from (performer: default is the variable GESTICULATOR_DATA)")
@@ -252,9 +259,14 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--no-dataset", action="store_true", help="write the store only, no BVH files")
     parser.add_argument("--fps", type=float, help="frames per second, where the header of BVH files is wrong")
     parser.add_argument("--unit", type=float, help="metres per unit of BVH files, where it is not as reported")
+    parser.add_argument("--split", default="", metavar="80/10/10|FILE", help="folder: shares in percent for training, "
+                        "validation and test (default 80/10/10, with a recording at least in each where there are "
+                        "three), or a file with a line NAME,train|val|test for each recording")
+    parser.add_argument("--speaker", default="", metavar="NAME|REGEX", help="folder: who gestures in every recording, "
+                        "or a pattern whose group finds it in the file's name, such as '^([a-z]+)' (default: what "
+                        "stands before the first '_' where several recordings share it, else the folder's name)")
     parser.add_argument("--histogram", type=Path, metavar="FILE.png",
                         help="draw the intervals between onsets and between beats (needs matplotlib)")
-    return parser.parse_args(argv)
 
 
 def _check_histogram(file: Path) -> None:
@@ -268,40 +280,53 @@ def _check_histogram(file: Path) -> None:
                          "pip install 'gesticulator[figures]'")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The command. Returns 0; leaves with 2 and one line when the input cannot be used."""
-    arguments = _arguments(argv)
+def run(arguments: argparse.Namespace) -> int:
+    """Build what `arguments` ask for and print the report. Returns 0; InputError when the input cannot be used."""
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
-    with one_line_errors("build"):
-        from data_module.corpora import STROKE_SOURCES, Options
+    from data_module.corpora import STROKE_SOURCES, Options
 
-        for name in ("hours", "workers", "fps", "unit"):
-            value = getattr(arguments, name)
-            if value is not None and not 0 < value < float("inf"):
-                raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
-        if arguments.seed < 0:
-            raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
-        source = arguments.source
-        if source is None and arguments.corpus == "performer" and arguments.preset != "tiny":
-            told = os.environ.get("GESTICULATOR_DATA")
-            source = Path(told) if told else None
-        languages = tuple(filter(None, arguments.languages.split(",")))
-        options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit, languages)
-        if arguments.corpus in STROKE_SOURCES:
-            return _make_strokes(arguments.corpus, source, arguments.out, options)
-        if arguments.histogram is not None:
-            _check_histogram(arguments.histogram)
-        report = build(arguments.corpus, source, arguments.out, options, workers=arguments.workers,
-                       dataset=not arguments.no_dataset)
-        for line in report.lines():
-            print(line)
-        if arguments.histogram is not None:
-            from data_module import intervals
+    for name in ("hours", "workers", "fps", "unit"):
+        value = getattr(arguments, name)
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
+    if arguments.seed < 0:
+        raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
+    source = arguments.source
+    if source is None and arguments.corpus == "performer" and arguments.preset != "tiny":
+        data = os.environ.get("GESTICULATOR_DATA")
+        source = Path(data) if data else None
+    for name in ("split", "speaker"):
+        if getattr(arguments, name) and arguments.corpus != "folder":
+            raise InputError(f"--{name}", f"is not for {arguments.corpus}, which has its own", "leave it out")
+    languages = tuple(filter(None, arguments.languages.split(",")))
+    options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit, languages,
+                      arguments.split, arguments.speaker)
+    if arguments.corpus in STROKE_SOURCES:
+        return _make_strokes(arguments.corpus, source, arguments.out, options)
+    if arguments.histogram is not None:
+        _check_histogram(arguments.histogram)
+    report = build(arguments.corpus, source, arguments.out, options, workers=arguments.workers,
+                   dataset=not arguments.no_dataset)
+    for line in report.lines():
+        print(line)
+    if arguments.histogram is not None:
+        from data_module import intervals
 
-            intervals.draw(arguments.histogram, report.intervals(), f"{report.store.corpus} ({report.store.path.name})")
-            print(f"  {arguments.histogram}: the histogram of intervals")
+        intervals.draw(arguments.histogram, report.intervals(), f"{report.store.corpus} ({report.store.path.name})")
+        print(f"  {arguments.histogram}: the histogram of intervals")
     return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command. Returns 0; leaves with 2 and one line when the input cannot be used."""
+    parser = argparse.ArgumentParser(
+        prog="python -m data_module.build", formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Read or make a data set, write its store, and report what is in it.")
+    add_arguments(parser)
+    arguments = parser.parse_args(argv)
+    with one_line_errors("build"):
+        return run(arguments)
 
 
 if __name__ == "__main__":

@@ -22,18 +22,21 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError
-from data_module.files import write_bytes, write_text
+from data_module.arrays import read_npz
+from data_module.errors import InputError, shown
+from data_module.files import read_text, rename, write_bytes, write_text
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER, JOINTS
-from data_module.performer.types import Phrase, PlayedStroke, Syllable
 from data_module.speech.audio import load_speech, write_flac
+from data_module.truth import TABLES, PlayedStroke, Truth, record
 from data_module.types import Motion, Speech, Word
 
 FORMAT = 1
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 _LISTING, _FOLDER, _BEGUN = "store.json", "recordings", "begun.json"
+_LARGEST_LISTING = 1 << 28
+"""Bytes (256 MiB) of a listing: half a kilobyte a recording, so half a million recordings."""
 
 
 @dataclass(frozen=True)
@@ -58,17 +61,10 @@ class RecordingInfo:
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
             raise InputError(self.name, f"has the split '{self.split}'", f"use one of {', '.join(SPLITS)}")
-        if not self.name or any(mark in self.name for mark in "/\\:") or self.name.startswith("."):
-            raise InputError(repr(self.name), "cannot name a recording", "use letters, digits, '_' and '-'")
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What a scripted performance meant to do: known here, and nowhere else."""
-
-    strokes: tuple[PlayedStroke, ...] = ()
-    syllables: tuple[Syllable, ...] = ()
-    phrases: tuple[Phrase, ...] = ()
+        # What is not printable is a control character, or bytes that are no text in any encoding.
+        if not self.name or any(mark in self.name for mark in "/\\:") or self.name.startswith(".") \
+                or not self.name.isprintable():
+            raise InputError(ascii(self.name), "cannot name a recording", "use letters, digits, '_' and '-'")
 
 
 @dataclass(frozen=True)
@@ -86,13 +82,16 @@ class Store:
 
     def __init__(self, path: Path, listing: Mapping[str, Any]) -> None:
         self.path = path
-        self.corpus: str = listing["corpus"]
-        self.settings: dict[str, Any] = listing["settings"]
-        self.seed: int = listing["seed"]
-        self.licence: str = listing["licence"]
-        self.fingerprint: str = listing["fingerprint"]
+        self.corpus: str = _typed(listing["corpus"], str)
+        self.settings: dict[str, Any] = _typed(listing["settings"], dict)
+        self.seed: int = _typed(listing["seed"], int)
+        self.licence: str = _typed(listing["licence"], str)
+        self.fingerprint: str = _typed(listing["fingerprint"], str)
         self.recordings: tuple[RecordingInfo, ...] = tuple(_info(entry) for entry in listing["recordings"])
-        self._hashes: dict[str, dict[str, str]] = {e["name"]: e["sha256"] for e in listing["recordings"]}
+        self._hashes = {e["name"]: (_typed(e["sha256"]["flac"], str), _typed(e["sha256"]["npz"], str))
+                        for e in listing["recordings"]}
+        if len(self._hashes) != len(self.recordings):
+            raise ValueError("two recordings share a name")
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Store:
@@ -102,18 +101,20 @@ class Store:
         if not listing.is_file():
             raise InputError(folder, *_why_not_a_store(folder))
         try:
-            content = json.loads(listing.read_text(encoding="utf-8"))
+            content = json.loads(read_text(listing, "build it again", _LARGEST_LISTING))
             number = content["format"]
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, RecursionError):
             raise InputError(listing, "is not the listing of a store", "build it again") from None
         if number != FORMAT:
-            raise InputError(folder, f"is a store of format {number}, and this version reads format {FORMAT}",
+            raise InputError(folder, f"is a store of format {shown(number)}, and this version reads format {FORMAT}",
                              "build it again")
         try:
             store = cls(folder, content)
             found = _fingerprint(content["recordings"])
-        except (AttributeError, TypeError, KeyError):
-            raise InputError(listing, "lacks entries that a store has", "build it again") from None
+        except (AttributeError, TypeError, KeyError, ValueError):
+            raise InputError(listing, "lacks entries that a store has, or has others", "build it again") from None
+        except InputError as error:
+            raise InputError(listing, f"lists {error.subject}, which {error.wrong}", "build it again") from None
         if found != store.fingerprint:
             raise InputError(listing, "does not match its own fingerprint", "it was edited: build it again")
         for info in store.recordings:
@@ -139,7 +140,7 @@ class Store:
         else:
             raise InputError(name, f"is not in the store {self.path}", f"it holds {len(self.recordings)} recordings")
         sound, arrays = _files(self.path, name)
-        for file, wanted in zip((sound, arrays), (self._hashes[name]["flac"], self._hashes[name]["npz"]), strict=True):
+        for file, wanted in zip((sound, arrays), self._hashes[name], strict=True):
             if _sha256(file) != wanted:
                 raise InputError(file, "is not the file that its store was made with", "build it again")
         return _read(info, sound, arrays)
@@ -162,7 +163,10 @@ class StoreWriter:
             raise InputError(self.path, "is already there", "delete it or choose another folder")
         begun = self.partial / _BEGUN
         if begun.is_file():
-            before = json.loads(begun.read_text(encoding="utf-8"))
+            try:
+                before = _typed(json.loads(read_text(begun, "delete its folder")), dict)
+            except (ValueError, TypeError, RecursionError):
+                raise InputError(begun, "is damaged", f"delete {self.partial} and build again") from None
             if before != self._head:
                 raise InputError(self.partial, f"was begun with {_difference(before, self._head)}",
                                  "delete it, or use what it was begun with")
@@ -173,8 +177,13 @@ class StoreWriter:
             write_text(begun, json.dumps(self._head, indent=1))
 
     def has(self, name: str) -> bool:
-        """Whether the recording is finished already."""
-        return self._entry(name).is_file()
+        """Whether the recording is finished already, its files whole."""
+        try:
+            entry = json.loads(self._entry(name).read_text(encoding="utf-8"))
+            hashes = [_sha256(file) for file in _files(self.partial, name)]
+            return bool([entry["sha256"]["flac"], entry["sha256"]["npz"]] == hashes)
+        except (OSError, ValueError, TypeError, KeyError):
+            return False
 
     def add(self, recording: Recording, character: Motion | None = None) -> None:
         """Write one recording with its motion, or `character` in its place, on the 16-joint character.
@@ -208,7 +217,7 @@ class StoreWriter:
         (self.partial / _BEGUN).unlink()
         if self.path.exists():
             self.path.rmdir()
-        os.replace(self.partial, self.path)
+        rename(self.partial, self.path)
         return Store.open(self.path)
 
     def discard(self) -> None:
@@ -260,8 +269,21 @@ def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _info(entry: Mapping[str, Any]) -> RecordingInfo:
+    """An entry of the listing; ValueError, TypeError or KeyError when it is none."""
     known = {field.name: entry[field.name] for field in fields(RecordingInfo)}
-    return RecordingInfo(**known | {"absent": tuple(known["absent"])})
+    for name in ("name", "split", "speaker", "voice", "language", "group"):
+        _typed(known[name], str)
+    if not all(0 <= float(_typed(known[name], int | float)) < np.inf for name in ("seconds", "frames", "fps")):
+        raise ValueError("a number is none")
+    absent = tuple(_typed(name, str) for name in _typed(known["absent"], list))
+    return RecordingInfo(**known | {"absent": absent})
+
+
+def _typed(value: Any, kind: Any) -> Any:
+    """The value when it is of that type. TypeError when it is another: JSON holds anything anywhere."""
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise TypeError(f"{type(value).__name__} is no {kind}")
+    return value
 
 
 def _files(folder: Path, name: str) -> tuple[Path, Path]:
@@ -279,7 +301,6 @@ def _fingerprint(entries: Sequence[Mapping[str, Any]]) -> str:
 
 
 # Tuples of flat dataclasses become one array per field: columns, so that nothing needs pickle.
-_TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phrases": Phrase}
 _WORDS = ("text", "start", "end")
 
 
@@ -289,7 +310,8 @@ def _columns(prefix: str, rows: Sequence[Any], names: Sequence[str]) -> dict[str
 
 def _rows(arrays: Mapping[str, NDArray[Any]], prefix: str, kind: type, names: Sequence[str]) -> tuple[Any, ...]:
     columns = [arrays[f"{prefix}_{name}"].tolist() for name in names]
-    return tuple(kind(**dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True))
+    rows = (dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True))
+    return tuple(record(kind, row) for row in rows)
 
 
 def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
@@ -302,29 +324,30 @@ def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
     if speech.words is not None:
         arrays |= _columns("word", speech.words, _WORDS)
     if recording.truth is not None:
-        for name, kind in _TABLES.items():
+        for name, kind in TABLES.items():
             rows = getattr(recording.truth, name)
             arrays |= _columns(name, rows, [field.name for field in fields(kind)])
     return arrays
 
 
 def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
+    arrays = read_npz(file, advice="build the store again")
     try:
-        with np.load(file, allow_pickle=False) as content:
-            arrays = {key: content[key] for key in content.files}
-        if tuple(arrays["joints"]) != JOINTS:
+        if arrays["joints"].tolist() != list(JOINTS):
             raise ValueError("other joints")
         motion = Motion(CHARACTER, rotation.normalise(arrays["rotations"].astype(np.float64)),
-                        arrays["root_positions"].astype(np.float64), float(arrays["fps"]),
-                        tuple(arrays["absent"].tolist()))
+                        arrays["root_positions"].astype(np.float64), float(arrays["fps"].item()),
+                        tuple(_typed(name, str) for name in arrays["absent"].tolist()))
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
-        tables = {name: _rows(arrays, name, kind, [field.name for field in fields(kind)])
-                  for name, kind in _TABLES.items()} if f"strokes_{fields(PlayedStroke)[0].name}" in arrays else None
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        truth = None
+        if f"strokes_{fields(PlayedStroke)[0].name}" in arrays:
+            truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in fields(kind)])
+                             for name, kind in TABLES.items()})
+    except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(file, "is not a recording of a store", "build the store again") from None
+    # An hour is the limit for what users bring; what a store keeps was accepted when it was built.
     speech = load_speech(sound)
-    return Recording(info, Speech(speech.samples, speech.sample_rate, words, info.speaker), motion,
-                     Truth(**tables) if tables is not None else None)
+    return Recording(info, Speech(speech.samples, speech.sample_rate, words, info.speaker), motion, truth)
 
 
 def _pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:

@@ -17,7 +17,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "racer": ("eval.racer_ablation", "RACER's ablation over our lexicon, and alpha"),
     "ablate": ("eval.ablate", "every table and figure of both papers, as deltas of settings"),
     "beat_labels": ("eval.beat_labels", "beats that people labelled by hand, against those that we find"),
-    "video": ("eval.video", "a motion with its sound as a video file"),
+    "video": ("eval.draw.video", "a motion with its sound as a video file"),
     "report": ("eval.report", "everything that was measured, on one page"),
     "claims": ("eval.claims", "what the papers claim, held against what was run"),
     "study": ("eval.study", "a user study as a page, and its analysis"),

@@ -12,7 +12,7 @@ stage is kept in the work folder under the hash of its settings, so a command th
 they have in common, and two commands may divide the rows between them. Other systems' motion for the test speech
 becomes a row of every table by --system; SG, Ges, GTC, S2AG and Bailando have lines of their own.
 
-What fools it: a row trained as long as the others may need longer; MAJE and MAD praise stillness (eval/joint_error.py);
+What fools it: a row trained as long as the others may need longer; MAJE and MAD praise stillness (see joint_error.py);
 PMB at 0.2 s is what the papers print and near its chance level, so read the share above chance at 0.1 s; and a few
 seeds of the same lexicon do not show what another lexicon would do. The paper's figures stand beside ours for their
 order alone: other data, other skeleton, another network for FGD.
@@ -33,12 +33,13 @@ from tqdm import tqdm
 
 from data_module.errors import InputError, one_line_errors
 from data_module.store import Store
-from eval import gesture_features, policies, racer_ablation
+from eval import policies, racer_ablation
 from eval.ablation_bench import Bench, counted
 from eval.ablation_cells import bundle_of, cell, reference, row_key, system
 from eval.ablation_figures import FIGURES, draw
 from eval.ablation_tables import file_of, finished, markdown, read_cells, tabled
 from eval.ablations import CONTROLS, PRESETS, RACER, RACER_PRESETS, REFERENCES, ROWS, listing
+from eval.metrics import gesture_features
 from eval.results import keep
 from eval.score import named
 from gesticulator import bundle as bundles

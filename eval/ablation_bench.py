@@ -29,8 +29,8 @@ from data_module.speech.beats import detect_onsets
 from data_module.speech.speech_encoder import SpeechEncoder
 from data_module.store import Recording, Store
 from data_module.types import Array, Blocks, Motion, Speech
-from eval import gesture_features
 from eval.ablations import configured
+from eval.metrics import gesture_features
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting

@@ -37,17 +37,17 @@ from data_module.motion.bvh import write_bvh
 from data_module.motion.kinematics import resample
 from data_module.types import Array, Blocks, Motion
 from eval import baselines as controls
-from eval import fgd, pmb, policies
+from eval import policies
 from eval.ablation_bench import Bench, RowRun, Said, features_of, fitted
 from eval.ablation_tables import COLUMNS, PAPERS_DELTA, file_of, finished
 from eval.ablations import CONTROLS, FLOOR, REAL_TAKE, REFERENCES, ROWS, STILL
-from eval.accuracy import lexeme_accuracy
 from eval.bootstrap import pseudo_values
-from eval.diversity import diversity, motion_variance
 from eval.figures import Clip, likeliest, measure, real_take
 from eval.foreign import find_motions, read_folder
+from eval.metrics import fgd, pmb
+from eval.metrics.accuracy import lexeme_accuracy
+from eval.metrics.diversity import diversity, motion_variance
 from eval.results import dumped
-from eval.score import mean_pose
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator.config import Config
@@ -360,7 +360,7 @@ def moved(bench: Bench, name: str, split: str, place: Kept) -> dict[str, Any] | 
     recordings, rhythm = [bench.loaded(number) for number in bench.recordings(split)], bench.first.config.rhythm
     own = [recording.motion for recording in recordings]
     if name == STILL:
-        own = mean_pose(own)
+        own = controls.mean_pose(own)
     elif name in controls.CONTROLS:
         groups = [recording.info.group or recording.info.name for recording in recordings]
         try:

@@ -25,13 +25,13 @@ from data_module.motion.motion_beats import acting_positions, acting_speed
 from data_module.speech.beats import find_beats
 from data_module.store import Recording
 from data_module.types import Array
-from eval import audio_clusters, pmb, style_editing
+from eval import audio_clusters, style_editing
 from eval.ablation_bench import Bench
 from eval.ablation_cells import SHOWN_SEED, bundle_of, kept
 from eval.ablation_tables import PAPERS_DELTA, finished
 from eval.ablations import OURS, PERFORMER, REAL_TAKE, SIZES, TABLES
-from eval.lexicon_map import NEIGHBOURS, draw_latents, embed, evenly, neighbours_agree
-from eval.plots import (
+from eval.draw.lexicon_map import NEIGHBOURS, draw_latents, embed, evenly, neighbours_agree
+from eval.draw.plots import (
     beat_strips,
     cluster_bars,
     delta_curves,
@@ -40,8 +40,9 @@ from eval.plots import (
     overview,
     size_sweep,
 )
+from eval.draw.strips import draw_strip, frame_times, save_strip
+from eval.metrics import pmb
 from eval.results import dumped
-from eval.strips import draw_strip, frame_times, save_strip
 from gesticulator import config as configs
 from gesticulator.pipeline import Gesticulator
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.types import Array
-from eval import pmb
 from eval.ablations import CONTROLS, FLOOR, OURS, PERFORMER, REFERENCES, ROWS, SYSTEMS, TABLES, Paper
+from eval.metrics import pmb
 from eval.racer_ablation import interval_over
 from eval.results import loaded
 

@@ -93,7 +93,7 @@ RACER = {f"racer-{name}": name for name in racer_ablation.ROWS}
 """The rows of `eval.racer_ablation` by the names that they have here."""
 
 ELSEWHERE: dict[str, str] = {
-    "RG Fig. 6, as a contact sheet with words": "eval.lexicon_map", "RG Fig. 9, of any motion": "eval.strips",
+    "RG Fig. 6, as a contact sheet with words": "eval.draw.lexicon_map", "RG Fig. 9, of any motion": "eval.draw.strips",
     "RG Fig. 10, of a bundle": "eval.style_editing", "RG Fig. 12, RACER Fig. 4 (people)": "eval.study",
     "RG Fig. 13 (other languages)": "eval.languages", "RG Fig. 14, of a bundle": "eval.speech_levels",
     "RG Table 6, as policies": "eval.policies", "RACER 4.2 (the reward)": "eval.rewards",

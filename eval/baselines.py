@@ -1,4 +1,6 @@
-"""Controls: motion that is known to be wrong, or right, to see what a metric says of it.
+"""Baselines: motion and policies that know nothing, to see what a metric says of them.
+
+Negative controls are motion that is known to be wrong, or right.
 
 A metric is worth what it makes of these (mir_eval's rule that perfect input gives a perfect score, turned round):
 
@@ -11,22 +13,44 @@ A metric is worth what it makes of these (mir_eval's rule that perfect input giv
 - `jittered`: every joint 2 cm off, anew in each frame. Hardly a change of pose, and no person moves so; a metric that
   improves by it rewards noise (the beat consistency of the BEAT family does: 0.48 clean, 0.81 with jitter).
 
+- `mean_pose`: each clip held still. MAJE and MAD praise it.
+- `mirrored`: the left arm does what the right arm does, at the same moment. What looks at one hand, or at the mean of
+  both, cannot see it; to the eye it is the first sign of a machine.
+- `bobbing`: the mean pose whose forearms go up and down in turn and stop at each onset of the sound. What rewards
+  timing alone takes it for the best gesturer of all.
+
 Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
+
+Interpreters that do not listen are what one that listens must beat: `Random`, `Majority`, `Bigram`; `RandomStyle` draws
+style codes. `ReplayInterpreter` gives lexemes that are known beforehand, so that they can be played.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
+if TYPE_CHECKING:
+    from gesticulator.bundle import Bundle
+    from gesticulator.prepare import Corpus
+    from interpreters import BlockFeatures
+
 JITTER = 0.02
 """Metres: the standard deviation along each axis."""
+BOB = 0.5
+"""Radians of an elbow: about 12 cm at the wrist."""
+_BOB_LASTS, _BOB_APART = 0.2, 0.25
+"""Seconds of one movement, and between two."""
 _EPS = 1e-9
 
 Clips = Sequence[Motion]
@@ -106,6 +130,57 @@ def jittered(clips: Clips, seed: int, metres: float = JITTER) -> list[Motion]:
     return [_jittered(clip, rng, metres) for clip in clips]
 
 
+def mean_pose(clips: Clips) -> list[Motion]:
+    """Each clip held still in its mean pose (the rotation nearest to all of a joint's)."""
+    out = []
+    for clip in clips:
+        outer = np.einsum("tji,tjk->jik", clip.rotations, clip.rotations)
+        turns = np.linalg.eigh(outer)[1][..., -1]
+        out.append(replace(clip, rotations=np.tile(turns, (len(clip), 1, 1)),
+                           root_positions=np.tile(clip.root_positions.mean(axis=0), (len(clip), 1))))
+    return out
+
+
+def mirrored(clips: Clips, seed: int = 0) -> list[Motion]:
+    """Each clip of the 16-joint character with the right arm's motion, mirrored, on the left arm as well (the seed is
+    there so that all controls are called alike)."""
+    out = []
+    for clip in clips:
+        turns = clip.rotations.copy()
+        for left, name in enumerate(clip.skeleton.names):
+            if name.startswith("Left"):
+                right = clip.rotations[:, clip.skeleton.index("Right" + name.removeprefix("Left"))]
+                turns[:, left] = right * np.array([1.0, 1.0, -1.0, -1.0])
+        out.append(replace(clip, rotations=turns))
+    return out
+
+
+def bobbing(clips: Clips, onsets: Sequence[Array]) -> list[Motion]:
+    """Each clip's mean pose whose elbows go up and down in turn, and stop at onsets [n] (seconds) of the sound.
+
+    Onsets closer than `_BOB_APART` to the one before are left out: the arm could not follow.
+    """
+    out = []
+    for clip, times in zip(mean_pose(clips), onsets, strict=True):
+        at = np.arange(len(clip)) / clip.fps
+        raised = np.zeros(len(clip))
+        last, sign = -math.inf, 1.0
+        for onset in np.sort(np.asarray(times)):
+            if onset - last < _BOB_APART:
+                continue
+            # A minimum-jerk movement brakes hardest when four fifths of it are done: that falls on the onset.
+            u = np.clip((at - onset) / _BOB_LASTS + 0.8, 0.0, 1.0)
+            raised += sign * u ** 3 * (10.0 - 15.0 * u + 6.0 * u ** 2)
+            last, sign = onset, -sign
+        turns = clip.rotations.copy()
+        for side, outward in (("Right", 1.0), ("Left", -1.0)):
+            joint = clip.skeleton.index(side + "ForeArm")
+            turn = rotation.from_exponential_map(BOB * raised[:, None] * np.array([0.0, outward, 0.0]))
+            turns[:, joint] = rotation.multiply(turns[:, joint], turn)
+        out.append(replace(clip, rotations=turns))
+    return out
+
+
 CONTROLS: Mapping[str, Callable[[Clips, int], list[Motion]]] = {
     "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered,
 }
@@ -159,3 +234,104 @@ def _groups(clips: Clips, groups: Sequence[str] | None) -> NDArray[np.str_]:
     if len(groups) != len(clips):
         raise ValueError(f"{len(clips)} clips have {len(groups)} groups")
     return np.array(groups, dtype=np.str_)
+
+
+# -------------------------------------------------------------------------------------------------------- interpreters
+
+IMPROBABLE = -1e3
+"""A score so low that no temperature in use draws the lexeme."""
+Lexemes = NDArray[np.int64]
+
+
+def _only(lexeme: int, size: int) -> Array:
+    """Scores [S] that leave one choice."""
+    scores = np.full(size, IMPROBABLE)
+    scores[lexeme] = 0.0
+    return scores
+
+
+class Random:
+    """All lexemes alike, whatever is said: drawn from at temperature 1, the policy that knows nothing."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+
+    def start(self, speaker: int, first_lexeme: int) -> None:
+        """There is no state."""
+        return
+
+    def step(self, state: None, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, None]:
+        """Zeros [S]."""
+        return np.zeros(self._size), None
+
+
+class Majority:
+    """Always the lexeme that the speaker uses most: the floor of every table."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._best = [int(bundle.inventory.frequencies[name].argmax()) for name in bundle.speakers]
+        self._size = bundle.lexicon.quantizer.size
+
+    def start(self, speaker: int, first_lexeme: int) -> int:
+        """The state is the speaker."""
+        return speaker
+
+    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, int]:
+        """The same scores [S] for every block."""
+        return _only(self._best[state], self._size), state
+
+
+class Bigram:
+    """The most frequent successor of the previous lexeme for this speaker: what accuracy needs no sound for."""
+
+    def __init__(self, successors: Lexemes) -> None:
+        """successors: [speakers, S]."""
+        self._successors = successors
+
+    @classmethod
+    def fitted(cls, corpus: Corpus, labels: Lexemes, size: int) -> Bigram:
+        """Counted on the training split; labels: [N], size: S."""
+        counts = np.zeros((len(corpus.statistics.speakers), size, size))
+        for recording in corpus.recordings("train"):
+            sequence = labels[corpus.blocks_of(recording)]
+            np.add.at(counts[corpus.speaker_of[recording]], (sequence[:-1], sequence[1:]), 1)
+        return cls(counts.argmax(-1))
+
+    def start(self, speaker: int, first_lexeme: int) -> int:
+        """The state is the speaker."""
+        return speaker
+
+    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, int]:
+        """One lexeme, by the table."""
+        return _only(int(self._successors[state, previous_lexeme]), self._successors.shape[1]), state
+
+
+class ReplayInterpreter:
+    """Lexemes that are known beforehand, one sequence after the other: each `start` begins the next."""
+
+    def __init__(self, sequences: Iterable[Lexemes], size: int) -> None:
+        self._coming, self._size = iter(sequences), size
+
+    def start(self, speaker: int, first_lexeme: int) -> Iterator[int]:
+        """The state is what is yet to come."""
+        return iter(next(self._coming).tolist())
+
+    def step(self, state: Iterator[int], features: BlockFeatures, previous_lexeme: int) -> tuple[Array, Iterator[int]]:
+        """Scores [S] that leave one choice."""
+        return _only(next(state), self._size), state
+
+
+class RandomStyle:
+    """Style codes that know nothing: z from N(0, I) anew on each block, as L_z would have the learned (RG Table 2)."""
+
+    def __init__(self, code_width: int, seed: int) -> None:
+        self.code_width, self._seed = code_width, seed
+
+    def start(self, speaker: int) -> np.random.Generator:
+        """The state is the random generator, the same in each recording."""
+        return np.random.default_rng([self._seed, speaker])
+
+    def step(self, state: np.random.Generator, features: BlockFeatures, lexeme: int
+             ) -> tuple[Tensor, np.random.Generator]:
+        """A code [1, d_z]."""
+        return torch.as_tensor(state.standard_normal((1, self.code_width)), dtype=torch.float32), state

@@ -56,10 +56,11 @@ from data_module.speech.audio import load_speech
 from data_module.speech.beats import detect_onsets, find_beats
 from data_module.store import Store
 from data_module.types import Array, BeatFlag, Motion, Speech
-from eval import label_files, pmb
+from eval import label_files
 from eval.bootstrap import interval
 from eval.foreign import MOTIONS, find_sound, read_motion
 from eval.label_files import AT, Choice, Labels
+from eval.metrics import pmb
 from eval.results import keep
 
 TOLERANCES = (0.1, 0.2)

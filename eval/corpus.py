@@ -29,8 +29,8 @@ from data_module.motion.motion_beats import acting_positions, acting_speed, beat
 from data_module.speech.audio import load_speech
 from data_module.speech.beats import detect_onsets
 from data_module.types import Array, Motion, Speech
-from eval import pmb
 from eval.bootstrap import interval
+from eval.metrics import pmb
 
 TOLERANCE = 0.02
 """Seconds: how near a motion beat must be to its plan."""

@@ -33,9 +33,9 @@ from data_module.speech.silence import FRAME as SILENCE_FRAME
 from data_module.speech.silence import pauses, silent_frames
 from data_module.store import Recording, Store
 from data_module.types import Array, Motion, Speech
-from eval import pmb
-from eval.accuracy import lexeme_accuracy
 from eval.bootstrap import interval
+from eval.metrics import pmb
+from eval.metrics.accuracy import lexeme_accuracy
 from eval.parts import hinted_labels
 from eval.results import publish
 from gesticulator import bundle as bundles

@@ -30,7 +30,7 @@ from data_module.corpora.folder import SOUNDS
 from data_module.errors import InputError, shown
 from data_module.files import read_text
 from data_module.motion import rotation
-from data_module.motion.bvh import BvhWarning, read_bvh
+from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions
 from data_module.motion.skeletons import CHARACTER, find_table, to_character
 from data_module.motion.smplx import read_smplx
@@ -155,7 +155,7 @@ def read_motion(path: Path, fps: float | None = None) -> Motion:
         try:
             return to_character(read_bvh(path, fps=rate) if kind == ".bvh" else read_smplx(path, fps=rate))
         except InputError as error:
-            advice = _RATE_ADVICE if error.advice == "give the frame rate" else error.advice
+            advice = _RATE_ADVICE if error.advice == FRAME_RATE_ADVICE else error.advice
             # A skeleton is known by its joints alone, and a user by the file.
             subject = path if error.subject == "skeleton" else error.subject
             raise InputError(subject, error.wrong, advice) from None

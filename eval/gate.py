@@ -30,12 +30,15 @@ from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 from tqdm import tqdm
 
+from data_module.blocks import cut
 from data_module.errors import InputError, one_line_errors
 from data_module.speech.silence import FRAME, frame_levels
 from data_module.store import SPLITS, Recording, Store
 from data_module.types import Array, Speech
 from eval.bootstrap import Interval, interval
-from eval.lexicon_map import block_of_frames, evenly, hand_speed, read_blocks
+from eval.draw.lexicon_map import block_of_frames, evenly
+from eval.encode import encode_motion
+from eval.metrics.smoothness import hand_speeds
 from eval.results import publish
 from gesticulator.bundle import Bundle
 from gesticulator.pipeline import Gesticulator
@@ -168,7 +171,7 @@ def judge(system: Gesticulator, recording: Recording) -> Judged:
     bundle, speech = system.bundle, recording.speech
     gate = gate_of(bundle, "--bundle")
     heard = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
-    read = read_blocks(bundle, recording, heard.blocks)
+    read = encode_motion(bundle, recording.motion, heard.blocks, recording.info.speaker)
     known = recording.info.speaker in bundle.speakers
     who = system.speaker_index(recording.info.speaker if known else None)
     state, said = gate.start(who), np.empty(len(heard.blocks))
@@ -245,14 +248,16 @@ def play(system: Gesticulator, recording: Recording, activity: float) -> Played:
         closed = np.zeros(len(gesturing), bool)
     else:
         closed = np.ones(len(gesturing), bool) if activity <= 0 else made.gate < 1 - activity
-    return Played(made.blocks.edges, gesturing, closed, hand_speed(made.motion), made.motion.fps)
+    return Played(made.blocks.edges, gesturing, closed, hand_speeds(made.motion).mean(axis=1), made.motion.fps)
 
 
 def performed(bundle: Bundle, recording: Recording) -> Played:
     """The performer's own motion, whose still blocks count as closed."""
-    read = read_blocks(bundle, recording)
+    blocks = cut(recording.speech, bundle.config.rhythm)
+    read = encode_motion(bundle, recording.motion, blocks, recording.info.speaker)
     gesturing = ~np.isin(read.labels, bundle.silent)
-    return Played(read.blocks.edges, gesturing, ~gesturing, hand_speed(recording.motion), recording.motion.fps)
+    return Played(read.blocks.edges, gesturing, ~gesturing, hand_speeds(recording.motion).mean(axis=1),
+                  recording.motion.fps)
 
 
 # ---------------------------------------------------------------------------------------------------- report

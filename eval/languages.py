@@ -35,9 +35,9 @@ from data_module.performer.text import compose
 from data_module.speech.audio import load_speech
 from data_module.store import Store
 from data_module.types import Array, Motion, Speech
-from eval import pmb
 from eval.bootstrap import interval
 from eval.figures import Clip, measure
+from eval.metrics import pmb
 from eval.results import keep
 from gesticulator.pipeline import FPS, Gesticulator
 from interpreters import INTERPRETERS

@@ -34,12 +34,12 @@ from data_module.errors import InputError, one_line_errors
 from data_module.motion.kinematics import resample
 from data_module.store import Recording, Store
 from data_module.types import Array, Motion
-from eval import fgd, gesture_features, pmb
 from eval.baselines import to_common_length
 from eval.bootstrap import interval
-from eval.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.figures import Clip, Commonest, measure
-from eval.joint_error import motion_error
+from eval.metrics import fgd, gesture_features, pmb
+from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
+from eval.metrics.joint_error import motion_error
 from eval.parts import hinted_labels, table
 from eval.results import publish
 from gesticulator import bundle as bundles
@@ -391,7 +391,7 @@ def networks(store: Store, work: Path, progress: bool = True) -> list[gesture_fe
 def fgd_difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[Array]) -> dict[str, float]:
     """FGD of the first clips' features [n, E] less that of the second's, clips redrawn together; NaN for one clip.
 
-    The interval is the basic bootstrap's, as in `eval.fgd.measure`, for the same reason.
+    The interval is the basic bootstrap's, as in `eval.metrics.fgd.measure`, for the same reason.
     """
     kept = np.flatnonzero([min(map(len, clips)) > 0 for clips in zip(first, second, real, strict=True)])
 
@@ -489,7 +489,7 @@ def _cell(value: dict[str, float], digits: int) -> str:
 
 
 def _figure(row: dict[str, Any]) -> str:
-    """A cell of the FGD table: a difference, or a figure of `eval.fgd`, starred when its windows are too few."""
+    """A cell of the FGD table: a difference, or a figure of `fgd`, starred when its windows are too few."""
     if "distance" not in row:
         return _cell(row, 2)
     return _cell({**row["interval"], "mean": row["distance"]}, 2) + ("*" if row["reason"] else "")
@@ -513,7 +513,7 @@ def markdown(result: dict[str, Any]) -> str:
             for name in next(iter(result["fgd"].values()))[kind]:
                 lines.append(f"| {name} | " + " | ".join(_figure(own[kind][name]) for own in result["fgd"].values())
                              + " |")
-        lines += ["", "\\* fewer windows than the network's features call for (see `eval.fgd`).", ""]
+        lines += ["", "\\* fewer windows than the network's features call for (see `eval.metrics.fgd`).", ""]
     lines += ["| cql | mean |", "|---|---|"]
     lines += [f"| {title} | {_cell(result['q_network'][key], 3)} |" for key, title in Q_COLUMNS.items()]
     return "\n".join(lines) + "\n"

@@ -49,9 +49,10 @@ from data_module.layers import freeze
 from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.store import Recording, Store
 from data_module.types import Array
-from eval import fgd, gesture_features, pmb, policies
+from eval import policies
 from eval.bootstrap import DRAWS, Interval, pseudo_values
 from eval.figures import measure
+from eval.metrics import fgd, gesture_features, pmb
 from eval.parts import hinted_labels
 from eval.policies import Chosen, Column, Ground, Lexemes, Policy, Rewards, walk
 from eval.results import dumped, keep, loaded
@@ -668,7 +669,7 @@ def _motion_lines(rows: dict[str, Any]) -> list[str]:
         own = [_cell({**one["interval"], "mean": one["distance"]}, 2) + ("*" if one["reason"] else "")
                for one in row["fgd"].values()]
         lines.append(f"| {name} | " + " | ".join([*own, str(row["paper"].get("fgd", ""))]) + " |")
-    return [*lines, "", "\\* fewer windows than the network's features call for (see `eval.fgd`).", ""]
+    return [*lines, "", "\\* fewer windows than the network's features call for (see `eval.metrics.fgd`).", ""]
 
 
 def listing() -> str:

@@ -32,10 +32,11 @@ from urllib.parse import quote, unquote
 
 from data_module.errors import InputError, one_line_errors
 from data_module.files import write_text
-from eval import ablation_figures, ablation_tables, claims, pmb, racer_ablation
+from eval import ablation_figures, ablation_tables, claims, racer_ablation
 from eval.ablation_tables import COLUMNS, Cells
 from eval.ablations import CONTROLS, ELSEWHERE, FLOOR, REAL_TAKE, REFERENCES, SYSTEMS, TABLES
 from eval.claims import FAILS, HOLDS, UNDECIDED
+from eval.metrics import pmb
 from eval.results import loaded
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ PICTURES: dict[str, tuple[str, str, str]] = {
 }
 """Pictures that other commands keep in `pictures` beside the results: the paper's figure, a title, a caption."""
 
-METRICS = ("joint_error", "fgd", "gesture_features", "pmb", "diversity", "smoothness", "beat_consistency", "mismatch",
-           "controls", "bootstrap")
+METRICS = (*(f"metrics.{name}" for name in ("joint_error", "fgd", "gesture_features", "pmb", "diversity", "smoothness",
+                                            "beat_consistency", "mismatch")), "baselines", "bootstrap")
 """The modules whose docstrings are the chapters."""
 
 COMMANDS = """\

@@ -25,7 +25,6 @@ import argparse
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,8 +41,9 @@ from data_module.text.word_vectors import word_frames
 from data_module.types import Array, Samples
 from eval import audio_clusters
 from eval.bootstrap import interval
-from eval.lexicon_map import evenly, read_blocks
-from eval.probes import Judged, Spoken, grouped, probe_frames, probe_words, tokens_of
+from eval.draw.lexicon_map import evenly
+from eval.encode import encode_motion
+from eval.linear_probes import Judged, Spoken, grouped, probe_frames, probe_words, tokens_of
 from eval.results import publish
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
@@ -183,9 +183,9 @@ def lexemes(system: Gesticulator, recording: Recording, seed: int = 0) -> dict[s
     made = system(recording.speech, speaker=recording.info.speaker if known else None, seed=seed,
                   fps=recording.motion.fps)
     length = min(len(made.motion), len(recording.motion))
-    played = replace(recording, motion=made.motion.crop(0, length))
-    return {"performer": read_blocks(system.bundle, recording).labels,
-            "generated": read_blocks(system.bundle, played).labels}
+    blocks = block_module.cut(recording.speech, system.bundle.config.rhythm)
+    return {name: encode_motion(system.bundle, motion, blocks, recording.info.speaker).labels
+            for name, motion in (("performer", recording.motion), ("generated", made.motion.crop(0, length)))}
 
 
 def figure_14(test: Sequence[Spoken], labels: Sequence[Mapping[str, NDArray[np.int64]]], low: str, high: str,

@@ -41,9 +41,10 @@ from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
 from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
-from eval import anova, video
+from eval import anova
+from eval.draw import video
+from eval.draw.strips import figure_points
 from eval.results import keep
-from eval.strips import figure_points
 from gesticulator.export import sound
 from gesticulator.sounds import SUFFIXES
 

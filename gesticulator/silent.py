@@ -1,6 +1,6 @@
 """`python -m gesticulator.silent [BUNDLE]`: which lexemes count as stillness, seen and edited by hand (RG 6.4.1).
 
-Training finds the silent lexemes by itself. A look at the lexicon (`python -m eval.lexicon_map`) may say otherwise, and
+Training finds the silent lexemes by itself. A look at the lexicon (`gesticulator draw lexicon`) may say otherwise, and
 then the list is changed here. `bundle.json` alone is rewritten; the weights and their hashes stay as they are. What
 reads the list at inference follows at once: the choice in silent blocks, the resting lexeme, the blocks that the gate
 closes. What was taught with the old list stays: the hint in the lexeme interpreter, and the gate.

@@ -15,10 +15,11 @@ import torch
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.store import Store
-from eval import ablate, ablation_cells, ablation_figures, ablation_tables, ablations, gesture_features, racer_ablation
+from eval import ablate, ablation_cells, ablation_figures, ablation_tables, ablations, racer_ablation
 from eval.ablation_bench import Bench
 from eval.ablation_tables import COLUMNS
 from eval.ablations import CONTROLS, ELSEWHERE, OURS, RACER, REFERENCES, ROWS, SYSTEMS, TABLES, configured
+from eval.metrics import gesture_features
 from generator import losses
 from gesticulator import config as configs
 from gesticulator.config import Config

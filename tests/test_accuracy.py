@@ -12,7 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from sklearn.metrics import accuracy_score, cohen_kappa_score
 
-from eval.accuracy import agreement_by_chance, lexeme_accuracy
+from eval.metrics.accuracy import agreement_by_chance, lexeme_accuracy
 
 PAIRS = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=1, max_size=40).map(np.array)
 

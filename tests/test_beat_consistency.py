@@ -14,7 +14,7 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion
 from eval.baselines import jittered
-from eval.beat_consistency import (
+from eval.metrics.beat_consistency import (
     DANCE_SIGMA,
     consistency,
     dance_beats,

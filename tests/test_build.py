@@ -18,6 +18,7 @@ from data_module.blocks import cut
 from data_module.build import main
 from data_module.build_report import Outcome
 from data_module.corpora import CORPORA, STROKE_SOURCES
+from data_module.files import lock
 from data_module.intervals import LONGEST, STEP, Intervals, measure
 from data_module.motion import kinematics
 from data_module.motion.bvh import read_bvh, write_bvh
@@ -187,6 +188,24 @@ def test_nothing_usable_is_an_error_and_leaves_nothing(tmp_path: Path, capsys: p
         main(["folder", "--source", str(source), "--out", str(tmp_path / "s"), "--workers", "1"])
     assert "no recording that can be used" in capsys.readouterr().err
     assert sorted(file.name for file in tmp_path.iterdir()) == ["pairs"]
+
+
+@pytest.mark.parametrize("corpus", ["folder", "smartbody"])
+def test_two_builds_of_one_store_keep_out_of_each_others_way(corpus: str, tmp_path: Path,
+                                                              capsys: pytest.CaptureFixture[str]) -> None:
+    with lock(tmp_path / "s", "a build", beside=True), pytest.raises(SystemExit) as caught:
+        main([corpus, "--source", str(tmp_path), "--out", str(tmp_path / "s")])
+    said = capsys.readouterr().err
+    assert caught.value.code == 2 and f"s: is in use by a build (process {os.getpid()} on " in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--split", "--speaker"])
+def test_options_of_a_folder_are_refused_elsewhere(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+                                                   ) -> None:
+    with pytest.raises(SystemExit):
+        main(["trinity", "--source", str(tmp_path), "--out", str(tmp_path / "s"), option, "80/10/10"])
+    assert f"{option}: is not for trinity" in capsys.readouterr().err
 
 
 def test_help_names_every_corpus_and_imports_nothing_heavy() -> None:

@@ -7,6 +7,7 @@ import pickle
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import published
@@ -15,12 +16,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.corpora import CORPORA, DroppedError, Options, Reader, load, open_corpus, split_of, trimmed
+from data_module.corpora import CORPORA, DroppedError, Options, Reader, load, open_corpus, split_of, spread, trimmed
 from data_module.corpora.performer import tail_begins
 from data_module.errors import InputError
 from data_module.motion import kinematics, skeletons
 from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import load_speech, write_flac
+from data_module.store import SPLITS
 from data_module.types import Motion, Speech, Word
 
 RATE = 16000
@@ -165,10 +167,101 @@ def test_folder_takes_the_frame_rate_of_a_lying_header(tmp_path: Path) -> None:
     file = source / "ann_1.bvh"
     file.write_text(file.read_text().replace("Frames: 150", "Frames: 1200"))
     reader = open_corpus("folder", source, Options())
-    with pytest.raises(DroppedError, match="give the frame rate"):
+    with pytest.raises(DroppedError, match="give the frame rate with --fps"):
         reader.read(reader.items()[0])
     told = open_corpus("folder", source, Options(fps=50.0))
     assert told.read(told.items()[0]).motion.fps == 50
+
+
+def _pairs(root: Path, *names: str) -> Path:
+    source = root / "recordings"
+    source.mkdir()
+    for number, name in enumerate(names):
+        write_bvh(source / f"{name}.bvh", _motion(150, seed=number))
+        write_flac(source / f"{name}.flac", _speech(2.6))
+    return source
+
+
+@pytest.mark.parametrize(("count", "counts"), [
+    (1, (1, 0, 0)), (2, (1, 0, 1)), (3, (1, 1, 1)), (4, (2, 1, 1)), (10, (8, 1, 1)), (40, (32, 4, 4)),
+    (200, (160, 20, 20)),
+])
+def test_shares_give_every_split_a_recording_where_they_can(count: int, counts: tuple[int, ...]) -> None:
+    splits = spread(count, (80, 10, 10))
+    assert tuple(splits.count(split) for split in SPLITS) == counts
+    # Spread, not at one end: every half of a long list has its part.
+    if count >= 40:
+        assert 0.4 < splits[:count // 2].count("test") / counts[2] < 0.6
+
+
+@given(st.integers(1, 300), st.tuples(*[st.integers(0, 100)] * 3).filter(any))
+def test_a_share_of_nothing_gets_nothing_and_no_share_is_far_off(count: int, shares: tuple[int, int, int]) -> None:
+    splits = spread(count, shares)
+    assert len(splits) == count
+    for split, share in zip(SPLITS, shares, strict=True):
+        found = splits.count(split)
+        assert share or not found
+        assert abs(found - count * share / sum(shares)) <= 2 or count < 3
+
+
+def test_four_recordings_can_be_trained_on_and_judged(tmp_path: Path) -> None:
+    reader = open_corpus("folder", _pairs(tmp_path, "take1", "take2", "take3", "take4"), Options())
+    infos = [item.info for item in reader.items()]
+    assert Counter(info.split for info in infos) == {"train": 2, "val": 1, "test": 1}
+    # Names that share nothing name no speakers: one person was recorded four times.
+    assert {info.speaker for info in infos} == {"recordings"}
+    assert any("--speaker" in note for note in reader.notes())
+
+
+def test_splits_and_speakers_of_a_folder_as_the_user_says(tmp_path: Path) -> None:
+    source = _pairs(tmp_path, "s1-a", "s1-b", "s2-a")
+    listed = tmp_path / "splits.csv"
+    listed.write_text("name,split\ns1-a,test\n s1-b , train\ns2-a,val\nother,train\n")
+    infos = [item.info for item in open_corpus("folder", source, Options(split=str(listed), speaker="^(s.)-")).items()]
+    assert [info.split for info in infos] == ["test", "train", "val"]
+    assert [info.speaker for info in infos] == ["s1", "s1", "s2"]
+    infos = [item.info for item in open_corpus("folder", source, Options(split="0/0/100", speaker="Ann")).items()]
+    assert {(info.split, info.speaker, info.voice) for info in infos} == {("test", "Ann", "Ann")}
+    notes = " ".join(open_corpus("folder", source, Options(split="100/0/0")).notes())
+    assert "no recording is in test" in notes and "--split" in notes
+
+
+@pytest.mark.parametrize(("split", "speaker", "says"), [
+    ("80/10", "", "neither three shares nor a file"), ("0/0/0", "", "neither"), ("a/b/c", "", "neither"),
+    ("-80/10/10", "", "neither"), ("FILE", "", "does not name s1-b"), ("BROKEN", "", "line 2"),
+    ("", "(", "no regular expression"), ("", "^(x)", "finds no speaker in s1-a"), ("", "^(?:s1)", "finds no speaker"),
+])
+def test_splits_and_speakers_that_cannot_be(split: str, speaker: str, says: str, tmp_path: Path) -> None:
+    source = _pairs(tmp_path, "s1-a", "s1-b")
+    (tmp_path / "FILE").write_text("s1-a,train\n")
+    (tmp_path / "BROKEN").write_text("s1-a,train\ns1-b,perhaps\n")
+    split = str(tmp_path / split) if split in ("FILE", "BROKEN") else split
+    with pytest.raises(InputError, match=says):
+        open_corpus("folder", source, Options(split=split, speaker=speaker))
+
+
+@pytest.mark.parametrize(("told", "says"), [
+    ({"split": 3}, "split"), ({"performer": ["a"]}, "performer"), ({"split": "exam"}, "exam"),
+])
+def test_what_lies_beside_a_recording_is_checked(told: dict[str, Any], says: str, tmp_path: Path) -> None:
+    source = _pairs(tmp_path, "a", "b")
+    (source / "a.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=says):
+        open_corpus("folder", source, Options())
+
+
+@pytest.mark.parametrize("told", [
+    {"strokes": [{"lexeme": "a"}], "syllables": [], "phrases": []}, {"strokes": 3}, {"strokes": [], "syllables": []},
+    {"strokes": [], "syllables": [], "phrases": [{"start": "0", "end": 1, "effort": 0}]},
+    {"words": [{"text": "a", "start": "0", "end": 1}]}, {"words": [{"text": "a"}]},
+    {"words": [{"text": 3, "start": 0}]},
+])
+def test_a_broken_truth_drops_its_recording(told: dict[str, Any], tmp_path: Path) -> None:
+    source = _pairs(tmp_path, "a", "b")
+    (source / "a.json").write_text(json.dumps(told))
+    reader = open_corpus("folder", source, Options())
+    with pytest.raises(DroppedError, match=r"a\.json"):
+        reader.read(reader.items()[0])
 
 
 def test_folder_without_pairs_is_refused(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.spatial.distance import cdist
 from scipy.stats import entropy
 
-from eval.diversity import (
+from eval.metrics.diversity import (
     distinct_2,
     diversity,
     longest_run,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,10 +22,10 @@ from data_module.motion.skeletons import CHARACTER, facing
 from data_module.store import Store
 from data_module.types import Array, Motion
 from eval import baselines as controls
-from eval import fgd
-from eval import gesture_features as networks
-from eval.fgd import Gaussian, distance, frechet_distance, gaussian
-from eval.gesture_features import AutoencoderConfig, RawFeatures
+from eval.metrics import fgd
+from eval.metrics import gesture_features as networks
+from eval.metrics.fgd import Gaussian, distance, frechet_distance, gaussian
+from eval.metrics.gesture_features import AutoencoderConfig, RawFeatures
 from gesticulator.fit import FitSettings
 
 QUICK = FitSettings(steps=25, batch=16, rate=2e-3, betas=(0.5, 0.999))
@@ -139,7 +138,7 @@ def test_a_figure_tells_all_that_it_depends_on() -> None:
     real, far = clips_of(rng, 12), clips_of(rng, 12, 5.0)
     got = fgd.measure(far, real, RAW)
     assert got.distance == pytest.approx(distance(np.concatenate(far), np.concatenate(real)))
-    assert got.interval.low < got.distance < got.interval.high and got.interval.clips == 12
+    assert got.interval.low < got.distance < got.interval.high and got.interval.n == 12
     assert got.windows == (240, 240) and got.needed == 15 and got.enough and got.reason == ""
     assert (got.frames, got.fps, got.sha256) == (30, 15.0, "none")
     assert got.bias == pytest.approx(fgd.sampling_bias(gaussian(np.concatenate(real)), 240, 240))
@@ -371,19 +370,6 @@ def test_on_a_real_store(tiny_store: Path, tmp_path: Path) -> None:
 
 
 # --- the report
-
-def test_a_report_needs_two_window_lengths(own: networks.Autoencoder) -> None:
-    real = [gesturing(8.0, k) for k in range(6)]
-    still = [replace(clip, rotations=np.repeat(clip.rotations[:1], len(clip), axis=0)) for clip in real]
-    both: Sequence[networks.Features] = [networks.as_features(own), RawFeatures(30)]
-    rows = fgd.report(still, real, both, paired=True)
-    assert [row.frames for row in rows] == [20, 30] and all(row.distance > 0 for row in rows)
-    table = fgd.markdown({"still": rows})
-    assert networks.as_features(own).sha256[:12] in table and "30 at 15 fps" in table
-    for too_few in ([both[0]], [both[0], both[0]], []):
-        with pytest.raises(ValueError):
-            fgd.report(still, real, too_few)
-
 
 def test_what_the_chapter_says_it_does_not_see() -> None:
     real = [gesturing(8.0, k) for k in range(8)]

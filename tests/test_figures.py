@@ -14,7 +14,7 @@ from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.store import Store
 from data_module.types import Speech
 from eval import figures
-from eval.accuracy import lexeme_accuracy
+from eval.metrics.accuracy import lexeme_accuracy
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from gesticulator.prepare import prepare

@@ -16,7 +16,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Array, Motion
 from eval.baselines import jittered
-from eval.joint_error import joint_error, mean_pose_error, motion_error
+from eval.metrics.joint_error import joint_error, mean_pose_error, motion_error
 
 
 def waving(frames: int, phase: float = 0.0, fps: float = 20.0, joint: str = "LeftArm", size: float = 0.6) -> Motion:

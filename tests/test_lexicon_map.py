@@ -17,15 +17,19 @@ import pytest
 import torch
 from performances import perform
 
+from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
-from data_module.performer.types import PlayedStroke
-from data_module.store import Recording, RecordingInfo, Store, StoreWriter, Truth
+from data_module.store import Recording, RecordingInfo, Store, StoreWriter
+from data_module.truth import PlayedStroke, Truth
 from data_module.types import Blocks, Motion, Speech, Word
-from eval import lexicon_map as maps
+from eval.commands import DRAW
+from eval.draw import lexicon_map as maps
+from eval.encode import EncodedMotion, encode_motion
 from gesticulator import bundle as bundles
 from gesticulator import silent
+from gesticulator.bundle import Bundle
 
 # ------------------------------------------------------------------------------------------ what goes with a lexeme
 
@@ -163,8 +167,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
                              Truth((stroke("Point", 0.0, 3.0),))))
     writer.finish(names)
     shutil.copytree(bundles.SHIPPED, folder / "my bundle")
-    assert maps.main(["--data", str(folder / "store"), "--bundle", str(folder / "my bundle"), "--out",
-                      str(folder / "map"), "--points", "30"]) == 0
+    assert DRAW.main("gesticulator draw", [
+        "lexicon", "--data", str(folder / "store"), "--bundle", str(folder / "my bundle"), "--out",
+        str(folder / "map"), "--points", "30"]) == 0
     return folder
 
 
@@ -210,9 +215,13 @@ def test_the_page_holds_the_lexicon_and_nothing_from_outside(made: Path) -> None
         assert (made / "map" / f"latents.{suffix}").read_bytes().startswith(head)
 
 
+def encoded(bundle: Bundle, own: Recording) -> EncodedMotion:
+    return encode_motion(bundle, own.motion, cut(own.speech, bundle.config.rhythm), own.info.speaker)
+
+
 def test_labels_are_the_nearest_lexemes(made: Path) -> None:
     bundle, store = bundles.load(made / "my bundle"), Store.open(made / "store")
-    own = maps.read_blocks(bundle, store.load("take0"))
+    own = encoded(bundle, store.load("take0"))
     vectors = bundle.lexicon.vectors.numpy()
     gaps = [[float(((latent - vector) ** 2).sum()) for vector in vectors] for latent in own.latents.numpy()]
     assert np.array(gaps).argmin(1).tolist() == own.labels.tolist()
@@ -231,7 +240,7 @@ def test_an_unknown_performer_is_centred_on_their_own_pose(made: Path) -> None:
         return read(motion)
 
     bundle.lexicon.encode = overheard  # type: ignore[method-assign]
-    maps.read_blocks(bundle, own)
+    encoded(bundle, own)
     np.testing.assert_allclose(features[0].mean(dim=(0, 1)).numpy(), 0, atol=1e-5)
 
 
@@ -242,7 +251,8 @@ def test_recordings_are_chosen_evenly(made: Path) -> None:
     with pytest.raises(InputError, match="test split"):
         maps.evenly(store, "test")
     with pytest.raises(SystemExit) as stopped:
-        maps.main(["--data", str(made / "store"), "--out", str(made / "no"), "--points", "3"])
+        DRAW.main("gesticulator draw", ["lexicon", "--data", str(made / "store"), "--out", str(made / "no"),
+                                        "--points", "3"])
     assert stopped.value.code == 2 and not (made / "no").exists()
 
 

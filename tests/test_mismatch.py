@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import permutation_test
 
-from eval import pmb
-from eval.mismatch import matrix, mismatch, wrapped
+from eval.metrics import pmb
+from eval.metrics.mismatch import matrix, mismatch, wrapped
 
 
 def test_the_p_value_of_a_few_clips_is_that_of_all_assignments() -> None:
@@ -19,7 +19,7 @@ def test_the_p_value_of_a_few_clips_is_that_of_all_assignments() -> None:
     assert got.p_value == pytest.approx(np.mean(np.array(every) >= np.trace(values) / 5 - 1e-12))
     assert got.right == pytest.approx(np.diag(values).mean())
     assert got.wrong == pytest.approx(values[~np.eye(5, dtype=bool)].mean())
-    assert got.difference.mean == pytest.approx(got.right - got.wrong) and got.difference.clips == 5
+    assert got.difference.mean == pytest.approx(got.right - got.wrong) and got.difference.n == 5
 
 
 def test_scipy_permutes_to_the_same_p_value() -> None:
@@ -50,7 +50,7 @@ def test_undefined_clips_are_left_out() -> None:
     values = np.eye(4)
     values[2] = np.nan
     got = mismatch(values)
-    assert got.right == 1.0 and got.difference.clips == 3 and got.p_value == pytest.approx(1 / 6)
+    assert got.right == 1.0 and got.difference.n == 3 and got.p_value == pytest.approx(1 / 6)
     for few in (np.ones((1, 1)), np.zeros((0, 0)), np.full((3, 3), np.nan)):
         alone = mismatch(few)
         assert np.isnan(alone.p_value) and "a wrong speech takes two" in alone.reason

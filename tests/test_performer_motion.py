@@ -24,7 +24,8 @@ from data_module.performer.strokes import (
     procedural_strokes,
     stroke_times,
 )
-from data_module.performer.types import Phrase, Played, Spoken, Syllable
+from data_module.performer.types import Played, Spoken
+from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Motion, Speech, Word
 from eval import corpus
 

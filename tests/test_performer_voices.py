@@ -15,7 +15,7 @@ import soundfile
 from data_module.errors import InputError
 from data_module.performer import espeak, flite, sound, source_filter, syllables
 from data_module.performer.text import Part, Utterance, compose
-from data_module.performer.types import Phrase, Spoken
+from data_module.performer.types import Spoken
 from data_module.performer.voices import (
     TEST_VOICES,
     TRAIN_VOICES,
@@ -27,6 +27,7 @@ from data_module.performer.voices import (
     synthesise,
     without_tone,
 )
+from data_module.truth import Phrase
 from data_module.types import Speech, Word
 
 RATE = 16000

@@ -13,10 +13,11 @@ from data_module.errors import InputError
 from data_module.motion.motion_beats import beats_of_speed
 from data_module.speech.beats import merged
 from data_module.types import BeatFlag, Beats, Speech, Word
-from eval import plots, pmb
 from eval.audio_clusters import association
-from eval.lexicon_map import colours
-from eval.strips import BEAT_COLOURS, save_strip
+from eval.draw import plots
+from eval.draw.lexicon_map import colours
+from eval.draw.strips import BEAT_COLOURS, save_strip
+from eval.metrics import pmb
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 from matplotlib.colors import to_hex

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from data_module.motion import rotation, skeletons
 from data_module.motion.motion_beats import motion_beats
 from data_module.types import Array, Motion
-from eval.pmb import DELTAS, above_chance, chance, delta_curve, matched, pmb
+from eval.metrics.pmb import DELTAS, above_chance, chance, delta_curve, matched, pmb
 
 TIMES = st.lists(st.floats(0, 8), min_size=1, max_size=25).map(lambda values: np.sort(np.array(values)))
 

@@ -20,8 +20,9 @@ from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.store import Store
 from data_module.types import Motion
-from eval import gesture_features, policies
+from eval import policies
 from eval.figures import Clip
+from eval.metrics import gesture_features
 from eval.policies import Anything, Ground, Policy, Told
 from gesticulator import bundle as bundles
 from gesticulator.prepare import prepare

@@ -14,8 +14,9 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.store import Store
-from eval import gesture_features, policies
+from eval import policies
 from eval import racer_ablation as ablations
+from eval.metrics import gesture_features
 from eval.racer_ablation import OURS, ROWS, Bench
 from gesticulator import bundle as bundles
 from gesticulator.config import LITERAL, preset, to_dict, with_settings

@@ -428,7 +428,7 @@ def test_a_foreign_corpus_needs_nothing_of_the_performer(tmp_path: Path) -> None
                "--workers", "1"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parent.parent, check=True,
                           env={"PATH": "", "OMP_NUM_THREADS": "1"})
-    assert done.stdout.splitlines()[-1] == "['data_module.performer.types']"
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_sound_of_any_rate_and_two_channels_is_read(tmp_path: Path) -> None:

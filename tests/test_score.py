@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from argparse import Namespace
 from dataclasses import replace
@@ -23,17 +24,19 @@ from data_module.motion.skeletons import CHARACTER, NAME_TABLES, facing
 from data_module.motion.smplx import SKELETON as SMPLX
 from data_module.store import Store
 from data_module.types import Motion, Speech
-from eval import fgd, foreign, score
-from eval.__main__ import main as door
-from eval.baselines import jittered
-from eval.bootstrap import Interval
-from eval.clip_scores import Spoken, Told, told
-from eval.diversity import diversity, motion_variance
+from eval import foreign, score
+from eval.baselines import jittered, mean_pose
+from eval.clip_set import common_clips
+from eval.commands import SCORE
+from eval.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.foreign import Clip, read_motion
-from eval.gesture_features import RawFeatures
-from eval.results import plain
+from eval.metrics import METRICS, fgd
+from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
+from eval.metrics.gesture_features import RawFeatures
 from eval.rewards import Asked
-from eval.score import FLOOR, STILL, TRUTH, common_ground, flags, markdown, mean_pose
+from eval.score import FLOOR, STILL, TRUTH, Flag, Scores, flags, mean_of, tables
+from eval.stats import Interval
+from eval.table import Marked, load, save
 from gesticulator import bundle as bundles
 from gesticulator.prepare import prepare
 from gesticulator.racer import token_labels
@@ -67,81 +70,102 @@ def truth() -> dict[str, Clip]:
 
 
 @pytest.fixture(scope="module")
-def result(truth: dict[str, Clip]) -> dict[str, Any]:
+def result(truth: dict[str, Clip]) -> Scores:
     still = {name: Clip(name, mean_pose([own.motion])[0], None) for name, own in truth.items()}
-    return score.score(common_ground({TRUTH: truth, "same": truth, "still": still}), NETWORKS)
+    return score.score(common_clips({TRUTH: truth, "same": truth, "held": still}), NETWORKS)
 
 
-def test_perfect_input_gets_the_perfect_score(result: dict[str, Any]) -> None:
-    same = result["rows"]["same"]
+def door(arguments: list[str]) -> int:
+    return SCORE.main("gesticulator score", arguments)
+
+
+def test_perfect_input_gets_the_perfect_score(result: Scores) -> None:
     for metric in ("maje", "maje_length", "mad", "mad_per_frame", "speed_distance", *NETWORKS):
-        assert same[metric]["mean"] == pytest.approx(0.0, abs=1e-9), metric
-    for metric, cell in same.items():
-        assert cell["mean"] == pytest.approx(result["rows"][TRUTH][metric]["mean"], nan_ok=True), metric
-    assert result["mismatch"]["same"]["pmb_A"]["p_value"] == result["mismatch"][TRUTH]["pmb_A"]["p_value"]
-    assert result["mismatch"][TRUTH]["pmb_B"]["right"] > result["mismatch"][TRUTH]["pmb_B"]["wrong"]
+        assert mean_of(result.figures, "same", metric) == pytest.approx(0.0, abs=1e-9), metric
+    for metric in result.metrics:
+        assert mean_of(result.figures, "same", metric) == pytest.approx(
+            mean_of(result.figures, TRUTH, metric), nan_ok=True), metric
+    assert result.mismatch["same"]["pmb_A"].p_value == result.mismatch[TRUTH]["pmb_A"].p_value
+    assert result.mismatch[TRUTH]["pmb_B"].right > result.mismatch[TRUTH]["pmb_B"].wrong
 
 
-def test_controls_stand_beside_and_flag_what_they_beat(result: dict[str, Any]) -> None:
-    assert set(result["rows"]) == {TRUTH, "same", "still", FLOOR, STILL, "shuffled", "reversed", "jitter"}
-    said = {(flag["metric"], flag["control"]): flag["says"] for flag in result["flags"]}
+def test_controls_stand_beside_and_flag_what_they_beat(result: Scores) -> None:
+    assert set(result.figures) == {TRUTH, "same", "held", FLOOR, STILL, "shuffled", "reversed", "jitter"}
+    said = {(flag.metric, flag.control): flag.says for flag in result.flags}
     assert "not told from the truth" in said["jerk", "reversed"]
-    assert "beats still" in said["jerk", "shuffled"], "the real speed of another clip is nearer than no speed"
+    assert "beats held" in said["jerk", "shuffled"], "the real speed of another clip is nearer than no speed"
     assert "no farther than half of the truth" in said["raw, 12 frames", "shuffled"]
     assert not any(metric == "maje" and "same" in says for (metric, _), says in said.items())
     assert not any(metric.startswith("chance") for metric, _ in said)
-    assert result["rows"]["jitter"]["jerk"]["mean"] > 5 * result["rows"][TRUTH]["jerk"]["mean"]
-    assert result["rows"][STILL]["maje"]["mean"] == pytest.approx(result["rows"]["still"]["maje"]["mean"])
+    assert mean_of(result.figures, "jitter", "jerk") > 5 * mean_of(result.figures, TRUTH, "jerk")
+    assert mean_of(result.figures, STILL, "maje") == pytest.approx(mean_of(result.figures, "held", "maje"))
 
 
-def test_the_undefined_is_nan_with_a_reason_and_null_in_json(result: dict[str, Any]) -> None:
-    assert result["rows"]["still"]["pmb_A"]["reason"] == "5 of 5 clips: the motion has no beat"
-    assert "--bundle" in result["rows"]["same"]["diversity"]["reason"]
-    for row in result["rows"].values():
-        assert all(np.isfinite(cell["mean"]) or cell["reason"] for cell in row.values())
-    kept = json.loads(json.dumps(plain(result), allow_nan=False))
-    assert kept["rows"]["still"]["pmb_A"]["mean"] is None
+def test_the_undefined_is_nan_with_a_reason(result: Scores) -> None:
+    assert result.figures["held"]["pmb_A"].reason == "5 of 5 clips: the motion has no beat"
+    assert "--bundle" in result.figures["same"]["diversity"].reason
+    for row in result.figures.values():
+        assert all(isinstance(cell.value, Interval) and (math.isfinite(cell.value.mean) or cell.reason)
+                   for cell in row.values())
 
 
-def test_differences_are_paired(result: dict[str, Any]) -> None:
-    own = result["differences"]["same - still"]
-    assert own["jerk"]["mean"] == pytest.approx(result["rows"]["same"]["jerk"]["mean"])
-    assert own["maje"]["mean"] == pytest.approx(-result["rows"]["still"]["maje"]["mean"]) and own["maje"]["high"] < 0
-    assert own["speed_distance"]["mean"] == pytest.approx(-result["rows"]["still"]["speed_distance"]["mean"])
+def test_differences_are_paired(result: Scores) -> None:
+    own = result.differences["same - held"]
+    assert mean_of(result.differences, "same - held", "jerk") == pytest.approx(mean_of(result.figures, "same", "jerk"))
+    maje = own["maje"].value
+    assert isinstance(maje, Interval) and maje.below()
+    assert maje.mean == pytest.approx(-mean_of(result.figures, "held", "maje"))
+    assert mean_of(result.differences, "same - held", "speed_distance") == pytest.approx(
+        -mean_of(result.figures, "held", "speed_distance"))
 
 
-def test_the_tables_say_it_all(result: dict[str, Any]) -> None:
-    text = markdown(result)
-    assert "joint jerk, m/s^3 (!)" in text and "Metrics that a control beats:" in text and "Undefined:" in text
-    assert "windows, and 270 are needed" in text and "| PMB, % at delta, s | 0.025" in text
-    assert "MAJE, mm, length, less" in text or "MAJE, mm, length (!), less" in text
+def test_the_tables_hold_every_figure_and_come_back(result: Scores, tmp_path: Path) -> None:
+    made = tables(result)
+    save(made, tmp_path / "s.json")
+    back = load(tmp_path / "s.json")
+    found = {(row, key): cell for table in back for row, cells in table.rows.items() for key, cell in cells.items()}
+    for row, figures in result.figures.items():
+        for metric, cell in figures.items():
+            if row == FLOOR and METRICS.get(metric, METRICS["fgd"]).part not in ("sets", "fgd"):
+                continue
+            got = found[row, metric]
+            assert isinstance(got, Marked) and isinstance(got.value, Interval) and isinstance(cell.value, Interval)
+            assert got.reason == cell.reason
+            np.testing.assert_equal(got.value.to_dict(), cell.value.to_dict())
+    titles = {table.title: table for table in back}
+    assert titles["Vigour and smoothness"].columns["jerk"].title.endswith("(!)")
+    assert not titles["Motion beats and onsets"].columns["chance_A"].title.endswith("(!)")
+    assert found["held", "raw, 12 frames"].mark == "(?)" and found[TRUTH, "raw, 12 frames"].mark == ""
+    assert titles["FGD of"].rows["held, raw, 12 frames"]["needed"] == 270
+    assert titles["Mismatch test"].facts["same"]["pmb_A"]["p_value"] == result.mismatch["same"]["pmb_A"].p_value
+    assert "Undefined" in titles and "too narrow" in back[0].title
 
 
 def test_a_jitter_that_wins_is_told_of() -> None:
-    metric = score.METRICS["consistency"]
-    motions: list[Motion] = []
-    rows = {name: score.Row(name, kind, motions, [], {"consistency": np.array(values)}) for name, kind, values in (
-        (TRUTH, TRUTH, [0.5, 0.6]), ("ours", "system", [0.4, 0.5]), ("jitter", "control", [0.8, 0.9]))}
-    figures = {name: {"consistency": {"mean": row.values["consistency"].mean()}} for name, row in rows.items()}
-    (flag,) = flags(rows, figures, {"consistency": metric}, 0)
-    assert flag["says"] == "beats the truth (0.85, 0.55); beats ours"
-    rows["jitter"].values["consistency"][:] = 0.1
-    figures["jitter"]["consistency"]["mean"] = 0.1
-    assert flags(rows, figures, {"consistency": metric}, 0) == []
+    def judged(jitter: float) -> list[Flag]:
+        rows = {name: score.Row(name, kind, [], [], {"consistency": np.array(values)}) for name, kind, values in (
+            (TRUTH, TRUTH, [0.5, 0.6]), ("ours", "system", [0.4, 0.5]), ("jitter", "control", [jitter, jitter + 0.1]))}
+        figures = {name: {"consistency": Marked(Interval.exact(float(row.values["consistency"].mean()), 2))}
+                   for name, row in rows.items()}
+        return flags(rows, figures, {"consistency": METRICS["consistency"]}, 0)
+
+    (flag,) = judged(0.8)
+    assert flag.says == "beats the truth (0.85, 0.55); beats ours"
+    assert judged(0.1) == []
 
 
 def test_clips_meet_by_name_at_one_rate_and_length(truth: dict[str, Clip]) -> None:
     short = {"clip1": Clip("clip1", truth["clip1"].motion.crop(0, 50), None), "other": truth["clip0"]}
-    ground = common_ground({TRUTH: truth, "ours": short}, 10.0)
-    assert ground.names == ["clip1"] and ground.fps == 10.0
-    assert [len(motions[0]) for motions in ground.motions.values()] == [25, 25]
-    assert ground.speeches[0] is not None and ground.speeches[0].duration == pytest.approx(2.5)
-    assert "ours: other is not compared, because truth has none of that name" in ground.notes
-    assert any("clip1: truth lasts 4.00 s, and 2.50 s are compared" in note for note in ground.notes)
-    pieces = common_ground({TRUTH: {"clip0": truth["clip0"]}, "ours": {"clip0": truth["clip0"]}}, piece=1.9)
+    clips = common_clips({TRUTH: truth, "ours": short}, 10.0)
+    assert clips.names == ["clip1"] and clips.fps == 10.0
+    assert [len(motions[0]) for motions in clips.motions.values()] == [25, 25]
+    assert clips.speeches[0] is not None and clips.speeches[0].duration == pytest.approx(2.5)
+    assert "ours: other is not compared, because truth has none of that name" in clips.notes
+    assert any("clip1: truth lasts 4.00 s, and 2.50 s are compared" in note for note in clips.notes)
+    pieces = common_clips({TRUTH: {"clip0": truth["clip0"]}, "ours": {"clip0": truth["clip0"]}}, piece=1.9)
     assert pieces.names == ["clip0, piece 1", "clip0, piece 2"] and pieces.groups == ["clip0", "clip0"]
     with pytest.raises(InputError, match="no clip in common"):
-        common_ground({TRUTH: truth, "ours": {"other": truth["clip0"]}})
+        common_clips({TRUTH: truth, "ours": {"other": truth["clip0"]}})
 
 
 # ----------------------------------------------------------------------------------------------- files of others
@@ -214,28 +238,28 @@ def write_clips(folder: Path, clips: dict[str, Clip], sound: bool = True) -> Pat
     return folder
 
 
-def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-                                       ) -> None:
+def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path) -> None:
     few = {name: truth[name] for name in ("clip0", "clip1")}
     real, ours = write_clips(tmp_path / "real", truth), write_clips(tmp_path / "ours", few, sound=False)
     out = tmp_path / "results" / "score.json"
-    assert door(["score", "--truth", str(real), "--system", f"ours={ours}", "--no-controls", "--out", str(out)]) == 0
-    kept = json.loads(out.read_text())
-    assert kept["clips"] == ["clip0", "clip1"] and kept["rows"]["ours"]["maje"]["mean"] < 0.01
-    assert "truth: clip2, clip3, clip4 are not compared, because ours has none of these names" in kept["notes"]
-    assert out.with_suffix(".md").read_text() == capsys.readouterr().out
+    assert door(["--truth", str(real), "--system", f"ours={ours}", "--no-controls", "--out", str(out)]) == 0
+    about, joints, *_ = load(out)
+    assert about.facts["clips"] == ["clip0", "clip1"] and about.facts["controls"] == []
+    assert joints.rows["ours"]["maje"].value.mean < 0.01  # type: ignore[union-attr]
+    assert "truth: clip2, clip3, clip4 are not compared, because ours has none of these names" in about.facts["notes"]
+    assert out.with_suffix(".md").is_file()
 
 
 @pytest.mark.parametrize(("arguments", "says"), [
-    ([], "the command: is missing"), (["guess"], "the command: 'guess' is unknown"),
-    (["score", "--truth", "no", "--system", "a=no"], "no: is not a folder"),
-    (["score", "--truth", ".", "--system", "a"], "is not of the form NAME=VALUE"),
-    (["score", "--truth", ".", "--system", "a=.", "--system", "a=."], "was given before"),
-    (["score", "--truth", ".", "--system", "truth=."], "is the name of a row of its own"),
-    (["score", "--truth", ".", "--system", "a=.", "--fps", "b=15"], "names no system"),
-    (["score", "--truth", ".", "--system", "a=.", "--fps", "a=0"], "give a number over 0"),
-    (["score", "--truth", ".", "--system", "a=.", "--piece", "nan"], "give a number over 0"),
-    (["score", "--truth", ".", "--system", "a=."], "holds no motion"),
+    (["--truth", "no", "--system", "a=no"], "no: is not a folder"),
+    (["--truth", ".", "--system", "a"], "is not of the form NAME=VALUE"),
+    (["--truth", ".", "--system", "a=.", "--system", "a=."], "was given before"),
+    (["--truth", ".", "--system", "truth=."], "is the name of a row of its own"),
+    (["--truth", ".", "--system", "still=."], "is the name of a row of its own"),
+    (["--truth", ".", "--system", "a=.", "--fps", "b=15"], "names no system"),
+    (["--truth", ".", "--system", "a=.", "--fps", "a=0"], "give a number over 0"),
+    (["--truth", ".", "--system", "a=.", "--piece", "nan"], "give a number over 0"),
+    (["--truth", ".", "--system", "a=."], "holds no motion"),
 ])
 def test_bad_input_is_one_line(arguments: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                capsys: pytest.CaptureFixture[str]) -> None:
@@ -244,11 +268,6 @@ def test_bad_input_is_one_line(arguments: list[str], says: str, tmp_path: Path, 
         door(arguments)
     told = capsys.readouterr().err
     assert stop.value.code == 2 and says in told and len(told.splitlines()) == 1
-
-
-def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert door(["--help"]) == 0
-    assert "  score " in capsys.readouterr().out
 
 
 def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> None:
@@ -264,14 +283,14 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
         truth=real, system=[f"itself={real}", f"shaken={shaken}"], speech=None, fgd=None, work=None, bundle=None,
         piece="8", rate=None, fps=[], no_controls=False, seed=0,
         split="test"))
-    itself, off = result["rows"]["itself"], result["rows"]["shaken"]
-    assert len(result["clips"]) == 3 and result["fps"] == 15.0
-    assert itself["maje"]["mean"] == itself["mad"]["mean"] == itself["speed_distance"]["mean"] == 0.0
-    assert 10 < off["maje"]["mean"] < 18 and off["jerk"]["mean"] > 10 * itself["jerk"]["mean"]
-    assert off["speed_distance"]["mean"] > 0.2 and off["consistency"]["mean"] > itself["consistency"]["mean"]
-    assert any(flag["metric"] == "consistency" and flag["control"] == "jitter" and "beats the truth" in flag["says"]
-               for flag in result["flags"])
-    assert "too few groups" in " ".join(result["notes"])
+    itself, off = ({name: mean_of(result.figures, row, name) for name in METRICS} for row in ("itself", "shaken"))
+    assert len(result.clips) == 3 and result.fps == 15.0
+    assert itself["maje"] == itself["mad"] == itself["speed_distance"] == 0.0
+    assert 10 < off["maje"] < 18 and off["jerk"] > 10 * itself["jerk"]
+    assert off["speed_distance"] > 0.2 and off["consistency"] > itself["consistency"]
+    assert any(flag.metric == "consistency" and flag.control == "jitter" and "beats the truth" in flag.says
+               for flag in result.flags)
+    assert "too few groups" in " ".join(result.notes)
 
 
 # ------------------------------------------------------------------------------------- one motion in three formats
@@ -317,14 +336,14 @@ def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, 
     in_three_formats(off, tmp_path)
     shutil.copy(file.with_suffix(".wav"), real / "a.wav")
     result = score.run(asked(real, [f"{name}={tmp_path / name}" for name in ("bvh", "smplx", "npy")], piece="5"))
-    rows = result["rows"]
-    fgd = [key for key, column in result["metrics"].items() if column["part"] == "fgd"]
-    assert rows["bvh"]["maje_length"]["mean"] > 5
+    distances = [key for key, column in result.metrics.items() if column.part == "fgd"]
+    assert mean_of(result.figures, "bvh", "maje_length") > 5
     for other in ("smplx", "npy"):
-        for metric in ("maje_length", "maje", "pmb_A", "pmb_B", "consistency", "speed_hands", *fgd):
+        for metric in ("maje_length", "maje", "pmb_A", "pmb_B", "consistency", "speed_hands", *distances):
             bound = {"smplx": 0.25, "npy": 0.5}[other] if metric.startswith("ma") else 0.1
-            assert rows[other][metric]["mean"] == pytest.approx(rows["bvh"][metric]["mean"], rel=bound), (other, metric)
-    assert any(note.startswith("smplx: Neck1, Spine3 are not known") for note in result["notes"])
+            assert mean_of(result.figures, other, metric) == pytest.approx(
+                mean_of(result.figures, "bvh", metric), rel=bound), (other, metric)
+    assert any(note.startswith("smplx: Neck1, Spine3 are not known") for note in result.notes)
 
 
 # ----------------------------------------------------------------------------------------- what a user runs into
@@ -368,8 +387,8 @@ def test_a_speech_folder_without_the_sound_is_an_error(truth: dict[str, Clip], t
         score.run(asked(real, [f"ours={real}"], speech=tmp_path / "empty"))
     with pytest.raises(InputError, match=r"name the folder of the Human3\.6M"):
         score.run(asked(real, [f"ours={real}"], fgd=tmp_path / "none"))
-    (row,) = (row for name, row in score.run(asked(real, [f"ours={real}"]))["rows"].items() if name == "ours")
-    assert row["pmb_A"]["reason"] == "1 of 1 clips: its speech is not known"
+    row = score.run(asked(real, [f"ours={real}"])).figures["ours"]
+    assert row["pmb_A"].reason == "1 of 1 clips: its speech is not known"
 
 
 def test_advice_fits_the_command(truth: dict[str, Clip], tmp_path: Path) -> None:
@@ -386,11 +405,11 @@ def test_advice_fits_the_command(truth: dict[str, Clip], tmp_path: Path) -> None
 @pytest.mark.parametrize("frames", [1, 2, 3, 10])
 def test_the_shortest_clips_are_scored_or_say_why_not(truth: dict[str, Clip], frames: int) -> None:
     short = {"a": replace(truth["clip0"], motion=truth["clip0"].motion.crop(0, frames))}
-    result = score.score(common_ground({TRUTH: short, "ours": short}), NETWORKS)
-    row = result["rows"]["ours"]
-    assert row["maje"]["mean"] == 0.0
-    assert row["raw, 20 frames"]["verdict"].startswith("no: ") and np.isnan(row["raw, 20 frames"]["mean"])
-    assert "0 windows in a set: a covariance needs two" in markdown(result)
+    result = score.score(common_clips({TRUTH: short, "ours": short}), NETWORKS)
+    assert mean_of(result.figures, "ours", "maje") == 0.0
+    assert np.isnan(mean_of(result.figures, "ours", "raw, 20 frames"))
+    verdict = score.fgd_verdict(result.distances["ours"]["raw, 20 frames"])
+    assert verdict == "no: 0 windows in a set: a covariance needs two"
 
 
 @pytest.mark.parametrize(("name", "spoil", "says"), [
@@ -406,18 +425,18 @@ def test_spoilt_files_are_one_line_and_leave_nothing(truth: dict[str, Clip], nam
     (ours / "a.json").write_text('{"joints": ["Hips"], "fps": 20}')
     (ours / name).write_bytes(spoil)
     with pytest.raises(SystemExit) as stop:
-        door(["score", "--truth", str(real), "--system", f"ours={ours}", "--out", str(tmp_path / "out" / "s.json")])
+        door(["--truth", str(real), "--system", f"ours={ours}", "--out", str(tmp_path / "out" / "s.json")])
     told = capsys.readouterr().err
     assert stop.value.code == 2 and says in told and len(told.splitlines()) == 1 and not (tmp_path / "out").exists()
 
 
 def test_a_system_that_equals_a_control_is_told_of(truth: dict[str, Clip]) -> None:
     for control, metric in ((STILL, "maje"), ("reversed", "mad"), ("jitter", "raw, 12 frames")):
-        made, _ = score.control_rows(common_ground({TRUTH: truth}), 0)
+        made, _ = score.control_rows(common_clips({TRUTH: truth}), 0)
         ours = {name: Clip(name, motion, None) for name, motion in zip(truth, made[control], strict=True)}
         networks = {"raw, 12 frames": NETWORKS["raw, 12 frames"]}
-        flagged = score.score(common_ground({TRUTH: truth, "ours": ours}), networks)["flags"]
-        assert any(flag["metric"] == metric and flag["control"] == control and "is as good as ours" in flag["says"]
+        flagged = score.score(common_clips({TRUTH: truth, "ours": ours}), networks).flags
+        assert any(flag.metric == metric and flag.control == control and "is as good as ours" in flag.says
                    for flag in flagged), control
 
 
@@ -431,16 +450,6 @@ def test_the_table_says_whether_the_sample_suffices() -> None:
     assert verdict(0.4, 0.5, (200, 300)).startswith("no: not told from 0")
     assert verdict(2.0, 0.5, (200, 300)) == "roughly: chance is 25 % of it, and a tenth from 600 windows on"
     assert verdict(float("nan"), float("nan"), (1, 300)) == "no: too little"
-
-
-def test_the_reader_is_told_what_rows_and_marks_mean(result: dict[str, Any]) -> None:
-    text = markdown(result)
-    for words in ("Fewer than 10 clips: the intervals are too narrow", "- jitter: the truth with every joint 2 cm off",
-                  "- judged: same, still", "(?): a distance of a set too small for it", "PMB: share of motion beats",
-                  "| FGD of | network (SHA-256) | window | windows of it / of the truth | needed"):
-        assert words in text, words
-    far = next(line for line in text.splitlines() if line.startswith("| still | ") and "(?)" in line)
-    assert "(?) [" in far or "(?) |" in far
 
 
 def test_networks_of_one_name_and_length_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -462,46 +471,44 @@ def replace_name(features: RawFeatures, name: str) -> Any:
 def test_lexeme_sums_give_the_figures_of_all_blocks() -> None:
     rng = np.random.default_rng(0)
     vectors = rng.normal(size=(7, 3))
-    read: list[Told | None] = [Told(rng.normal(size=(n, 3)), rng.integers(7, size=n), 0.0) for n in (30, 5, 12)]
+    read: list[tuple[Any, Any] | None] = [(rng.normal(size=(n, 3)), rng.integers(7, size=n)) for n in (30, 5, 12)]
     read.insert(1, None)
-    moments = score.lexeme_moments(read, vectors)
+    moments = lexeme_moments(read, vectors)
     for chosen in ([0, 2, 3], [3, 3, 2, 1], [2, 2, 2], [1, 1]):
         some = [own for k in chosen if (own := read[k]) is not None]
         counts, sums, squares = (part[chosen].sum(axis=0) for part in moments)
         if not some:
-            assert np.isnan(score.entropy(counts)) and np.isnan(score.mean_variance(counts, sums, squares))
+            assert np.isnan(entropy(counts)) and np.isnan(variance_of_moments(counts, sums, squares))
             continue
-        labels = np.concatenate([own.labels for own in some])
-        assert score.entropy(counts) == pytest.approx(diversity(labels, 7).nats)
-        assert score.mean_variance(counts, sums, squares) == pytest.approx(
-            motion_variance(np.concatenate([own.latents for own in some]), labels, vectors).mean)
+        labels = np.concatenate([own[1] for own in some])
+        assert entropy(counts) == pytest.approx(diversity(labels, 7).nats)
+        assert variance_of_moments(counts, sums, squares) == pytest.approx(
+            motion_variance(np.concatenate([own[0] for own in some]), labels, vectors).mean)
 
 
 def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     bundle, store = bundles.load(tiny_bundle), Store.open(tiny_store)
     clips, _ = foreign.read_folder(tiny_store, split="all")
     some = dict(list(clips.items())[:3])
-    ground = common_ground({TRUTH: some, "same": some})
-    table = score.score(ground, {}, bundle)
-    own, same = table["rows"][TRUTH], table["rows"]["same"]
-    assert own["lexeme_accuracy"]["mean"] == 100.0 and same["reward"] == own["reward"]
-    assert -1.0 <= own["reward"]["mean"] <= 1.0 and table["rows"]["shuffled"]["lexeme_accuracy"]["mean"] < 100.0
-    deaf = score.score(ground, {}, replace(bundle, reward_judge=None), with_controls=False)["rows"]["same"]
-    assert "the bundle has no judging reward model" in deaf["reward"]["reason"]
-    assert deaf["lexeme_accuracy"]["mean"] == 100.0
+    common = common_clips({TRUTH: some, "same": some})
+    figures = score.score(common, {}, bundle).figures
+    assert mean_of(figures, TRUTH, "lexeme_accuracy") == 100.0 > mean_of(figures, "shuffled", "lexeme_accuracy")
+    assert -1.0 <= mean_of(figures, TRUTH, "reward") == mean_of(figures, "same", "reward") <= 1.0
+    deaf = score.score(common, {}, replace(bundle, reward_judge=None), with_controls=False).figures
+    assert "the bundle has no judging reward model" in deaf["same"]["reward"].reason
+    assert mean_of(deaf, "same", "lexeme_accuracy") == 100.0
     # By another way: the corpus as the stages train on it.
     assert bundle.reward_judge is not None
     corpus = prepare(store, bundle.config, tmp_path, bundle.encoder, progress=False)
     asks = Asked.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
-    name = next(iter(some))
-    blocks = corpus.blocks_of(corpus.names.index(name))
+    blocks = corpus.blocks_of(corpus.names.index(next(iter(some))))
     values = []
     for end in range(len(blocks)):
         window = blocks[max(0, end - bundle.reward_judge.config.window + 1):end + 1]
         if not corpus.silent[window].all():
             values.append(asks.score("captured", window[None], window[None])[0])
-    speech = ground.speeches[0]
-    assert speech is not None
-    got = told(bundle, ground.motions[TRUTH][0], Spoken.of(bundle, speech))
-    assert got.reward == pytest.approx(np.mean(values), abs=2e-3)
-    assert (got.labels == token_labels(bundle.lexicon, corpus)[blocks]).mean() > 0.98
+    assert common.speeches[0] is not None
+    speech = SpeechBlocks.of(bundle, common.speeches[0])
+    encoded = encode_motion(bundle, common.motions[TRUTH][0], speech.blocks, speech.speaker)
+    assert judged_reward(bundle, encoded, speech) == pytest.approx(np.mean(values), abs=2e-3)
+    assert (encoded.labels == token_labels(bundle.lexicon, corpus)[blocks]).mean() > 0.98

@@ -12,9 +12,9 @@ from scipy.stats import norm
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
-from eval import smoothness
 from eval.baselines import jittered, reversed_in_time
-from eval.smoothness import BIN, BINS, derivative, hand_speeds, hellinger, motion_smoothness, speed_histogram
+from eval.metrics import smoothness
+from eval.metrics.smoothness import BIN, BINS, derivative, hand_speeds, hellinger, motion_smoothness, speed_histogram
 
 
 def waving(fps: float, seconds: float = 6.0, absent: tuple[str, ...] = ()) -> Motion:

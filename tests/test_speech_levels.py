@@ -17,7 +17,7 @@ from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.store import RecordingInfo, Store
 from data_module.types import Array
 from eval import audio_clusters, speech_levels
-from eval.probes import Judged, Spoken, Tokens, grouped, probe_frames, probe_words, same_word, tokens_of
+from eval.linear_probes import Judged, Spoken, Tokens, grouped, probe_frames, probe_words, same_word, tokens_of
 from gesticulator import config as configs
 
 BLOCKS, FRAMES = 60, 10

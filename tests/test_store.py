@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from data_module import store as stores
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTER
-from data_module.performer.types import Phrase, PlayedStroke, Syllable
-from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter, Truth
+from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
+from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Motion, Speech, Word
 
 SETTINGS = {"preset": "test", "hours": 1.0}
@@ -162,6 +164,85 @@ def test_broken_stores_are_refused_in_one_line(tmp_path: Path, how: str) -> None
     with pytest.raises(InputError, match=wrong) as caught:
         Store.open(tmp_path / "s")
     assert "\n" not in str(caught.value) and str(tmp_path / "s") in str(caught.value)
+
+
+def _listing(store: Store, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change a listing, and its fingerprint with it, as somebody would who means harm."""
+    file = store.path / "store.json"
+    content = json.loads(file.read_text())
+    change(content)
+    content["fingerprint"] = stores._fingerprint(content["recordings"])
+    file.write_text(json.dumps(content))
+
+
+ATTACKS: dict[str, Callable[[dict[str, Any]], object]] = {
+    "a path that leaves the folder": lambda c: c["recordings"][0].update(name="../../a"),
+    "a hidden name": lambda c: c["recordings"][0].update(name=".."),
+    "a zero byte": lambda c: c["recordings"][0].update(name="a\0b"),
+    "bytes that are no text": lambda c: c["recordings"][0].update(name="a\udcff"),
+    "a number for a name": lambda c: c["recordings"][0].update(name=3),
+    "a list for a split": lambda c: c["recordings"][0].update(split=["train"]),
+    "text for seconds": lambda c: c["recordings"][0].update(seconds="long"),
+    "endless seconds": lambda c: c["recordings"][0].update(seconds=float("inf")),
+    "negative frames": lambda c: c["recordings"][0].update(frames=-1),
+    "numbers for joints": lambda c: c["recordings"][0].update(absent=[1]),
+    "no hashes": lambda c: c["recordings"][0].pop("sha256"),
+    "half the hashes": lambda c: c["recordings"][0]["sha256"].pop("npz"),
+    "twice the same": lambda c: c["recordings"].append(c["recordings"][0]),
+    "an object of recordings": lambda c: c.update(recordings={"a": 1}),
+    "settings that are none": lambda c: c.update(settings=[]),
+    "a corpus that is none": lambda c: c.update(corpus={}),
+    "a huge format": lambda c: c.update(format=10 ** 4000),
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_a_listing_that_was_made_to_harm_is_one_line(attack: str, tmp_path: Path) -> None:
+    store = _store(tmp_path / "s", _recording("a"))
+    _listing(store, ATTACKS[attack])
+    with pytest.raises(InputError) as caught:
+        Store.open(store.path)
+    assert str(store.path) in str(caught.value) and len(str(caught.value)) < 500 + len(str(tmp_path))
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 5000, "\0", "{}", "null"])
+def test_a_listing_that_is_no_listing_is_one_line(text: str, tmp_path: Path) -> None:
+    store = _store(tmp_path / "s", _recording("a"))
+    (store.path / "store.json").write_text(text)
+    with pytest.raises(InputError, match=r"store\.json"):
+        Store.open(store.path)
+
+
+@pytest.mark.parametrize("change", [
+    {"fps": np.array("fast")}, {"fps": np.array([20.0, 20.0])}, {"fps": np.array(np.nan)}, {"joints": np.array(3)},
+    {"rotations": np.zeros((3, 16))}, {"rotations": np.full((60, 16, 4), np.nan)}, {"absent": np.array([1.0])},
+    {"root_positions": np.array("here")}, {"word_start": np.array(["a", "b"])}, {"word_end": np.array([1.0])},
+    {"strokes_beat": np.array(["soon"] * 9)},
+])
+def test_arrays_that_do_not_belong_are_one_line(change: dict[str, Any], tmp_path: Path) -> None:
+    store = _store(tmp_path / "s", _recording("a"))
+    file = store.path / "recordings" / "a.npz"
+    with np.load(file) as arrays:
+        file_content = dict(arrays) | change
+    np.savez(file, **file_content)
+    _listing(store, lambda c: c["recordings"][0]["sha256"].update(npz=stores._sha256(file)))
+    with pytest.raises(InputError, match=r"a\.npz"):
+        Store.open(store.path).load("a")
+
+
+def test_damaged_work_is_done_again(tmp_path: Path) -> None:
+    writer = StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
+    for number, name in enumerate("abcd"):
+        writer.add(_recording(name, seed=number))
+    folder = writer.partial / "recordings"
+    (folder / "a.json").write_bytes(b"")
+    (folder / "b.npz").write_bytes((folder / "b.npz").read_bytes()[:-1])
+    (folder / "c.flac").unlink()
+    again = StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
+    assert [name for name in "abcd" if again.has(name)] == ["d"]
+    (writer.partial / "begun.json").write_bytes(b"")
+    with pytest.raises(InputError, match=r"begun\.json: is damaged"):
+        StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
 
 
 @pytest.mark.parametrize("suffix", ["npz", "flac"])

@@ -21,8 +21,9 @@ from test_preview import browser  # noqa: F401 - the headless Chromium of the pr
 from data_module.errors import InputError
 from data_module.motion import bvh
 from data_module.types import Array, Speech
-from eval import anova, strips, study
+from eval import anova, study
 from eval.anova import Key
+from eval.draw import strips
 
 NAMES = ("zebrafish", "quokka", "marmoset")
 RATE = 16000
@@ -388,7 +389,7 @@ def test_nothing_in_the_videos_names_a_system(films: dict[str, Path], systems: d
 def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str, Path]) -> None:
     import av
 
-    from eval import video
+    from eval.draw import video
 
     key = json.loads((films["webm"] / "key.json").read_text())
     for name, own in key["items"].items():

@@ -16,7 +16,8 @@ from data_module.errors import InputError
 from data_module.motion import bvh, rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Speech
-from eval import strips, video
+from eval.commands import DRAW
+from eval.draw import strips, video
 
 av = pytest.importorskip("av")
 pytest.importorskip("PIL")
@@ -172,11 +173,11 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bvh.write_bvh(tmp_path / "take.bvh", _motion(1.0))
     soundfile.write(tmp_path / "take.wav", _speech(1.0).samples, RATE)
     take = [str(tmp_path / "take.bvh"), "--sound", str(tmp_path / "take.wav")]
-    video.main([*take, "--start", "0.2", "--seconds", "0.5"])
+    DRAW.main("gesticulator draw", ["video", *take, "--start", "0.2", "--seconds", "0.5"])
     assert capsys.readouterr().out.strip() == str(tmp_path / "take.mp4")
     assert len(_decode(tmp_path / "take.mp4")[1]) == 15
     for told, says in ((["--out", "clip.gif"], "no video format"), (["--start", "7"], "holds no frame")):
         with pytest.raises(SystemExit) as left:
-            video.main([*take, *told])
+            DRAW.main("gesticulator draw", ["video", *take, *told])
         line = capsys.readouterr().err
         assert left.value.code == 2 and line.count("\n") == 1 and says in line

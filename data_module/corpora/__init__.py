@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from data_module.errors import InputError
-from data_module.store import Recording, RecordingInfo, Split
+from data_module.store import SPLITS, Recording, RecordingInfo, Split
 from data_module.types import Motion, Speech, Word
 
 
@@ -24,7 +24,8 @@ class Options:
 
     seed, hours, preset, languages (empty: the reader's own choice): for corpora that are made, not read. fps: frames
     per second of the motion files, where their header is wrong. unit: metres per unit of the motion files, where it
-    cannot be guessed.
+    cannot be guessed. split, speaker: of a folder's recordings, as `data_module.corpora.folder` reads them; empty for
+    its own choice.
     """
 
     seed: int = 1
@@ -33,6 +34,8 @@ class Options:
     fps: float | None = None
     unit: float | None = None
     languages: tuple[str, ...] = ()
+    split: str = ""
+    speaker: str = ""
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,27 @@ def split_of(index: int) -> Split:
     """The split of the recording at `index`: of every 40, 35 train, 2 validate and 3 test, well spread."""
     place = index % 40
     return "test" if place in (6, 19, 32) else "val" if place in (12, 26) else "train"
+
+
+def spread(count: int, shares: tuple[float, float, float]) -> tuple[Split, ...]:
+    """The splits of `count` recordings in order, [count]: shares for train, val and test, spread evenly.
+
+    Of two recordings one is for test, of three one for val as well, unless their share is 0.
+    """
+    val, test = (round(count * share / sum(shares)) for share in shares[1:])
+    test = max(test, 1) if count >= 2 and shares[2] > 0 else test
+    val = max(val, 1) if count >= 3 and shares[1] > 0 else val
+    if shares[0] <= 0:  # what rounding left over
+        val, test = (val, count - val) if shares[2] > 0 else (count, 0)
+    while val + test > count - (shares[0] > 0):
+        val, test = (val, test - 1) if test >= val else (val - 1, test)
+    out: list[Split] = ["train"] * count
+    for split, wanted in zip(SPLITS[1:], (val, test), strict=True):
+        free = [place for place in range(count) if out[place] == "train"]
+        for turn in range(wanted):
+            # The middle of each of `wanted` equal parts of what is left.
+            out[free[int((turn + 0.5) * len(free) / wanted)]] = split
+    return tuple(out)
 
 
 def load(reader: Reader, item: Item) -> Recording:

@@ -25,7 +25,8 @@ from data_module.corpora import Item, Options, split_of
 from data_module.errors import InputError
 from data_module.performer import text, voices
 from data_module.performer.types import Spoken
-from data_module.store import Recording, RecordingInfo, Split, Truth
+from data_module.store import Recording, RecordingInfo, Split
+from data_module.truth import Truth
 
 SHORTEST, LONGEST = 115.0, 150.0
 """Seconds of a synthetic recording, before the voice decides."""

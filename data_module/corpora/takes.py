@@ -15,7 +15,7 @@ from pathlib import Path
 from data_module.corpora import DroppedError, Imported, Options
 from data_module.errors import InputError
 from data_module.motion import skeletons
-from data_module.motion.bvh import CENTIMETRES, BvhWarning, read_bvh
+from data_module.motion.bvh import CENTIMETRES, FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.speech.audio import load_speech
 from data_module.store import RecordingInfo
 from data_module.types import Motion, Speech, Word
@@ -110,7 +110,12 @@ def read_motion(path: Path, options: Options, published: float | None = None) ->
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BvhWarning)  # the user told the rate, so the warning is answered
-        raw = read_bvh(path, fps=options.fps, unit=1.0)
+        try:
+            raw = read_bvh(path, fps=options.fps, unit=1.0)
+        except InputError as error:
+            if error.advice == FRAME_RATE_ADVICE:
+                raise InputError(error.subject, error.wrong, "give the frame rate with --fps") from None
+            raise
     try:
         guess = skeletons.guess_unit(raw.skeleton, skeletons.find_table(raw.skeleton.names))
     except InputError:

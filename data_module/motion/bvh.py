@@ -24,6 +24,8 @@ _AXES = {"Xrotation": "X", "Yrotation": "Y", "Zrotation": "Z"}
 _PLACES = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
 _WRITTEN_ORDER = "ZXY"
 CENTIMETRES = 0.01
+FRAME_RATE_ADVICE = "give the frame rate"
+"""What to do about a file whose frame rate is in doubt; commands name their own option for it."""
 
 
 class BvhWarning(UserWarning):
@@ -180,7 +182,7 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
         said = (f"its header says {header.frames} frames at {header.fps:g} fps but {len(rows)} rows follow "
                 f"({len(rows) * header.fps / max(header.frames, 1):.4g} fps would keep the header's duration)")
         if fps is None:
-            raise InputError(where, said, "give the frame rate")
+            raise InputError(where, said, FRAME_RATE_ADVICE)
         warnings.warn(f"{where}: {said}; read at {fps:g} fps", BvhWarning, stacklevel=2)
     motion = _assemble(header, rows, header.fps if fps is None else float(fps))
     if unit is None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from data_module.arrays import read_npz
 from data_module.errors import InputError
 from data_module.motion import rotation
+from data_module.motion.bvh import FRAME_RATE_ADVICE
 from data_module.types import Motion, Skeleton
 
 # Name, parent, offset in metres: the first 22 of SMPL-X's 55 joints, in its order.
@@ -84,7 +85,7 @@ def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Mot
         raise InputError(path, f"has trans of shape {trans.shape} for {frames} poses", "it should be [T, 3]")
     rate = fps if fps is not None else _rate(arrays)
     if rate is None or not 0 < rate < 1000:
-        raise InputError(path, "has no usable mocap_frame_rate", "give the frame rate")
+        raise InputError(path, "has no usable mocap_frame_rate", FRAME_RATE_ADVICE)
     values = poses.reshape(frames, -1)[:, :joints * 3].astype(np.float64)
     root = trans.astype(np.float64)
     if not (np.isfinite(values).all() and np.isfinite(root).all()):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.performer.strokes import LEFT, RIGHT
-from data_module.performer.types import Phrase
+from data_module.truth import Phrase
 from data_module.types import Array
 
 HANG, LOW, STAY = "hang", "low", "stay"

@@ -22,7 +22,8 @@ from data_module.performer.sound import RATE, Sounded, decibels, recorded, with_
 from data_module.performer.syllables import Nucleus, listen
 from data_module.performer.takes import FPS, arms_speed
 from data_module.performer.text import Part
-from data_module.performer.types import Phrase, Spoken
+from data_module.performer.types import Spoken
+from data_module.truth import Phrase
 from data_module.types import Array, Speech, Word
 
 SLOWEST, FASTEST = 0.80, 1.25
@@ -252,7 +253,7 @@ def candidates_of(pool: Pool, chosen: NDArray[np.int64]) -> Candidates:
 
 
 def rewards(pool: Pool, chosen: NDArray[np.int64], wanted: Wanted) -> Array:
-    """[B, I, n] what it is worth to put a vowel on a beat: stress on strength, and words where the motion shows them."""
+    """[B, I, n] what it is worth to put a vowel on a beat: stress on strength, words where the motion shows them."""
     stress = 0.8 + _STRESS_REWARD * np.clip(pool.prominence[chosen], -1.2, 2.0)
     asks = pool.asks[chosen]
     fits = np.where(asks >= 0, 1.0, 0.0)[..., None] * wanted.shown.T[np.maximum(asks, 0)]
@@ -308,7 +309,7 @@ def _begun(table: _Table, wanted: Wanted, j: int) -> Array:
 
 
 def _gone_on(table: _Table, wanted: Wanted, best: Array, earlier: int, j: int) -> Array:
-    """[B, I] the cost of beat j, when going on from the pair of an earlier beat is cheaper than `best`; notes the way."""
+    """[B, I] the cost of beat j, where going on from an earlier beat's pair is cheaper than `best`; notes the way."""
     lasts = wanted.beats[j] - wanted.beats[earlier]
     rate = (table.at[:, None, :] - table.at[:, :, None]) / lasts
     fine = (rate >= SLOWEST) & (rate <= FASTEST)
@@ -347,7 +348,8 @@ def _ended(candidates: Candidates, wanted: Wanted, table: _Table) -> Match | Non
     return Match(int(candidates.indices[b]), cost, np.array(anchors), len(pairs))
 
 
-def _resaid(pool: Pool, match: Match, effort: float, wanted: Wanted, rng: np.random.Generator) -> tuple[Match, Sounded]:
+def _resaid(pool: Pool, match: Match, effort: float, wanted: Wanted,
+            rng: np.random.Generator) -> tuple[Match, Sounded]:
     """The phrase said with its effort and aligned anew; effort changes its rate, and with it the vowels' times."""
     k = match.phrase
     said = say(pool.voice, [Part(pool.texts[k], effort, 0.0)], rng)[0]

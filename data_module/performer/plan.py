@@ -15,7 +15,8 @@ from data_module.performer import meaning
 from data_module.performer.hands import Manner, PhraseHands, hands_of_phrases, unevenness, weights_at
 from data_module.performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
 from data_module.performer.styles import NEUTRAL, StyleTrack
-from data_module.performer.types import Phrase, Spoken, Syllable
+from data_module.performer.types import Spoken
+from data_module.truth import Phrase, Syllable
 from data_module.types import Array
 
 REST_PAUSE = 1.6

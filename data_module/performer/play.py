@@ -24,7 +24,8 @@ from data_module.performer.plan import BRAKE, Casting, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet
 from data_module.performer.styles import NEUTRAL, StyleTrack
 from data_module.performer.trunk import Segment, postures, spread, trunk_track
-from data_module.performer.types import Played, PlayedStroke, Spoken
+from data_module.performer.types import Played, Spoken
+from data_module.truth import PlayedStroke
 from data_module.types import Array, Motion
 
 FPS = 60.0

@@ -10,7 +10,7 @@ import numpy as np
 from data_module.performer import meaning, text, voices
 from data_module.performer.sound import RATE, Sounded
 from data_module.performer.syllables import Nucleus, listen
-from data_module.performer.types import Phrase
+from data_module.truth import Phrase
 from data_module.types import Array, Samples, Speech, Word
 
 _LEAST_LETTERS = 6

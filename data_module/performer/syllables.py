@@ -10,7 +10,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, find_peaks, resample_poly, sosfiltfilt
 
-from data_module.performer.types import Phrase, Spoken, Syllable
+from data_module.performer.types import Spoken
+from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Samples, Speech, Word
 
 HOP = 0.01

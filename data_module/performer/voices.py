@@ -12,7 +12,8 @@ from data_module.performer import espeak, flite, source_filter
 from data_module.performer.sound import RATE, Phone, Sounded, decibels, read_at, recorded, with_tilt, word_spans
 from data_module.performer.syllables import Nucleus, listen, pitch_track
 from data_module.performer.text import Part, Utterance, compose
-from data_module.performer.types import Phrase, Spoken, Syllable
+from data_module.performer.types import Spoken
+from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Samples, Speech, Word
 
 # At effort 1: decibels louder, times faster, times the pitch range (log), semitones higher. At -1 the reverse.

@@ -1,0 +1,97 @@
+"""What a scripted performance meant to do: the truth of a corpus, known here and nowhere else.
+
+Flat records of text, numbers and truth values, so that a store can keep them as columns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, TypeVar
+
+_Record = TypeVar("_Record")
+
+
+@dataclass(frozen=True)
+class Syllable:
+    """A spoken syllable, seconds. `vowel` is the onset of its vowel, where a gesture's beat belongs.
+
+    word: index into the words of the speech. loudness: dB against the recording's median syllable. pitch: semitones
+    against the recording's median (0 where unvoiced). prominence: z-score, the weighted sum of loudness, duration and
+    pitch with a bonus for content words.
+    """
+
+    start: float
+    vowel: float
+    end: float
+    word: int
+    loudness: float
+    pitch: float
+    prominence: float
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """A stretch of speech between pauses, seconds, with the effort (-1 to 1) it was spoken with."""
+
+    start: float
+    end: float
+    effort: float
+
+
+@dataclass(frozen=True)
+class PlayedStroke:
+    """What was planned for one stroke, and on which clip: the truth of the corpus. Seconds from the start.
+
+    lexeme: the clip's lexeme name ("BeatMid"); clip: the clip's file stem; hand: "left", "right" or "both".
+    beat: where its motion beat was planned (syllable plus human looseness); syllable: the vowel onset it belongs to.
+    start, hold_end, end: move start, end of the hold, end of the retraction as played. gain: excursion over the clip's.
+    held_out: True when the clip belongs to the strokes kept for test.
+    """
+
+    lexeme: str
+    clip: str
+    hand: str
+    start: float
+    beat: float
+    hold_end: float
+    end: float
+    syllable: float
+    gain: float
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The strokes, syllables and phrases of one recording, each in order of time."""
+
+    strokes: tuple[PlayedStroke, ...] = ()
+    syllables: tuple[Syllable, ...] = ()
+    phrases: tuple[Phrase, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """As lists of objects; the inverse is `from_json`."""
+        return {name: [asdict(row) for row in getattr(self, name)] for name in TABLES}
+
+    @classmethod
+    def from_json(cls, tables: Mapping[str, Any]) -> Truth:
+        """The inverse of `to_json`. KeyError, TypeError or ValueError where it is none."""
+        return cls(**{name: tuple(record(kind, row) for row in tables[name]) for name, kind in TABLES.items()})
+
+
+TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phrases": Phrase}
+"""Field of `Truth` -> type of its records."""
+
+
+def record(kind: type[_Record], row: Mapping[str, Any]) -> _Record:
+    """A record of `TABLES` from its fields. ValueError for another type of value, TypeError for other fields."""
+    for name, wanted in ((field.name, str(field.type)) for field in fields(kind)):  # type: ignore[arg-type]
+        value = row[name]
+        if wanted == "float":
+            good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        else:
+            good = type(value).__name__ == wanted
+        if not good:
+            raise ValueError(f"{name} is no {wanted}")
+    return kind(**row)

@@ -1,0 +1,488 @@
+"""What is in the lexicon, for the eye (RG Fig. 6): `gesticulator draw lexicon --data STORE --out FOLDER`.
+
+`latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents E(M) of blocks, coloured by
+lexeme. What fools it: t-SNE tears and clumps; only who is near whom means anything, so the share of nearest neighbours
+with the same lexeme is printed, in the picture and among the latents themselves.
+
+`lexicon.html`, one page with nothing outside it: for each lexeme a sample gesture (the performed block whose latent
+lies nearest to it) beside what the decoder makes of it, how often each performer uses it, how fast the hands are, how
+much of it lies in pauses, the words and the strokes that go with it, and whether it is silent. Ticking that writes the
+command that tells the bundle so (`gesticulator.silent`). `lexicon.json` has the same in numbers. What fools it: the
+decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not; the speed
+that counts is the performed one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import colorsys
+import html
+import json
+import math
+import shlex
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from data_module.blocks import cut
+from data_module.errors import InputError
+from data_module.files import write_text
+from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
+from data_module.types import Array, Blocks, Motion
+from eval.draw.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
+from eval.encode import encode_motion
+from eval.metrics.smoothness import hand_speeds
+from gesticulator import bundle as bundles
+from gesticulator.bundle import Bundle
+from gesticulator.prepare import representation_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PERPLEXITY, NEIGHBOURS = 30.0, 10
+LEAST, SURE, PRIOR = 5, 3.0, 500.0
+"""A word is listed when it stands on a lexeme's blocks this often and this many standard errors too often; the strength
+of the prior in words."""
+MOST_WORDS, MOST_STROKES = 6, 3
+NO_STROKE = "no stroke"
+Labels = NDArray[np.int64]
+
+
+def evenly(store: Store, split: str, limit: int | None = None) -> list[RecordingInfo]:
+    """The recordings of a split ("all" for every one), or `limit` of them, evenly chosen; InputError when empty."""
+    infos = store.recordings if split == "all" else store.of_split(cast(Split, split))
+    if not infos:
+        raise InputError(store.path, f"has no recordings in its {split} split", "choose another split")
+    if limit is not None and limit < 1:
+        raise InputError("--limit", "must be 1 or more", "leave it out for all")
+    count = len(infos) if limit is None else min(limit, len(infos))
+    return [infos[i] for i in np.linspace(0, len(infos) - 1, count).round().astype(int)]
+
+
+def block_of_frames(edges: Array, count: int, fps: float) -> Labels:
+    """[count] the block that each stretch between two frames lies in."""
+    return np.clip(np.searchsorted(edges, (np.arange(count) + 0.5) / fps) - 1, 0, len(edges) - 2)
+
+
+# -------------------------------------------------------------------------------------------------- the latents
+
+def embed(latents: Array, seed: int = 0) -> Array:
+    """[n, 2] t-SNE of latents [n, D]."""
+    from sklearn.manifold import TSNE
+
+    perplexity = min(PERPLEXITY, (len(latents) - 1) / 3)
+    made = TSNE(perplexity=perplexity, init="pca", random_state=seed).fit_transform(latents)
+    return np.asarray(made, dtype=np.float64)
+
+
+def neighbours_agree(points: Array, labels: Labels, count: int = NEIGHBOURS) -> float:
+    """Share of each point's nearest neighbours that have its label."""
+    from sklearn.neighbors import NearestNeighbors
+
+    near = NearestNeighbors(n_neighbors=min(count, len(points) - 1)).fit(points).kneighbors(return_distance=False)
+    return float((labels[near] == labels[:, None]).mean())
+
+
+def colours(size: int) -> list[str]:
+    """`size` colours, neighbours in number far apart in hue."""
+    made = [colorsys.hls_to_rgb(i * 0.61803398875 % 1, (0.42, 0.56, 0.34)[i % 3], (0.65, 0.8, 0.5)[i % 3])
+            for i in range(size)]
+    return ["#" + "".join(f"{round(255 * part):02x}" for part in own) for own in made]
+
+
+def draw_latents(points: Array, labels: Labels, silent: Sequence[int], size: int, caption: str) -> Figure:
+    """Points [n, 2] coloured by lexeme, its number where they are thickest; silent lexemes are crosses."""
+    from matplotlib.figure import Figure as NewFigure
+
+    canvas = NewFigure(figsize=(9, 9.4), facecolor="white")
+    axis = canvas.add_axes((0.02, 0.02, 0.96, 0.92))
+    palette = colours(size)
+    for lexeme in np.unique(labels).tolist():
+        own = points[labels == lexeme]
+        still = lexeme in silent
+        axis.scatter(own[:, 0], own[:, 1], s=14 if still else 9, marker="x" if still else "o", c=palette[lexeme],
+                     alpha=0.75, linewidths=0.8 if still else 0, rasterized=True)
+        # The point nearest to all of its own: a lexeme of two clumps gets its number on one of them.
+        centre = own[np.abs(own[:, None] - own[None]).sum(-1).sum(-1).argmin()]
+        axis.text(float(centre[0]), float(centre[1]), str(lexeme), fontsize=9, color=INK, ha="center", va="center",
+                  bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": palette[lexeme], "lw": 0.8, "alpha": 0.85})
+    axis.axis("off")
+    canvas.text(0.5, 0.97, caption, fontsize=10, color=INK, ha="center", va="center")
+    return canvas
+
+
+# ---------------------------------------------------------------------------------------------- what goes with it
+
+@dataclass(frozen=True)
+class Word:
+    """A word on the blocks of a lexeme: how often, and how many standard errors more often than elsewhere."""
+
+    text: str
+    count: int
+    z: float
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One lexeme. share: of all blocks; shares: of each performer's; hand_speed: m/s on its blocks as performed (NaN
+    where none was read); decoded_speed: m/s of the decoded lexeme in normalised time; in_silence: share of its blocks
+    that lie in a pause; strokes: shares of its blocks; sample: where its sample gesture is from."""
+
+    lexeme: int
+    silent: bool
+    blocks: int
+    share: float
+    shares: dict[str, float]
+    hand_speed: float
+    decoded_speed: float
+    in_silence: float
+    words: tuple[Word, ...]
+    strokes: dict[str, float]
+    sample: str
+
+
+def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int = LEAST, sure: float = SURE,
+                most: int = MOST_WORDS) -> list[tuple[Word, ...]]:
+    """For each lexeme the words that stand on its blocks more often than on others.
+
+    counts: [S, W] of words on the blocks of each lexeme. The measure is the z-score of the difference in log odds
+    between the lexeme and all others, with a Dirichlet prior in proportion to the whole (Monroe, Colaresi and Quinn
+    2008), which keeps rare words from coming out on top. Words with fewer than `least` or below `sure` are left out.
+    """
+    total, per_word = counts.sum(), counts.sum(axis=0)
+    prior = PRIOR * per_word / max(total, 1)
+    here, here_all = counts + prior, counts.sum(axis=1, keepdims=True) + PRIOR
+    rest, rest_all = per_word - counts + prior, total - counts.sum(axis=1, keepdims=True) + PRIOR
+    with np.errstate(divide="ignore", invalid="ignore"):
+        difference = np.log(here / (here_all - here)) - np.log(rest / (rest_all - rest))
+        z = difference / np.sqrt(1 / here + 1 / rest)
+    z = np.where((counts >= least) & np.isfinite(z), z, -np.inf)
+    chosen = [[w for w in np.argsort(-row, kind="stable")[:most] if row[w] >= sure] for row in z]
+    return [tuple(Word(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in own)
+            for lexeme, own in enumerate(chosen)]
+
+
+def words_on_blocks(recording: Recording, edges: Array) -> list[tuple[int, str]]:
+    """(block, word in lower case without its punctuation) for each word whose middle lies in a block."""
+    out = []
+    for word in recording.speech.words or ():
+        text = word.text.lower().strip(" .,;:!?\"'“”‘’„«»()[]-–—…¿¡")
+        middle = (word.start + word.end) / 2
+        if text and edges[0] <= middle < edges[-1]:
+            out.append((int(np.searchsorted(edges, middle, side="right")) - 1, text))
+    return out
+
+
+def strokes_on_blocks(recording: Recording, edges: Array) -> list[str]:
+    """For each block [N] the kind of stroke that its middle lies in, or `NO_STROKE`; empty without a truth."""
+    if recording.truth is None or not recording.truth.strokes:
+        return []
+    middles, kinds = (edges[1:] + edges[:-1]) / 2, [NO_STROKE] * (len(edges) - 1)
+    for stroke in recording.truth.strokes:
+        for block in np.flatnonzero((middles >= stroke.start) & (middles < stroke.end)):
+            kinds[block] = stroke.lexeme
+    return kinds
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The performed block nearest to a lexeme: squared distance of its latent, where it is from, and its motion."""
+
+    distance: float
+    source: str
+    motion: Motion
+
+
+class Survey:
+    """Counts over recordings, one at a time."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.blocks: dict[str, Array] = {}
+        self.silent, self.seconds, self.way = np.zeros(size), np.zeros(size), np.zeros(size)
+        self.words: Counter[tuple[int, str]] = Counter()
+        self.strokes: Counter[tuple[int, str]] = Counter()
+        self.samples: dict[int, Sample] = {}
+
+    def add(self, recording: Recording, blocks: Blocks, labels: Labels, distances: Array) -> None:
+        """Count one recording, whose blocks have these labels [N] and lie this far (squared) from their lexemes [N]."""
+        name = recording.info.speaker
+        self.blocks[name] = self.blocks.get(name, np.zeros(self.size)) + np.bincount(labels, minlength=self.size)
+        self.silent += np.bincount(labels[blocks.silent], minlength=self.size)
+        speed = hand_speeds(recording.motion).mean(axis=1)
+        own = labels[block_of_frames(blocks.edges, len(speed), recording.motion.fps)]
+        self.way += np.bincount(own, speed, self.size)
+        self.seconds += np.bincount(own, minlength=self.size)
+        self.words.update((int(labels[block]), text) for block, text in words_on_blocks(recording, blocks.edges))
+        self.strokes.update((int(label), kind) for label, kind in
+                            zip(labels, strokes_on_blocks(recording, blocks.edges), strict=False))
+        for lexeme in np.unique(labels).tolist():
+            nearest = int(np.where(labels == lexeme, distances, np.inf).argmin())
+            known = self.samples.get(lexeme)
+            if known is None or distances[nearest] < known.distance:
+                start, end = blocks.edges[nearest:nearest + 2]
+                self.samples[lexeme] = Sample(float(distances[nearest]), f"{recording.info.name}, {start:.2f} s",
+                                              _stretch(recording.motion, start, end))
+
+    def entries(self, silent: Sequence[int], decoded_speed: Array) -> list[Entry]:
+        """The lexicon, lexeme by lexeme. decoded_speed: [S] m/s."""
+        total = sum(self.blocks.values(), np.zeros(self.size))
+        vocabulary = sorted({text for _, text in self.words})
+        place = {text: i for i, text in enumerate(vocabulary)}
+        counts = np.zeros((self.size, len(vocabulary)), dtype=np.int64)
+        for (lexeme, text), count in self.words.items():
+            counts[lexeme, place[text]] = count
+        words = distinctive(counts, vocabulary)
+        speed = np.where(self.seconds > 0, self.way / np.maximum(self.seconds, 1), np.nan)
+        return [Entry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
+                      {name: float(own[i] / max(own.sum(), 1)) for name, own in sorted(self.blocks.items())},
+                      float(speed[i]), float(decoded_speed[i]), float(self.silent[i] / max(total[i], 1)), words[i],
+                      self._strokes_of(i), self.samples[i].source if i in self.samples else "")
+                for i in range(self.size)]
+
+    def _strokes_of(self, lexeme: int) -> dict[str, float]:
+        own = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
+        return {kind: count / own.total() for kind, count in own.most_common(MOST_STROKES)}
+
+
+def _stretch(motion: Motion, start: float, end: float) -> Motion:
+    first = max(0, math.floor(start * motion.fps))
+    return motion.crop(first, max(first + 2, math.ceil(end * motion.fps) + 1))
+
+
+@torch.no_grad()
+def decoded(bundle: Bundle) -> list[Motion]:
+    """Each lexeme through the decoder, on the mean pose of all performers: K frames of normalised time."""
+    blocks = bundle.lexicon.decode(bundle.lexicon.vectors).double().numpy()
+    poses = blocks * bundle.statistics.deviation + bundle.statistics.mean_pose.mean(axis=0)
+    representation = representation_of(bundle.config)
+    return [representation.motion(own, bundle.config.rhythm.fps) for own in poses]
+
+
+# ------------------------------------------------------------------------------------------------------ the page
+
+_CROP = {"front": (-0.72, 1.44), "side": (-0.78, 1.14)}
+"""View -> left edge and width of the picture in metres."""
+_TOP, _TALL = 1.8, 1.06
+_GHOSTS = ((0.0, 0.16), (0.5, 0.34), (1.0, 1.0))
+"""Share of the gesture, and how strongly its pose is drawn."""
+_KNOTS = 11
+
+
+def picture(motion: Motion, views: Sequence[str] = tuple(VIEWS)) -> str:
+    """A short motion as inline SVG, one per view: first, middle and last pose, and the hands' ways.
+
+    Dots mark a hand's way at eleven even moments, so wide gaps are speed; the ring is its end.
+    """
+    points = figure_points(motion, np.linspace(0, (len(motion) - 1) / motion.fps, _KNOTS))
+    return "".join(_view(points, view, _KNOTS) for view in views)
+
+
+def _view(points: Mapping[str, Array], view: str, frames: int) -> str:
+    across, depth = VIEWS[view]
+    sign = -1.0 if view == "side" else 1.0  # as in strips: seen from the left, +Z points left
+    flat = {name: np.stack([sign * p[:, across], _TOP - p[:, 1]], axis=1) for name, p in points.items()}
+    left, wide = _CROP[view]
+    parts = []
+    for share, strength in _GHOSTS:
+        frame = round(share * (frames - 1))
+        near = {side: float(points[f"{side}Hand"][frame, depth]) for side in HANDS}
+        parts.append(f'<g opacity="{strength}">{_pose({n: p[frame] for n, p in flat.items()}, near)}</g>')
+    for side, colour in HANDS.items():
+        way = flat[f"{side}HandTip"]
+        dots = "".join(f'<circle cx="{x:.3f}" cy="{y:.3f}" r=".009"/>' for x, y in way)
+        line = " ".join(f"{x:.3f},{y:.3f}" for x, y in way)
+        parts.append(f'<g fill="{colour}"><polyline points="{line}" fill="none" stroke="{colour}" stroke-width=".008"/>'
+                     f'{dots}<circle cx="{way[-1, 0]:.3f}" cy="{way[-1, 1]:.3f}" r=".022" fill="none" '
+                     f'stroke="{colour}" stroke-width=".009"/></g>')
+    return (f'<svg class="{view}" viewBox="{left} 0 {wide} {_TALL}" role="img" aria-label="{view} view">'
+            f'{"".join(parts)}</svg>')
+
+
+def _pose(now: Mapping[str, Array], near: Mapping[str, float]) -> str:
+    def line(names: Sequence[str], width: float, colour: str) -> str:
+        way = " ".join(f"{now[name][0]:.3f},{now[name][1]:.3f}" for name in names)
+        return f'<polyline points="{way}" stroke="{colour}" stroke-width="{width}"/>'
+
+    def arm(side: str) -> str:
+        return (line((f"{side}Arm", f"{side}ForeArm"), 0.085, SHIRT)
+                + line((f"{side}ForeArm", f"{side}Hand", f"{side}HandTip"), 0.06, SKIN))
+
+    sides = sorted(HANDS, key=lambda side: near[side])
+    head = (now["Head"] + now["HeadTip"]) / 2
+    body = (line(("Hips", "Spine", "Spine1", "Spine2", "Spine3"), 0.25, SHIRT)
+            + line(("LeftArm", "Neck", "RightArm"), 0.11, SHIRT) + line(("Neck", "Head"), 0.09, SKIN)
+            + f'<circle cx="{head[0]:.3f}" cy="{head[1]:.3f}" r=".105" fill="{SKIN}"/>')
+    behind = [side for side in sides if near[side] < 0]
+    front = [side for side in sides if near[side] >= 0]
+    return (f'<g fill="none" stroke-linecap="round" stroke-linejoin="round">{"".join(map(arm, behind))}{body}'
+            f'{"".join(map(arm, front))}</g>')
+
+
+_STYLE = """
+body{font:14px/1.4 system-ui,sans-serif;color:INK;background:#f6f3ee;margin:0}
+header{position:sticky;top:0;background:#fffdf9;border-bottom:1px solid #d9d0c2;padding:10px 18px;z-index:1}
+h1{font-size:18px;margin:0 0 2px} p{margin:2px 0;color:#5c564c} button,select{font:inherit}
+#line{display:flex;gap:8px;margin-top:6px} #command{flex:1;font:13px ui-monospace,monospace;padding:4px 6px}
+main{display:grid;grid-template-columns:repeat(auto-fill,minmax(390px,1fr));gap:12px;padding:14px 18px}
+article{background:#fffdf9;border:1px solid #d9d0c2;border-radius:6px;padding:8px 10px}
+article.silent{background:#e9edf0;border-color:#9fb0bb}
+article h2{font-size:15px;margin:0;display:flex;align-items:center;gap:7px}
+h2 i{width:12px;height:12px;border-radius:50%;display:inline-block} h2 label{margin-left:auto;font-weight:400}
+.pictures{display:flex;gap:6px;margin:4px 0} figure{margin:0;flex:1.44;background:#fff} figure.sample{flex:2.58}
+figure svg{height:112px} figure .front{width:100%} figure.sample .front{width:55.8%} .sample .side{width:44.2%}
+figcaption{font-size:11px;color:#8d8578;text-align:center;padding:0 2px}
+dl{display:grid;grid-template-columns:auto 1fr;gap:1px 8px;margin:0} dt{color:#8d8578} dd{margin:0}
+.bar{display:inline-block;height:8px;background:#3d7a85;border-radius:2px;margin-right:5px}
+.who{display:grid;grid-template-columns:auto 1fr;gap:0 6px;font-size:12px;align-items:center}
+"""
+_SCRIPT = """
+const cards=[...document.querySelectorAll("article")],field=document.getElementById("command");
+const number=(card,key)=>Number(card.dataset[key]);
+function say(){
+  const on=cards.filter(c=>c.querySelector("input").checked).map(c=>number(c,"lexeme")).sort((a,b)=>a-b);
+  cards.forEach(c=>c.classList.toggle("silent",c.querySelector("input").checked));
+  field.value=on.length&&on.length<cards.length?field.dataset.head+" --set "+on.join(",")+field.dataset.tail
+    :on.length?"leave some lexemes to gesture with":"tick one lexeme at least: pauses need one";
+}
+cards.forEach(c=>c.querySelector("input").addEventListener("change",say));
+document.getElementById("copy").addEventListener("click",()=>{field.select();document.execCommand("copy")});
+document.getElementById("order").addEventListener("change",event=>{
+  const [key,way]=event.target.value.split(" ");
+  cards.sort((a,b)=>way*(number(a,key)-number(b,key))||number(a,"lexeme")-number(b,"lexeme"))
+    .forEach(c=>c.parentElement.append(c));
+});
+say();
+"""
+
+
+def pictures(entry: Entry, sample: Motion | None, own: Motion) -> str:
+    """The sample gesture of a lexeme beside the lexeme as decoded."""
+    drawn, said = (picture(sample), entry.sample) if sample is not None else ("", "on no block that was read")
+    return (f'<figure class="sample">{drawn}<figcaption>{html.escape(said)}</figcaption></figure>'
+            f'<figure>{picture(own, ("front",))}<figcaption>as decoded</figcaption></figure>')
+
+
+def card(entry: Entry, drawing: str, colour: str, widest: float) -> str:
+    """One lexeme of the page. widest: the share that fills a bar."""
+    who = "".join(f'<span>{html.escape(name)}</span><span><span class="bar" style="width:'
+                  f'{min(100.0, 80 * share / max(widest, 1e-9)):.0f}px"></span>{100 * share:.1f} %</span>'
+                  for name, share in entry.shares.items())
+    words = ", ".join(f'<b title="{w.count} times, z = {w.z:.1f}">{html.escape(w.text)}</b>' for w in entry.words)
+    speed = f"{entry.hand_speed:.2f} m/s as performed, " if math.isfinite(entry.hand_speed) else ""
+    strokes = ", ".join(f"{html.escape(kind)} {100 * share:.0f} %" for kind, share in entry.strokes.items())
+    return (f'<article data-lexeme="{entry.lexeme}" data-share="{entry.share}" data-speed="{_plain(entry.hand_speed)}" '
+            f'data-pause="{entry.in_silence}"><h2><i style="background:{colour}"></i>{entry.lexeme}<label>'
+            f'<input type="checkbox"{" checked" if entry.silent else ""}> silent</label></h2>'
+            f'<div class="pictures">{drawing}</div><dl><dt>blocks</dt><dd>{entry.blocks} ({100 * entry.share:.1f} %), '
+            f'{100 * entry.in_silence:.0f} % of them in pauses</dd>'
+            f'<dt>hands</dt><dd>{speed}{entry.decoded_speed:.2f} as decoded</dd>'
+            f'<dt>words</dt><dd>{words or "-"}</dd><dt>strokes</dt><dd>{strokes or "-"}</dd>'
+            f'<dt>performers</dt><dd class="who">{who}</dd></dl></article>')
+
+
+def _plain(value: float) -> float:
+    return value if math.isfinite(value) else -1.0
+
+
+def page(entries: Sequence[Entry], drawings: Sequence[str], command: tuple[str, str], title: str, note: str) -> str:
+    """The contact sheet, nothing outside it. command: what stands before and after the list of ticked lexemes."""
+    widest = max((share for own in entries for share in own.shares.values()), default=1.0)
+    cards = "\n".join(card(own, drawing, colour, widest)
+                      for own, drawing, colour in zip(entries, drawings, colours(len(entries)), strict=True))
+    head, tail = (html.escape(part, quote=True) for part in command)
+    return f"""<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>
+<meta name="viewport" content="width=device-width,initial-scale=1">
+<style>{_STYLE.replace("INK", INK)}</style></head><body>
+<header><h1>{html.escape(title)}</h1><p>{html.escape(note)}</p>
+<p>Ticked lexemes count as stillness; this line makes it so. Order by <select id="order">
+<option value="lexeme 1">number</option><option value="share -1">frequency</option>
+<option value="speed 1">speed of the hands</option><option value="pause -1">share in pauses</option></select></p>
+<div id="line"><input id="command" readonly aria-label="command" data-head="{head}" data-tail="{tail}">
+<button id="copy">Copy</button></div></header>
+<main>
+{cards}
+</main><script>{_SCRIPT}</script></body></html>
+"""
+
+
+# --------------------------------------------------------------------------------------------------- the command
+
+def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], progress: bool = True
+           ) -> tuple[Survey, Array, Labels]:
+    """Everything counted, and the latents [N, D] and labels [N] of all blocks."""
+    counts, latents, labels = Survey(bundle.config.lexicon.size), [], []
+    for info in tqdm(infos, desc="recordings", disable=not progress):
+        recording = store.load(info.name)
+        blocks = cut(recording.speech, bundle.config.rhythm)
+        read = encode_motion(bundle, recording.motion, blocks, info.speaker)
+        nearest = bundle.lexicon.vectors[torch.as_tensor(read.labels)]
+        counts.add(recording, read.blocks, read.labels, (read.latents - nearest).square().sum(1).double().numpy())
+        latents.append(read.latents.double().numpy())
+        labels.append(read.labels)
+    return counts, np.concatenate(latents), np.concatenate(labels)
+
+
+def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[RecordingInfo], out: Path,
+              points: int = 4000, progress: bool = True) -> dict[str, Any]:
+    """Both pictures, the page and its numbers into the folder `out`; the numbers."""
+    counts, latents, labels = survey(bundle, store, infos, progress)
+    motions, size, silent = decoded(bundle), bundle.config.lexicon.size, bundle.silent.tolist()
+    entries = counts.entries(silent, np.array([float(hand_speeds(own).mean()) for own in motions]))
+    few = np.sort(np.random.default_rng(0).permutation(len(labels))[:points])
+    flat = embed(latents[few])
+    shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])
+    used = sum(own.blocks > 0 for own in entries)
+    caption = (f"E(M) of {len(few)} blocks by t-SNE; {used} of {size} lexemes, x silent\n{100 * shown:.0f} % of the "
+               f"{NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space")
+    out.mkdir(parents=True, exist_ok=True)
+    figure = draw_latents(flat, labels[few], silent, size, caption)
+    for suffix in ("png", "svg"):
+        save_strip(figure, out / f"latents.{suffix}")
+    shipped = folder is None or Path(folder).resolve() == bundles.SHIPPED.resolve()
+    command = (f"python -m gesticulator.silent{'' if shipped else ' ' + shlex.quote(str(folder))}",
+               " --out my-bundle" if shipped else "")
+    note = (f"{len(infos)} recordings, {len(labels)} blocks of {store.corpus}; {used} of {size} lexemes used, "
+            f"{len(silent)} silent. Words: at least {LEAST} times and {SURE:g} standard errors too often. Pictures: "
+            "the performed block nearest to the lexeme, and the lexeme as decoded; first to last pose faint to full, "
+            "the hands' ways in eleven even dots to a ring.")
+    drawings = [pictures(own, counts.samples[own.lexeme].motion if own.lexeme in counts.samples else None, motion)
+                for own, motion in zip(entries, motions, strict=True)]
+    write_text(out / "lexicon.html", page(entries, drawings, command, f"Lexicon of {bundle.config.name}", note))
+    lexemes = [asdict(own) | {"hand_speed": own.hand_speed if own.blocks else None} for own in entries]
+    result = {"recordings": len(infos), "blocks": len(labels), "points": len(few), "neighbours_in_picture": shown,
+              "neighbours_in_latents": true, "lexemes": lexemes}
+    write_text(out / "lexicon.json", json.dumps(result, indent=1) + "\n")
+    return result
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator draw lexicon` takes."""
+    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+    parser.add_argument("--data", required=True, metavar="STORE")
+    parser.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    parser.add_argument("--split", default="train", choices=(*SPLITS, "all"))
+    parser.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
+    parser.add_argument("--points", type=int, default=4000, metavar="N", help="blocks in the t-SNE (4000)")
+
+
+def run(arguments: argparse.Namespace) -> list[Path]:
+    """Draw it; the files that were written, and what they say on the screen."""
+    if arguments.points < 10:
+        raise InputError("--points", "must be 10 or more")
+    torch.set_num_threads(1)
+    store = Store.open(arguments.data)
+    result = write_map(bundles.load(arguments.bundle or bundles.SHIPPED), arguments.bundle, store,
+                       evenly(store, arguments.split, arguments.limit), arguments.out, arguments.points)
+    print(f"{result['blocks']} blocks, {sum(own['blocks'] > 0 for own in result['lexemes'])} of "
+          f"{len(result['lexemes'])} lexemes used; {100 * result['neighbours_in_picture']:.0f} % of neighbours in the "
+          f"picture share the lexeme, {100 * result['neighbours_in_latents']:.0f} % in latent space")
+    return [arguments.out / name for name in ("lexicon.html", "latents.png", "latents.svg", "lexicon.json")]

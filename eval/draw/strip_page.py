@@ -1,0 +1,271 @@
+"""`gesticulator draw strip`: one motion as a strip, or several systems on one page, at the same seconds.
+
+    gesticulator draw strip MOTION.bvh [--out strip.png] [--start 2] [--seconds 4] [--frames 8] [--sound speech.wav]
+    gesticulator draw strip --take --corpus STORE --ours --system units=FILE [--start 2] [--seconds 15] --out page.png
+
+No figure says what a picture says, so a page belongs to every judgement of motion: the real take, the corpus, ours and
+others, front and side, four poses a second. Time runs from left to right and goes on in the next line; the coloured
+trails are the paths of the hands since the pose before (the character's right hand red, her left hand green).
+
+`--take` is the real take in GESTICULATOR_DATA; its licence asks for credit, so the credit line is drawn with it.
+Without it the sound is `--sound`, or that of the corpus recording, and then corpus and ours gesture to the same voice.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.motion import bvh
+from data_module.types import Array, Beats, Motion, Speech
+from eval.draw.strips import FLOOR, INK, SOFT, RowStyle, draw_row, draw_sound, draw_strip, frame_times, save_strip
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from data_module.store import Recording
+
+POSES = 4.0
+"""Figures a second on a page."""
+SECONDS = 4.0
+"""Of a page, when not told."""
+LINE = 16
+"""Figures of a line: 4 s."""
+BEAT_CREDIT = ("real take: BEAT, speaker Scott (Liu et al., ECCV 2022; pantomatrix.github.io/BEAT), CC BY-NC 4.0: "
+               "not for commercial use")
+_SPACING, _LOW, _HIGH = 0.98, 0.60, 2.02
+"""Metres: between figures, and what is seen of them: from the thighs to a raised hand."""
+_CAPTION, _SOUND, _GAP, _CLOCK = 0.24, 0.42, 0.22, 0.16
+"""Metres of height: of a source's name, of the waveform, between lines, and of the seconds below."""
+_MARGIN = 0.88
+"""Metres beside the first and the last figure: a stretched arm ends inside."""
+_SCALE = 0.84
+"""Inches for a metre: a line of 16 figures is 14 inches wide."""
+_STYLE = RowStyle(_SPACING, _LOW, _HIGH, clock=False, margin=_MARGIN)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A system on a page: its name, its motion, and what is to be said of its rights."""
+
+    name: str
+    motion: Motion
+    credit: str = ""
+
+
+def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = None, beats: Beats | None = None,
+              title: str = "", credits: Sequence[str] = ()) -> Figure:
+    """Every source, front over side, at the same `times` [n] seconds, in lines of `LINE`; the sound below each line.
+
+    A source that ends earlier is left out of the lines that it does not reach. The credits of sources and those given
+    stand at the foot. InputError for no source or no time.
+    """
+    from matplotlib.figure import Figure as NewFigure
+
+    if not sources or len(times) == 0:
+        raise InputError("draw strip", "has nothing to draw", "name a motion, --take, --corpus, --ours or --system")
+    lines = [times[at:at + LINE] for at in range(0, len(times), LINE)]
+    shown = [[source for source in sources if source.motion.duration > line[-1] - 1e-9] for line in lines]
+    row = _HIGH - _LOW
+    foot = [*dict.fromkeys([*(source.credit for source in sources if source.credit), *credits])]
+    tall = sum(len(own) * (2 * row + _CAPTION) + (_SOUND if speech is not None else 0.0) + _CLOCK + _GAP
+               for own in shown)
+    tall += (0.34 if title else 0.0) + 0.16 * len(foot) + 0.11
+    wide = (min(len(times), LINE) - 1) * _SPACING + 2 * _MARGIN
+    figure = NewFigure(figsize=(wide * _SCALE, tall * _SCALE), facecolor="white")
+    pen = _Pen(figure, wide, tall)
+    if title:
+        pen.text(0.34, title, 12, INK, centre=True)
+    for line, own in zip(lines, shown, strict=True):
+        _draw_line(pen, own, line, speech, beats)
+    for text in foot:
+        pen.text(0.16, text, 7.5, SOFT)
+    return figure
+
+
+@dataclass
+class _Pen:
+    """Goes down a page in metres of the figures' own scale."""
+
+    figure: Figure
+    wide: float
+    tall: float
+    at: float = 0.06
+
+    def axis(self, height: float, share: float = 1.0) -> Axes:
+        """The next axes of this height, of the page's whole width or a share of it."""
+        self.at += height
+        return self.figure.add_axes((0.0, 1.0 - self.at / self.tall, share, height / self.tall))
+
+    def rule(self, share: float) -> None:
+        """A thin line across the page, or a share of it."""
+        from matplotlib.lines import Line2D
+
+        height = 1.0 - self.at / self.tall
+        self.figure.add_artist(Line2D([0.0, share], [height, height], color=FLOOR, linewidth=1.0))
+
+    def text(self, height: float, text: str, size: float, colour: str, *, centre: bool = False, bold: bool = False
+             ) -> None:
+        """A line of text."""
+        x = 0.5 if centre else 0.12 / self.wide
+        self.figure.text(x, 1.0 - (self.at + height / 2) / self.tall, text, fontsize=size, color=colour,
+                         weight="bold" if bold else "normal", ha="center" if centre else "left", va="center")
+        self.at += height
+
+
+def _draw_line(pen: _Pen, sources: Sequence[Source], times: Array, speech: Speech | None, beats: Beats | None) -> None:
+    # A last line that is short keeps the scale of the others.
+    across = (len(times) - 1) * _SPACING + 2 * _MARGIN
+    share = across / pen.wide
+    for source in sources:
+        pen.text(_CAPTION, source.name, 10.5, INK, bold=True)
+        for view in ("front", "side"):
+            draw_row(pen.axis(_HIGH - _LOW, share), source.motion, times, view, _STYLE)
+        pen.rule(share)
+    if speech is not None and times[0] < speech.duration:
+        draw_sound(pen.axis(_SOUND, share), speech, beats, times, _STYLE)
+    clock = pen.axis(_CLOCK, share)
+    clock.set_xlim(-_MARGIN, across - _MARGIN)
+    clock.set_ylim(0.0, 1.0)
+    clock.axis("off")
+    for k, time in enumerate(times):
+        clock.text(k * _SPACING, 0.5, f"{time:.2f} s", ha="center", va="center", fontsize=7.5, color=SOFT)
+    pen.at += _GAP
+
+
+def page_times(start: float, seconds: float, longest: float) -> Array:
+    """[n] seconds, `POSES` a second, as far as the longest motion goes; InputError where there is none."""
+    if not (math.isfinite(start) and math.isfinite(seconds) and 0 <= start < longest and seconds > 0):
+        raise InputError("draw strip", f"{start:g} s and {seconds:g} s more are outside the motion, which lasts "
+                         f"{longest:.2f} s", "give another --start or --seconds")
+    end = min(start + seconds, longest)
+    return start + np.arange(max(1, math.floor((end - start) * POSES + 1e-9))) / POSES
+
+
+# ------------------------------------------------------------------------------------------------------------- command
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator draw strip` takes."""
+    parser.add_argument("motion", type=Path, nargs="?", help="a BVH file of an upper body; none for a page of several")
+    parser.add_argument("--out", type=Path, help="the picture, .png, .svg or .pdf (beside the motion when not told)")
+    parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
+    parser.add_argument("--seconds", type=float, help="how long a stretch (all of it; of a page 4)")
+    parser.add_argument("--frames", type=int, default=8, help="how many figures (8; of a page four a second)")
+    parser.add_argument("--fps", type=float, help="frame rate, where the file's own is wrong")
+    parser.add_argument("--sound", type=Path, help="the recording, drawn underneath with its beats")
+    parser.add_argument("--title", default="")
+    page = parser.add_argument_group("several on one page")
+    page.add_argument("--take", action="store_true", help="the real take in GESTICULATOR_DATA, with its credit")
+    page.add_argument("--corpus", metavar="STORE[:NAME]", help="a recording of a store, by default the first of test")
+    page.add_argument("--ours", nargs="?", const="", metavar="BUNDLE",
+                      help="what a bundle makes of the sound (the shipped one)")
+    page.add_argument("--seed", type=int, default=0, help="of --ours (0)")
+    page.add_argument("--system", action="append", default=[], metavar="NAME=FILE",
+                      help="another motion: a file, or a folder that holds one named like the sound; many times")
+    page.add_argument("--credit", action="append", default=[], metavar="TEXT", help="a line at the foot; many times")
+
+
+def run(arguments: argparse.Namespace) -> list[Path]:
+    """Draw it; the picture's path."""
+    if arguments.motion is not None:
+        return [_run_one(arguments)]
+    if arguments.out is None:
+        raise InputError("--out", "is missing", "name the picture: --out page.png")
+    sources, speech = _sources(arguments)
+    times = page_times(arguments.start, SECONDS if arguments.seconds is None else arguments.seconds,
+                       max((source.motion.duration for source in sources), default=0.0))
+    beats = None if speech is None else _beats(speech)
+    save_strip(draw_page(sources, times, speech, beats, arguments.title, arguments.credit), arguments.out)
+    return [arguments.out]
+
+
+def _run_one(arguments: argparse.Namespace) -> Path:
+    from data_module.speech.audio import load_speech
+
+    if arguments.take or arguments.corpus or arguments.ours is not None or arguments.system:
+        raise InputError(arguments.motion, "stands beside --take, --corpus, --ours or --system",
+                         f"name it, too: --system NAME={arguments.motion}")
+    motion = bvh.read_bvh(arguments.motion, fps=arguments.fps)
+    times = frame_times(motion, arguments.start, arguments.seconds, arguments.frames)
+    speech = load_speech(arguments.sound) if arguments.sound else None
+    out: Path = arguments.out or arguments.motion.with_suffix(".png")
+    beats = None if speech is None else _beats(speech)
+    save_strip(draw_strip(motion, times, speech=speech, beats=beats, title=arguments.title), out)
+    return out
+
+
+def _beats(speech: Speech) -> Beats:
+    from data_module.speech.beats import BeatSettings, find_beats
+
+    return find_beats(speech, BeatSettings())
+
+
+def _sources(arguments: argparse.Namespace) -> tuple[list[Source], Speech | None]:
+    """The motions in the order of the page, and the sound that those gesture to that need one."""
+    from data_module.speech.audio import load_speech
+
+    speech = load_speech(arguments.sound) if arguments.sound else None
+    sources = []
+    if arguments.take:
+        motion, heard = _take()
+        sources.append(Source("real take", motion, BEAT_CREDIT))
+        speech = heard if speech is None else speech
+    if arguments.corpus:
+        recording = _recording(arguments.corpus)
+        name = "corpus" if speech is None else "corpus, to a voice of its own"
+        sources.append(Source(name, recording.motion))
+        speech = recording.speech if speech is None else speech
+    if arguments.ours is not None:
+        if speech is None:
+            raise InputError("--ours", "has no sound to gesture to", "give --sound, --take or --corpus")
+        # Opens torch, which a page without ours does not need.
+        from gesticulator.pipeline import Gesticulator
+
+        made = Gesticulator.from_pretrained(arguments.ours or None)(speech, seed=arguments.seed)
+        sources.append(Source("ours", made.motion))
+    sources += [_system(entry, arguments) for entry in arguments.system]
+    return sources, speech
+
+
+def _take() -> tuple[Motion, Speech]:
+    from eval.clip import real_take
+
+    found = real_take(60.0)
+    if found is None:
+        raise InputError("--take", "is not to be had", "set GESTICULATOR_DATA to the folder that holds takes/")
+    return found
+
+
+def _recording(told: str) -> Recording:
+    from data_module.store import Store
+
+    place, _, name = told.partition(":")
+    store = Store.open(place)
+    if not name and not store.of_split("test"):
+        raise InputError(place, "has no test split", "name a recording: --corpus STORE:NAME")
+    return store.load(name or store.of_split("test")[0].name)
+
+
+def _system(entry: str, arguments: argparse.Namespace) -> Source:
+    from eval.foreign import find_motions, read_motion
+
+    name, mark, value = entry.partition("=")
+    if not (name and mark and value):
+        raise InputError(f"--system {entry}", "is not of the form NAME=FILE", "name it: ours=FILE")
+    place = Path(value)
+    if place.is_dir():
+        held, _ = find_motions(place)
+        wanted = arguments.sound.stem if arguments.sound else ""
+        if wanted not in held and len(held) > 1:
+            raise InputError(place, f"holds {len(held)} motions" + (f" and none is named {wanted}" if wanted else ""),
+                             "name the file itself")
+        place = held.get(wanted, next(iter(held.values())))
+    return Source(name, read_motion(place, arguments.fps))

@@ -1,0 +1,440 @@
+"""A motion and its sound as a video file, for user studies and talks (RG 7.3.3, RACER 5.4: raters watch videos).
+
+    gesticulator draw video MOTION.bvh --sound speech.wav [--start 2] [--seconds 10] [--out clip.mp4]
+
+The suffix picks the format: .mp4 (H.264 and AAC) or .webm (VP9 and Opus). Every motion is drawn as the user study's
+page draws it: one body, one place to stand, one camera, no text, so that a picture tells nothing but the movement.
+Frame k shows the motion at start + k / fps; picture and sound begin at 0 and are equally long. The same input gives
+the same pictures and samples as long as the encoders stay the same: one thread, no date, no version of the muxer. WebM
+gives the same bytes too; an H.264 stream was seen to differ by a byte now and then, though not in what it shows.
+
+What it cannot show: fingers, face, and a body's walk; legs stand still. Outlines lie on half pixels, and colours are
+stored at half the resolution (4:2:0), as in most videos.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import struct
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import soxr
+from numpy.typing import NDArray
+
+from data_module.errors import InputError
+from data_module.files import write_bytes
+from data_module.motion import bvh
+from data_module.speech.audio import load_speech
+from data_module.types import Array, Motion, Samples, Speech
+from eval.draw.strips import FLOOR, HAIR, INK, NOSE, SHIRT, SKIN, TROUSERS, figure_points
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+PAPER = "#ece6db"
+SHADOW = "#bfb5a4"
+SIZE = (540, 720)
+"""Pixels across and down."""
+FPS = 30
+SOUND_RATE = 48_000
+"""Hz; what Opus knows, and AAC too."""
+
+
+class Format(NamedTuple):
+    """A file's container, its encoders, and their settings: good enough that no edge tells of the encoder."""
+
+    container: str
+    container_options: dict[str, str]
+    video: str
+    video_options: dict[str, str]
+    audio: str
+    bit_rate: int
+
+
+# No picture is made from later ones (bf, lag-in-frames, auto-alt-ref): the first to be shown is the first in the file.
+FORMATS = {
+    ".mp4": Format("mp4", {"movflags": "+faststart"}, "libx264",
+                   {"preset": "veryfast", "crf": "20", "bf": "0", "x264-params": "threads=1"}, "aac", 128_000),
+    ".webm": Format("webm", {}, "libvpx-vp9",
+                    {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "7", "lag-in-frames": "0",
+                     "auto-alt-ref": "0"}, "libopus", 96_000),
+}
+"""Suffix -> how it is written."""
+
+LEAST_FILLING = 9
+"""Bytes that `filled` needs at least."""
+
+_OVER = 2
+"""Drawn this many times as large and scaled down, which smooths the edges."""
+_ROUND = 18
+"""Corners of each half of a limb's outline."""
+_HALO = 0.009
+# The numbers of ITU-T H.273 and of FFmpeg for BT.709 and the narrow range.
+_BT709 = 1
+_NARROW = 1
+
+_Colour = tuple[int, int, int]
+_Ink = Callable[[str], _Colour]
+
+
+# ---------------------------------------------------------------- the picture
+
+@dataclass(frozen=True)
+class Camera:
+    """A fixed look at the figure, from a little to its left and above, for the depth of a gesture (metres, radians).
+
+    A metre at `middle` is `zoom` times the picture's shorter side.
+    """
+
+    yaw: float = 0.3
+    pitch: float = 0.09
+    distance: float = 4.6
+    middle: tuple[float, float, float] = (0.0, 0.93, 0.0)
+    zoom: float = 0.47
+
+    def project(self, points: Array, size: tuple[int, int]) -> tuple[Array, Array, Array]:
+        """Points [..., 3] in metres as places [..., 2] in pixels, pixels per metre [...] and depth [...] in metres.
+
+        Depth grows towards the viewer; scale = zoom * side * distance / (distance - depth).
+        """
+        x, y, z = np.moveaxis(np.asarray(points, float) - self.middle, -1, 0)
+        across = x * math.cos(self.yaw) - z * math.sin(self.yaw)
+        ahead = x * math.sin(self.yaw) + z * math.cos(self.yaw)
+        up = y * math.cos(self.pitch) - ahead * math.sin(self.pitch)
+        depth = y * math.sin(self.pitch) + ahead * math.cos(self.pitch)
+        scale = min(size) * self.zoom * self.distance / (self.distance - depth)
+        return np.stack([size[0] / 2 + across * scale, size[1] / 2 - up * scale], axis=-1), scale, depth
+
+
+@dataclass(frozen=True)
+class _Limb:
+    """Two balls and what lies between them: places [T, 3] and diameters in metres, colour."""
+
+    start: Array
+    end: Array
+    wide: float
+    narrow: float
+    colour: str
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Limbs with one thin outline around them all; `lift` metres nearer to the viewer than they are.
+
+    `shown` [T] says in which frames, where it is not all of them.
+    """
+
+    limbs: tuple[_Limb, ...]
+    lift: float
+    shown: NDArray[np.bool_] | None = None
+
+
+def _legs() -> list[_Part]:
+    """Legs that stand still under the hips; the data knows nothing below them."""
+    def at(x: float, y: float, z: float) -> Array:
+        return np.array([[x, y, z]])
+
+    limbs = [limb for x in (0.095, -0.095) for limb in (
+        _Limb(at(x * 0.85, 0.9, 0), at(x * 1.25, 0.07, 0), 0.17, 0.095, TROUSERS),
+        _Limb(at(x * 1.25, 0.035, 0), at(x * 1.5, 0.03, 0.15), 0.085, 0.07, INK))]
+    return [_Part(tuple(limbs), 0.0)]
+
+
+def _trunk(now: dict[str, Array]) -> list[_Part]:
+    collar = now["Spine3"] * 0.35 + now["Neck"] * 0.65
+    line = [now["Hips"] + [0.0, 0.06, 0.0], *(now[name] for name in ("Spine", "Spine1", "Spine2", "Spine3")), collar]
+    wide = (0.29, 0.28, 0.28, 0.31, 0.32, 0.15)
+    shirt = [_Limb(line[k], line[k + 1], wide[k], wide[k + 1], SHIRT) for k in range(len(line) - 1)]
+    shirt += [_Limb(now["Spine3"] * 0.4 + now[f"{side}Arm"] * 0.6, now[f"{side}Arm"], 0.16, 0.125, SHIRT)
+              for side in ("Left", "Right")]
+    return [_Part((_Limb(now["Neck"], now["Head"], 0.11, 0.105, SKIN),), -0.05), _Part(tuple(shirt), 0.0)]
+
+
+def _arm(now: dict[str, Array], side: str) -> list[_Part]:
+    shoulder, elbow, wrist, tip = (now[side + name] for name in ("Arm", "ForeArm", "Hand", "HandTip"))
+    return [_Part((_Limb(shoulder, elbow, 0.118, 0.09, SHIRT),), 0.04),
+            _Part((_Limb(elbow, wrist, 0.084, 0.054, SKIN), _Limb(wrist, tip, 0.07, 0.044, SKIN)), 0.06)]
+
+
+def _head(now: dict[str, Array], camera: Camera) -> list[_Part]:
+    """Hair is a ball, the face a smaller one where the nose points, so that one sees where the figure looks."""
+    up = now["HeadTip"] - now["Head"]
+    centre = now["Head"] + 0.52 * up
+    gaze = now["Nose"] - centre
+    face = centre + 0.22 * gaze - 0.15 * up
+    ahead = camera.project(now["Nose"], SIZE)[2] - camera.project(centre, SIZE)[2] > -0.04
+    hair = _Limb(centre, centre, 0.216, 0.216, HAIR)
+    front = (_Limb(face, face, 0.2, 0.2, SKIN), _Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))
+    return [_Part((hair,), 0.05, ~ahead), _Part((hair, *front), 0.05, ahead)]
+
+
+def outlines(start: Array, end: Array, r0: Array, r1: Array) -> Array:
+    """[T, 2 * _ROUND, 2] outlines of the hulls of two discs each: centres [T, 2], radii [T], all in pixels.
+
+    The sides touch both circles: they lean by asin((r0 - r1) / distance) against the axis. Where one disc holds the
+    other, its circle is the outline (and the other's one point lies within).
+    """
+    way = end - start
+    heading = np.arctan2(way[:, 1], way[:, 0])[:, None]
+    touch = np.arccos(np.clip((r0 - r1) / np.maximum(np.hypot(*way.T), 1e-9), -1.0, 1.0))[:, None]
+    share = np.linspace(0.0, 1.0, _ROUND)
+    far = heading - touch + 2 * touch * share
+    back = heading + touch + 2 * (np.pi - touch) * share
+    halves = [centre[:, None] + radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+              for centre, radius, angle in ((end, r1, far), (start, r0, back))]
+    return np.concatenate(halves, axis=1)
+
+
+class _Sheet(NamedTuple):
+    """A part ready to draw: how near [T], in which frames, and per polygon its corners [T, K, 2] and its colour."""
+
+    near: Array
+    shown: NDArray[np.bool_] | None
+    polygons: list[tuple[NDArray[np.int64], _Colour]]
+
+
+def _sheet(part: _Part, camera: Camera, size: tuple[int, int], ink: _Ink) -> _Sheet:
+    halos: list[tuple[NDArray[np.int64], _Colour]] = []
+    fills: list[tuple[NDArray[np.int64], _Colour]] = []
+    depths = []
+    for limb in part.limbs:
+        p, p_scale, _ = camera.project(limb.start, size)
+        q, q_scale, _ = camera.project(limb.end, size)
+        r0, r1 = limb.wide / 2 * p_scale, limb.narrow / 2 * q_scale
+        for where, extra, colour in ((halos, _HALO, PAPER), (fills, 0.0, limb.colour)):
+            # Whole pixels: Pillow would cut the fractions off.
+            corners = np.rint(outlines(p, q, r0 + extra * p_scale, r1 + extra * q_scale)).astype(np.int64)
+            where.append((corners, ink(colour)))
+        depths.append(camera.project((limb.start + limb.end) / 2, size)[2])
+    return _Sheet(np.mean(depths, axis=0) + part.lift, part.shown, halos + fills)
+
+
+def _background(camera: Camera, size: tuple[int, int], ink: _Ink) -> Image:
+    """Paper, a soft shadow on the floor, and the legs: what no frame changes."""
+    from PIL import Image, ImageDraw, ImageFilter
+
+    picture = Image.new("RGB", size, ink(PAPER))
+    pen = ImageDraw.Draw(picture)
+    place, scale, _ = camera.project(np.zeros(3), size)
+    for across, deep, colour in ((0.5, 0.07, FLOOR), (0.26, 0.036, SHADOW)):
+        reach = np.array([across, deep]) * scale
+        pen.ellipse([*(place - reach), *(place + reach)], fill=ink(colour))
+    picture = picture.filter(ImageFilter.GaussianBlur(0.012 * float(scale)))
+    pen = ImageDraw.Draw(picture)
+    for part in _legs():
+        for polygon, code in _sheet(part, camera, size, ink).polygons:
+            pen.polygon(polygon[0].ravel().tolist(), fill=code)
+    return picture
+
+
+def rgb(colour: str) -> _Colour:
+    """"#rrggbb" as three numbers from 0 to 255."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def bt709(colour: str) -> _Colour:
+    """"#rrggbb" as Y', Cb, Cr of eight bits in the narrow range (ITU-R BT.709): Y' in 16..235, Cb and Cr in 16..240."""
+    r, g, b = (value / 255 for value in rgb(colour))
+    y = 0.2126 * r + 0.7152 * g + 0.0722 * b
+    return round(16 + 219 * y), round(128 + 224 * (b - y) / 1.8556), round(128 + 224 * (r - y) / 1.5748)
+
+
+def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink = rgb) -> Iterator[Image]:
+    """One picture of `size` pixels for each of the T moments of `points`: name -> [T, 3], of `figure_points`.
+
+    ink: what stands in the three channels for a colour. Edges are means, which any linear code of colours allows.
+    """
+    try:
+        from PIL import ImageDraw
+    except ImportError:
+        raise _missing("Pillow") from None
+    camera, large = Camera(), (size[0] * _OVER, size[1] * _OVER)
+    background = _background(camera, large, ink)
+    parts = [*_trunk(points), *_arm(points, "Left"), *_arm(points, "Right"), *_head(points, camera)]
+    sheets = [_sheet(part, camera, large, ink) for part in parts]
+    # Only the box that the figure ever touches is drawn anew: the rest, most of the picture, stays.
+    every = np.concatenate([corners.reshape(-1, 2) for sheet in sheets for corners, _ in sheet.polygons])
+    low, high = (np.clip([every.min(0) // _OVER, every.max(0) // _OVER + 1], 0, size)).tolist()
+    stage = background.crop((low[0] * _OVER, low[1] * _OVER, high[0] * _OVER, high[1] * _OVER))
+    rest = background.reduce(_OVER)
+    corner = np.multiply(low, _OVER)
+    flat = [[((corners - corner).reshape(len(corners), -1).tolist(), colour) for corners, colour in sheet.polygons]
+            for sheet in sheets]
+    # Far parts first. Each is as near as its limbs' middle.
+    order = np.argsort(np.stack([sheet.near for sheet in sheets]), axis=0, kind="stable")
+    for frame, numbers in enumerate(order.T.tolist()):
+        picture = stage.copy()
+        pen = ImageDraw.Draw(picture)
+        for number in numbers:
+            shown = sheets[number].shown
+            if shown is None or shown[frame]:
+                for polygons, colour in flat[number]:
+                    pen.polygon(polygons[frame], fill=colour)
+        rest.paste(picture.reduce(_OVER), (low[0], low[1]))
+        yield rest.copy()
+
+
+# ---------------------------------------------------------------- the file
+
+def encode(points: dict[str, Array], speech: Speech, suffix: str, *, size: tuple[int, int] = SIZE,
+           fps: int = FPS) -> bytes:
+    """A video's bytes: frame k shows moment k of `points` (name -> [T, 3]); its sound is `speech` from its start.
+
+    The sound is cut, or filled with silence, to T / fps seconds. suffix: ".mp4" or ".webm". InputError for another one,
+    for an impossible size or rate, and where PyAV or Pillow is not installed.
+    """
+    kind = format_of(suffix)
+    if min(size) < 16 or size[0] % 2 or size[1] % 2:
+        raise InputError("size", f"must be even and 16 or more, not {size[0]} x {size[1]}")
+    if fps < 1:
+        raise InputError("fps", f"must be 1 or more, not {fps}")
+    frames = len(next(iter(points.values())))
+    if frames < 1:
+        raise InputError("video", "would hold no frame", "give a longer stretch")
+    sound = _resampled(speech, frames, fps)
+    with tempfile.TemporaryDirectory() as folder:
+        # A file, not memory: moving the index to the front needs to read back what was written.
+        target = Path(folder) / f"clip{suffix.lower()}"
+        _write(target, kind, pictures(points, size, bt709), sound, size, fps)
+        return target.read_bytes()
+
+
+def format_of(suffix: str) -> Format:
+    """How a suffix is written; InputError for an unknown one, and where PyAV is not installed."""
+    try:
+        import av  # noqa: F401 - asked for early, before minutes of drawing
+    except ImportError:
+        raise _missing("PyAV") from None
+    if suffix.lower() not in FORMATS:
+        raise InputError(suffix or "a name without a suffix", "is no video format that is written here",
+                         f"use {' or '.join(FORMATS)}")
+    return FORMATS[suffix.lower()]
+
+
+def filled(data: bytes, size: int, suffix: str) -> bytes:
+    """The file made `size` bytes long by an element at its end that players skip ("free" or Void, full of zeros).
+
+    Lengths tell how much a figure moves, and so which of two is the still one. `size` must be `LEAST_FILLING` more
+    than the file, or equal to it.
+    """
+    gap = size - len(data)
+    if gap == 0:
+        return data
+    if gap < LEAST_FILLING:
+        raise ValueError(f"{gap} bytes are too few to fill")
+    if FORMATS[suffix.lower()].container == "mp4":
+        return data + struct.pack(">I", gap) + b"free" + bytes(gap - 8)
+    # EBML: Void's id, and its length as a number of eight bytes, whose first bit says that it has eight.
+    return data + b"\xec" + struct.pack(">Q", (gap - 9) | 1 << 56) + bytes(gap - 9)
+
+
+def _missing(what: str) -> InputError:
+    return InputError("videos", f"need {what}, which is not installed", "pip install 'gesticulator[video]'")
+
+
+def _resampled(speech: Speech, frames: int, fps: int) -> Samples:
+    """The first frames / fps seconds at `SOUND_RATE`."""
+    wanted = round(frames * SOUND_RATE / fps)
+    # A little more than that goes in, so that the filter does not hear an end.
+    enough = speech.samples[:math.ceil((frames / fps + 0.1) * speech.sample_rate)]
+    samples = enough if speech.sample_rate == SOUND_RATE else soxr.resample(enough, speech.sample_rate, SOUND_RATE)
+    samples = np.clip(samples[:wanted], -1.0, 1.0).astype(np.float32)
+    return np.pad(samples, (0, wanted - len(samples)))
+
+
+def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, size: tuple[int, int], fps: int) -> None:
+    """Picture and sound in turn, so that a player finds what belongs together in one place."""
+    import av
+
+    options = kind.container_options | {"fflags": "+bitexact"}
+    with av.open(str(target), "w", format=kind.container, options=options) as container:
+        video: Any = container.add_stream(kind.video, rate=fps, options=kind.video_options)
+        video.width, video.height, video.pix_fmt = *size, "yuv420p"
+        # Said in the file, lest a player guess from the height and show other colours.
+        own = video.codec_context
+        own.colorspace, own.color_primaries, own.color_trc, own.color_range = _BT709, _BT709, _BT709, _NARROW
+        own.gop_size = 2 * fps
+        voice: Any = container.add_stream(kind.audio, rate=SOUND_RATE, layout="mono")
+        voice.bit_rate = kind.bit_rate
+        for stream in (video, voice):
+            stream.codec_context.thread_count = 1
+            stream.codec_context.flags |= av.codec.context.Flags.bitexact
+        for number, picture in enumerate(drawn):
+            container.mux(video.encode(_frame(picture, number, fps)))
+            first, last = (round(k * SOUND_RATE / fps) for k in (number, number + 1))
+            container.mux(voice.encode(_sound_frame(sound[first:last], first)))
+        for stream in (video, voice):
+            container.mux(stream.encode(None))
+
+
+def _frame(picture: Image, number: int, fps: int) -> Any:
+    """A picture in the colours of `bt709` as frame `number`.
+
+    Drawn in these colours from the start, which saves a slow conversion of every frame.
+    """
+    import av
+
+    light, blue, red = picture.split()
+    frame = av.VideoFrame(*picture.size, "yuv420p")
+    for plane, channel in zip(frame.planes, (light, blue.reduce(2), red.reduce(2)), strict=True):
+        rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
+        rows[:, :channel.width] = np.asarray(channel)
+        # A row has room behind its end, which an encoder may read.
+        rows[:, channel.width:] = rows[:, channel.width - 1:channel.width]
+    frame.pts, frame.time_base = number, Fraction(1, fps)
+    frame.colorspace, frame.color_range = _BT709, _NARROW
+    return frame
+
+
+def _sound_frame(samples: Samples, first: int) -> Any:
+    """Samples as a frame of sound that begins at sample `first`."""
+    import av
+
+    frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(samples[None]), format="fltp", layout="mono")
+    frame.sample_rate, frame.pts, frame.time_base = SOUND_RATE, first, Fraction(1, SOUND_RATE)
+    return frame
+
+
+def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: float = 0.0, seconds: float | None = None,
+                size: tuple[int, int] = SIZE, fps: int = FPS) -> None:
+    """Write the stretch from `start`, `seconds` long (or as long as both last), whole or not at all.
+
+    size: pixels across and down, both even. InputError for what `encode` refuses and for a stretch without a frame.
+    """
+    target = Path(path)
+    format_of(target.suffix)
+    # A microsecond: a length in seconds is seldom a whole number of frames to the last bit.
+    end = min(motion.duration, speech.duration, math.inf if seconds is None else start + seconds) + 1e-6
+    if not (math.isfinite(start) and start >= 0 and fps >= 1 and (end - start) * fps >= 1):
+        stretch = f"from {start:g} s" + ("" if seconds is None else f", {seconds:g} s long,")
+        raise InputError("video", f"the stretch {stretch} holds no frame: the motion lasts {motion.duration:.2f} s and "
+                         f"the sound {speech.duration:.2f} s", "give another start or length")
+    points = figure_points(motion, start + np.arange(math.floor((end - start) * fps)) / fps)
+    samples = speech.samples[round(start * speech.sample_rate):]
+    write_bytes(target, encode(points, Speech(samples, speech.sample_rate), target.suffix, size=size, fps=fps))
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator draw video` takes."""
+    parser.add_argument("motion", type=Path, help="a BVH file of an upper body")
+    parser.add_argument("--sound", type=Path, required=True, help="the recording that belongs to it")
+    parser.add_argument("--out", type=Path, help="the video, .mp4 or .webm (.mp4 beside the motion when not told)")
+    parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
+    parser.add_argument("--seconds", type=float, help="how long a stretch (all of it)")
+    parser.add_argument("--fps", type=float, help="the motion's frame rate, where the file's own is wrong")
+
+
+def run(arguments: argparse.Namespace) -> list[Path]:
+    """Write it; the video's path."""
+    out = arguments.out or arguments.motion.with_suffix(".mp4")
+    format_of(out.suffix)
+    motion = bvh.read_bvh(arguments.motion, fps=arguments.fps)
+    write_video(out, motion, load_speech(arguments.sound), start=arguments.start, seconds=arguments.seconds)
+    return [out]

@@ -1,0 +1,96 @@
+"""A clip as a bundle sees it: the blocks of its speech, the lexemes that its motion is nearest to, and its reward.
+
+Motion of anybody can be encoded, not only what the bundle made. A performer whom the bundle does not know is centred
+on the clip's own mean pose, and joints that the source lacks are at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module import blocks as block_module
+from data_module.types import Blocks, Motion, Speech
+from gesticulator.bundle import Bundle
+from gesticulator.config import Config
+from gesticulator.prepare import Statistics, representation_of
+from gesticulator.speech_features import encode_speech, front_end_for
+
+
+@dataclass(frozen=True)
+class SpeechBlocks:
+    """A clip's speech in N blocks. audio: [N, K, d] normalised, for the reward model; None without one."""
+
+    blocks: Blocks
+    audio: Tensor | None
+    speaker: str
+
+    @classmethod
+    def of(cls, bundle: Bundle, speech: Speech) -> SpeechBlocks:
+        """Cut and, where there is a model that judges, encoded as its training data was."""
+        speaker = speech.speaker or ""
+        if bundle.reward_judge is None:
+            return cls(block_module.cut(speech, bundle.config.rhythm), None, speaker)
+        encoded = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
+        frames, statistics = bundle.config.rhythm.frames, bundle.statistics
+        low = _middle(statistics.low.apply(encoded.low), frames)
+        if encoded.high is encoded.low:
+            return cls(encoded.blocks, low, speaker)
+        high = _middle(statistics.high.apply(encoded.high), frames)
+        return cls(encoded.blocks, torch.cat([low[..., :-1], high], dim=-1), speaker)
+
+
+def _middle(windows: NDArray[np.floating], frames: int) -> Tensor:
+    """[N, K, d] the block itself of windows of three, in the half precision that corpora are stored in."""
+    return torch.as_tensor(windows[:, frames:2 * frames].astype(np.float16)).float()
+
+
+@dataclass(frozen=True)
+class EncodedMotion:
+    """A motion in N blocks. poses: [N, K, D] normalised; latents: [N, code width]; labels: [N] nearest lexemes."""
+
+    blocks: Blocks
+    poses: Tensor
+    latents: Tensor
+    labels: NDArray[np.int64]
+
+
+def normalised_blocks(config: Config, statistics: Statistics, motion: Motion, blocks: Blocks, speaker: str = ""
+                      ) -> Tensor:
+    """[N, K, D_m] a motion in given blocks, in the features of a lexicon; see the module for unknown performers."""
+    poses = block_module.normalise_motion(motion, blocks, representation_of(config))
+    if speaker in statistics.speakers:
+        features = statistics.normalise(poses, statistics.speakers.index(speaker))
+    else:
+        features = (poses - poses.mean(axis=(0, 1))) / statistics.deviation
+    return torch.as_tensor(features, dtype=torch.float32)
+
+
+@torch.no_grad()
+def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
+    """The latents E(M) and nearest lexemes of a motion in given blocks (RG Eq. 4)."""
+    own = normalised_blocks(bundle.config, bundle.statistics, motion, blocks, speaker)
+    latents = bundle.drawn.lexicon.latents(own)
+    return EncodedMotion(blocks, own, latents, bundle.lexicon.quantizer.labels(latents).numpy())
+
+
+@torch.no_grad()
+def judged_reward(bundle: Bundle, encoded: EncodedMotion, speech: SpeechBlocks) -> float:
+    """The mean reward, by the model that judges, of the windows that end with each block (RACER Eq. 8).
+
+    A cosine from -1 to 1. Windows that are silent throughout are left out; NaN where all are, or without a model.
+    """
+    model = bundle.reward_judge
+    if model is None or speech.audio is None:
+        return float("nan")
+    at = torch.arange(len(encoded.poses))[:, None] + torch.arange(1 - model.config.window, 1)
+    valid, at = (at >= 0).float(), at.clamp_min(0)
+    motion = model.block_motion(encoded.poses, torch.as_tensor(np.log(speech.blocks.durations)).float())
+    cosines = (model.embed_motion(motion[at], valid) * model.embed_audio(model.block_audio(speech.audio)[at], valid)
+               ).sum(-1)
+    audible = ((valid > 0) & ~torch.as_tensor(speech.blocks.silent)[at]).any(dim=1)
+    return float(cosines[audible].double().mean()) if audible.any() else float("nan")

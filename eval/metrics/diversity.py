@@ -1,0 +1,199 @@
+"""Diversity: is the whole lexicon used, in ever new orders and ways? (RG Eq. 23, RG Table 2 and 5)
+
+Theory: the entropy of how often each lexeme occurs says how many are in use: e to the entropy in nats is as many
+lexemes as, used evenly, would have it. It is 0 for one lexeme alone and ln(N_s) for even use. The paper's logarithm has
+no base; 3.79 and 4.32 may be nats or bits, so both are given. Its motion variance (RG 7.4.2) asks the same within a
+lexeme: how differently is one lexeme performed? Take the distance of each motion's latent from its lexeme, then the
+variance of those per lexeme, then the mean over lexemes. The other three look at the order of lexemes: the share of
+bigrams that are different (distinct-2, Li et al. 2016), the longest run of one lexeme, and the share of bigrams that
+no speaker of the training data ever made.
+
+Good: near the speaker's own value, for each. More is not better: noise has the most. What fools them: lexemes drawn at
+random reach ln(N_s) and a distinct-2 that no person has (see `unseen_bigrams`, which gives them away). Entropy and
+variance scarcely see the order of frames or blocks: motion with another clip's speech has the value of the right one,
+to the digit. Jitter raises the motion variance, as a rougher performance of each lexeme, and may raise the entropy.
+Few blocks make the entropy too small, by about (lexemes used - 1) / (2 blocks) nats, and distinct-2 too large:
+compare sets of the same number of blocks.
+
+    >>> diversity([0, 0, 1, 1], size=4).used, round(entropy([2, 2, 0, 0]), 4), distinct_2([[0, 1, 0, 1]])
+    (2, 0.6931, 0.6666666666666666)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from data_module.types import Array
+
+Labels = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Diversity:
+    """Entropy of lexeme use (RG Eq. 23). share: of the largest possible, 0 to 1; used: how many lexemes occur.
+
+    NaN when there is no block; share is NaN too for a lexicon of one, which allows of no diversity.
+    """
+
+    nats: float
+    bits: float
+    share: float
+    used: int
+    blocks: int
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, float | int | str]:
+        """For JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class MotionVariance:
+    """Mean over lexemes of the variance of latent distances (RG Table 2), in squared latent units.
+
+    lexemes: how many it is a mean over; left_out: lexemes that occur, but once, so have no variance. NaN when no lexeme
+    occurs twice.
+    """
+
+    mean: float
+    lexemes: int
+    left_out: int
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, float | int | str]:
+        """For JSON."""
+        return asdict(self)
+
+
+def entropy(counts: ArrayLike) -> float:
+    """- sum of p_i log p_i in nats, of how often each lexeme occurs [S] (RG Eq. 23); NaN where nothing occurs."""
+    own = np.asarray(counts, dtype=np.float64)
+    if own.sum() <= 0:
+        return float("nan")
+    shares = own[own > 0] / own.sum()
+    # Where one lexeme is all there is, -0.0 would be printed.
+    return abs(float(-(shares * np.log(shares)).sum()))
+
+
+def diversity(labels: ArrayLike, size: int) -> Diversity:
+    """- sum of p_i log p_i over the `size` lexemes of the lexicon, of labels [N] (RG Eq. 23)."""
+    own = checked_labels(labels, size)
+    if len(own) == 0:
+        nan = float("nan")
+        return Diversity(nan, nan, nan, 0, 0, "there is no block")
+    counts = np.bincount(own, minlength=size)
+    nats = entropy(counts)
+    share, reason = (nats / float(np.log(size)), "") if size > 1 else (float("nan"), "the lexicon has one lexeme")
+    return Diversity(nats, nats / float(np.log(2.0)), share, int((counts > 0).sum()), len(own), reason)
+
+
+def nearest_lexemes(latents: Array, vectors: Array) -> Labels:
+    """[N] the lexeme nearest to each latent [N, D], of vectors [S, D] (RG Eq. 4): what a real motion is said to do."""
+    own, lexemes = _latents(latents, vectors)
+    distances = (own ** 2).sum(1)[:, None] - 2.0 * own @ lexemes.T + (lexemes ** 2).sum(1)
+    return distances.argmin(axis=1).astype(np.int64)
+
+
+def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> MotionVariance:
+    """How differently each lexeme is performed, of the motions' latents [N, D] and lexeme vectors [S, D] (RG 7.4.2).
+
+    labels: [N], for a generated motion the lexeme it was made from, for a real one that of `nearest_lexemes`. The
+    variance is the unbiased one, so that rare lexemes do not lower the mean.
+    """
+    own, lexemes = _latents(latents, vectors)
+    chosen = checked_labels(labels, len(lexemes))
+    if len(chosen) != len(own):
+        raise ValueError(f"{len(own)} latents have {len(chosen)} labels")
+    distances = np.linalg.norm(own - lexemes[chosen], axis=1)
+    counts = np.bincount(chosen, minlength=len(lexemes))
+    variances = [float(distances[chosen == lexeme].var(ddof=1)) for lexeme in np.flatnonzero(counts > 1)]
+    once = int((counts == 1).sum())
+    if not variances:
+        return MotionVariance(float("nan"), 0, once, "no lexeme occurs twice")
+    return MotionVariance(float(np.mean(variances)), len(variances), once)
+
+
+def lexeme_moments(clips: Sequence[tuple[Array, Labels] | None], vectors: Array) -> tuple[Array, Array, Array]:
+    """[clips, S] each: for every lexeme the number of blocks, the sum of their distances to its vector and the sum of
+    squares, both less the mean distance of all. Redrawn sets are summed from these: the blocks are not needed.
+
+    clips: latents [N, D] and labels [N] of each, None for a clip without blocks; vectors: [S, D].
+    """
+    lengths = [np.zeros(0) if clip is None else np.linalg.norm(clip[0] - vectors[clip[1]], axis=1) for clip in clips]
+    middle = float(np.concatenate(lengths).mean())
+    labels = [np.zeros(0, dtype=np.int64) if clip is None else clip[1] for clip in clips]
+    powers = [np.array([np.bincount(own, (length - middle) ** power, minlength=len(vectors))
+                        for own, length in zip(labels, lengths, strict=True)]) for power in (0, 1, 2)]
+    return powers[0], powers[1], powers[2]
+
+
+def variance_of_moments(counts: Array, sums: Array, squares: Array) -> float:
+    """`motion_variance` from the sums [S] of `lexeme_moments`; NaN where no lexeme occurs twice."""
+    twice = counts > 1
+    n, total, square = counts[twice], sums[twice], squares[twice]
+    return float(np.maximum((square - total ** 2 / n) / (n - 1), 0.0).mean()) if twice.any() else float("nan")
+
+
+def distinct_2(sequences: Sequence[ArrayLike]) -> float:
+    """Share of different bigrams among all bigrams of the sequences of labels; a pair lies within one sequence.
+
+    0 to 1, NaN without a bigram (no sequence of two blocks). It falls as sequences grow: compare equal lengths.
+    """
+    pairs = _bigrams(sequences)
+    return float("nan") if len(pairs) == 0 else len(np.unique(pairs, axis=0)) / len(pairs)
+
+
+def longest_run(sequences: Sequence[ArrayLike]) -> float:
+    """How many blocks in a row have one lexeme, at most, in any sequence; 1: never twice. NaN without a block."""
+    longest = 0
+    for sequence in sequences:
+        own = checked_labels(sequence)
+        if len(own):
+            edges = np.flatnonzero(np.diff(own)) + 1
+            longest = max(longest, int(np.diff(np.concatenate([[0], edges, [len(own)]])).max()))
+    return float(longest) if longest else float("nan")
+
+
+def unseen_bigrams(sequences: Sequence[ArrayLike], training: Sequence[ArrayLike]) -> float:
+    """Share of the bigrams of `sequences` that occur nowhere in `training`: moves that no speaker was seen to make.
+
+    0 to 1. NaN when either has no bigram: without training data nothing is unseen in any sense worth a figure.
+    """
+    pairs, known = _bigrams(sequences), _bigrams(training)
+    if len(pairs) == 0 or len(known) == 0:
+        return float("nan")
+    seen = {(int(a), int(b)) for a, b in known}
+    return float(np.mean([(int(a), int(b)) not in seen for a, b in pairs]))
+
+
+def checked_labels(labels: ArrayLike, size: int | None = None) -> Labels:
+    """Labels [N] of lexemes; ValueError unless they are whole numbers from 0 (to size - 1), in one row."""
+    own = np.asarray(labels)
+    if own.size == 0 and own.ndim == 1:
+        return np.zeros(0, dtype=np.int64)
+    if own.ndim != 1 or not np.issubdtype(own.dtype, np.integer):
+        raise ValueError(f"labels must be whole numbers, [N], not {own.dtype} {own.shape}")
+    if own.min() < 0 or (size is not None and own.max() >= size):
+        raise ValueError(f"labels must lie in 0 to {'N_s' if size is None else size} - 1: "
+                         f"{own.min()} to {own.max()}")
+    return own.astype(np.int64)
+
+
+def _bigrams(sequences: Sequence[ArrayLike]) -> Labels:
+    """[n, 2] every pair of neighbours."""
+    own = [checked_labels(sequence) for sequence in sequences]
+    pairs = [np.stack([labels[:-1], labels[1:]], axis=1) for labels in own if len(labels) > 1]
+    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
+
+
+def _latents(latents: Array, vectors: Array) -> tuple[Array, Array]:
+    own, lexemes = np.asarray(latents, dtype=np.float64), np.asarray(vectors, dtype=np.float64)
+    if own.ndim != 2 or lexemes.ndim != 2 or own.shape[1] != lexemes.shape[1] or len(lexemes) == 0:
+        raise ValueError(f"latents [N, D] and lexemes [S, D] do not fit: {own.shape} and {lexemes.shape}")
+    if not (np.isfinite(own).all() and np.isfinite(lexemes).all()):
+        raise ValueError("latents and lexemes must be finite")
+    return own, lexemes

@@ -1,0 +1,208 @@
+"""The body that the eye's figures are measured on: any upper body, at 60 Hz, with one size and one heading.
+
+Theory: people differ in size and stand where they like; how they gesture should not depend on it. So every motion is
+brought to 60 frames a second and to one common body: hips at the origin, facing +Z in every frame (their heading is
+taken off, not their tilt), 40 cm from hips to chest, 21.5 cm from chest to head, upper arms of 28 cm and forearms of
+25 cm. The trunk follows the world rotations of the source's spine, whose bones share the 40 cm as they share the
+source's length; the arms follow the directions of the source's bones. The chest is the joint that both arms hang on.
+
+What fools it: a source whose rest pose is not upright has no common body (ValueError). A turn of the whole
+speaker that is in the spine and not in the hips counts as movement of the chest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import find_table
+from data_module.types import Array, Motion, Skeleton
+
+HZ = 60.0
+"""Frames per second of every figure."""
+SIDES = ("Right", "Left")
+_TO_CHEST, _TO_NECK, _TO_HEAD = 0.40, 0.135, 0.08
+"""Metres: hips to chest, chest to neck, neck to head."""
+_WAIST = 0.75
+"""Share of the way from the hips to the chest where the waist is."""
+_COLLAR, _SHOULDER = np.array([0.03, 0.09, 0.02]), np.array([0.15, 0.0, -0.03])
+"""Metres: from the chest to the left collar bone, and along it; mirrored on the right."""
+_UPPER_ARM, _FOREARM = 0.28, 0.25
+_UPRIGHT, _LEVEL = 0.8, 0.4
+"""Cosines: a rest pose is upright where its trunk is this vertical and its shoulders are no steeper."""
+_EPS = 1e-9
+
+
+@dataclass(frozen=True)
+class CommonBody:
+    """points: name -> [T, 3] metres of Chest, Waist, Neck, Head, and of both sides' Arm, ForeArm and Hand; chest, head:
+    [T, 4] world rotations from the rest pose; finger_speed: [T - 1] degrees a second of the fastest finger joint, None
+    where there are no fingers. All at `HZ`."""
+
+    points: dict[str, Array]
+    chest: Array
+    head: Array
+    finger_speed: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.chest)
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return len(self) / HZ
+
+    @property
+    def hands(self) -> Array:
+        """[T, 2, 3] both wrists, the right first."""
+        return np.stack([self.points[side + "Hand"] for side in SIDES], axis=1)
+
+    @property
+    def hand_speed(self) -> Array:
+        """[T - 1, 2] m/s of both wrists as seen from the hips."""
+        speed: Array = np.linalg.norm(np.diff(self.hands, axis=0), axis=-1) * HZ
+        return speed
+
+    def crop(self, start: int, stop: int) -> CommonBody:
+        """The frames start..stop-1."""
+        fingers = None if self.finger_speed is None else self.finger_speed[start:max(stop - 1, start)]
+        return replace(self, points={name: place[start:stop] for name, place in self.points.items()},
+                       chest=self.chest[start:stop], head=self.head[start:stop], finger_speed=fingers)
+
+
+def common_body(motion: Motion) -> CommonBody:
+    """Any upper body as the common one. InputError where its joints are not known, ValueError where its rest pose is
+    not upright."""
+    skeleton = motion.skeleton
+    joints = dict(find_table(skeleton.names))
+    joints["Chest"] = _chest(skeleton.parents, skeleton.names, joints)
+    own = kinematics.resample(motion, HZ)
+    world, places = kinematics.global_rotations(skeleton, own.rotations), kinematics.positions_of(own)
+    change = _axes(skeleton, joints)
+    world = rotation.multiply(rotation.multiply(change, world), rotation.conjugate(change))
+    places = rotation.rotate(change, places - places[:, joints["Hips"], None])
+    back = _heading(world[:, joints["Hips"]])
+    world, places = rotation.multiply(back[:, None], world), rotation.rotate(back[:, None], places)
+    points = _trunk(motion, joints, world)
+    for side, sign in zip(SIDES, (-1.0, 1.0), strict=True):
+        _arm(points, side, sign, joints, skeleton.parents, world, places)
+    return CommonBody(points, world[:, joints["Chest"]], world[:, joints["Head"]],
+                      _finger_speed(own, [joints[side + "Hand"] for side in SIDES]))
+
+
+def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
+    """The joint and all above it, upwards."""
+    above = [joint]
+    while parents[above[-1]] >= 0:
+        above.append(parents[above[-1]])
+    return above
+
+
+def _chain(parents: Sequence[int], top: int, end: int) -> list[int]:
+    """The joints from `top` down to `end`; ValueError where `end` does not hang on `top`."""
+    above = _ancestors(parents, end)
+    if top not in above:
+        raise ValueError("the head and the arms do not hang on the hips")
+    return above[:above.index(top) + 1][::-1]
+
+
+def _chest(parents: Sequence[int], names: Sequence[str], joints: dict[str, int]) -> int:
+    """The lowest joint that carries both arms; never the neck."""
+    right = set(_ancestors(parents, joints["RightArm"])[1:])
+    chest = next(joint for joint in _ancestors(parents, joints["LeftArm"])[1:] if joint in right)
+    if "neck" in names[chest].lower() and parents[chest] >= 0:
+        chest = parents[chest]
+    # Arms that hang on the hips (rigs in pieces): the spine is the chest.
+    return joints.get("Spine2", joints["Spine"]) if chest == joints["Hips"] else chest
+
+
+def _axes(skeleton: Skeleton, joints: dict[str, int]) -> Array:
+    """[4] the rotation that brings the source's axes onto ours (Y up, left +X), by its rest pose."""
+    rest = kinematics.joint_positions(skeleton, np.tile([1.0, 0.0, 0.0, 0.0], (len(skeleton), 1)))
+    trunk = _unit(rest[joints["Head"]] - rest[joints["Hips"]])
+    across = _unit(rest[joints["LeftArm"]] - rest[joints["RightArm"]])
+    up = _dominant(trunk)
+    if trunk @ up <= _UPRIGHT or abs(across @ up) >= _LEVEL:
+        raise ValueError("the rest pose is not upright, so there is no common body")
+    left = _dominant(across - (across @ up) * up)
+    matrix = np.stack([left, up, np.cross(left, up)])
+    return np.asarray(Rotation.from_matrix(matrix).as_quat(scalar_first=True), dtype=np.float64)
+
+
+def _dominant(vector: Array) -> Array:
+    """[3] the axis that a vector points along most."""
+    out = np.zeros(3)
+    out[np.abs(vector).argmax()] = np.sign(vector[np.abs(vector).argmax()])
+    return out
+
+
+def _unit(vectors: Array) -> Array:
+    """[..., 3] of length 1."""
+    lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.maximum(lengths, _EPS)
+
+
+def _heading(hips: Array) -> Array:
+    """[T, 4] the turns about Y that bring the hips [T, 4] to face +Z."""
+    ahead = rotation.rotate(hips, np.array([0.0, 0.0, 1.0]))
+    half = -0.5 * np.arctan2(ahead[:, 0], ahead[:, 2])
+    return np.stack([np.cos(half), np.zeros_like(half), np.sin(half), np.zeros_like(half)], axis=-1)
+
+
+def _trunk(motion: Motion, joints: dict[str, int], world: Array) -> dict[str, Array]:
+    """Waist, chest, neck and head: the spine's own turns, its bones upright at rest and of common lengths."""
+    skeleton = motion.skeleton
+    lengths = np.linalg.norm(skeleton.offsets, axis=1)
+    spine = _chain(skeleton.parents, joints["Hips"], joints["Chest"])
+    throat = _chain(skeleton.parents, joints["Chest"], joints["Head"])
+    origin = np.zeros((len(world), 3))
+    points = {"Chest": _along(spine, origin, lengths, world, _TO_CHEST),
+              "Waist": _along(spine, origin, lengths, world, _TO_CHEST, _WAIST)}
+    # The neck may be the chest itself, where the head is its child; then there is no neck to bend.
+    at = throat.index(joints["Neck"]) if joints["Neck"] in throat else None
+    if at is None:
+        points["Head"] = points["Neck"] = _along(throat, points["Chest"], lengths, world, _TO_NECK + _TO_HEAD)
+    else:
+        points["Neck"] = _along(throat[:at + 1], points["Chest"], lengths, world, _TO_NECK)
+        points["Head"] = _along(throat[at:], points["Neck"], lengths, world, _TO_HEAD)
+    return points
+
+
+def _along(chain: Sequence[int], start: Array, lengths: Array, world: Array, total: float, part: float = 1.0) -> Array:
+    """[T, 3] the place `part` of the way along a chain that is `total` metres long and upright at rest."""
+    own = np.array([lengths[joint] for joint in chain[1:]])
+    place, left = start, part * total
+    for joint, length in zip(chain[:-1], own * total / max(float(own.sum()), _EPS), strict=True):
+        place = place + rotation.rotate(world[:, joint], np.array([0.0, min(float(length), left), 0.0]))
+        left = max(left - float(length), 0.0)
+    return place
+
+
+def _arm(points: dict[str, Array], side: str, sign: float, joints: dict[str, int], parents: Sequence[int],
+         world: Array, places: Array) -> None:
+    """Shoulder, elbow and wrist of a side; sign: +1 on the left."""
+    chain = _chain(parents, joints["Chest"], joints[side + "Arm"])
+    collar = chain[1] if len(chain) > 2 else joints["Chest"]
+    mirror = np.array([sign, 1.0, 1.0])
+    points[side + "Arm"] = (points["Chest"] + rotation.rotate(world[:, joints["Chest"]], mirror * _COLLAR)
+                            + rotation.rotate(world[:, collar], mirror * _SHOULDER))
+    for bone, tip, length in (("Arm", "ForeArm", _UPPER_ARM), ("ForeArm", "Hand", _FOREARM)):
+        way = places[:, joints[side + tip]] - places[:, joints[side + bone]]
+        points[side + tip] = points[side + bone] + length * _unit(way)
+
+
+def _finger_speed(motion: Motion, hands: Sequence[int]) -> Array | None:
+    """[T - 1] degrees a second of the fastest joint below the wrists; None without such joints, or of one frame."""
+    parents = motion.skeleton.parents
+    fingers = [joint for joint in range(len(parents))
+               if joint not in hands and any(hand in _ancestors(parents, joint) for hand in hands)
+               and motion.skeleton.names[joint] not in motion.absent]
+    if not fingers or len(motion) < 2:
+        return None
+    turns = motion.rotations[:, fingers]
+    speed: Array = np.degrees(rotation.angle_between(turns[:-1], turns[1:])).max(axis=1) * HZ
+    return speed

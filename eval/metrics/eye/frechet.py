@@ -1,0 +1,138 @@
+"""Window Frechet distance: everything at once, in a space that no system was trained in.
+
+Theory: each window of 2 s (15 Hz, every 0.4 s) is told in 40 numbers of the places of both wrists, both elbows and the
+head as seen from the waist: their means (15), log(sd + 3 mm) (15), log(mean speed + 1 cm/s) (5), log(peak speed
++ 1 cm/s) (5). In units of the reference's deviations, on its first ten principal axes, the figure is the squared
+Frechet distance of the two sets taken for Gaussians,
+
+    |m_1 - m_2|^2 + tr(C_1 + C_2 - 2 (C_1 C_2)^(1/2)).
+
+The space is frozen in a file: mean, sd, axes and the moments of two real takes, no motion. The same space serves for
+the distance to any other set, such as the corpus that a system learnt from.
+
+Unit: squared deviations of the reference. Good: low. Anchors: the halves of one real take against both takes together
+8 and 13; a peer's system 26 to 28; unit selection over a tenth of a corpus 22; frozen motion 240. A take of one minute
+has some 150 windows, far fewer of them independent: a difference of 2 is noise. Pooled windows of many clips are nearer
+than the mean of the clips' own distances, which is why a table says which of both it shows.
+
+What fools it: a motion played backwards has the same value (13.0 for one real take both ways), as the order of speeds
+in a window is not seen; and so has a mirrored copy (12.7), as the space keeps no tie between the hands. Both belong
+beside it in every table, with the figures of `hands`, which see the mirror. It does not hear the speech. Jitter (131),
+bobbing (299) and a frozen pose (687) are far. The reference is two people: who gestures as well but otherwise is "far".
+
+    >>> one = Moments(np.zeros(2), np.eye(2))
+    >>> round(frechet(one, Moments(np.array([3.0, 0.0]), 4.0 * np.eye(2))), 6)
+    11.0
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.types import Array
+from eval.metrics.eye.body import CommonBody
+
+POINTS = ("RightHand", "LeftHand", "RightForeArm", "LeftForeArm", "Head")
+WIDTH = 40
+REFERENCE = "eye_reference.npz"
+"""The file's name in GESTICULATOR_DATA."""
+_THIN, _WINDOW, _STEP = 4, 30, 6
+"""60 Hz to 15 Hz; frames in a window (2 s) and from one to the next (0.4 s)."""
+_LEAST_SPREAD, _LEAST_SPEED = 0.003, 0.01
+"""Metres and m/s under the logarithms: what is smaller is still."""
+_FEWEST = 3
+"""Windows from which on a set has moments."""
+
+
+def windows(body: CommonBody) -> Array:
+    """[n, 40] descriptors of a motion's windows; n is 0 where it lasts less than 2 s."""
+    places = (np.stack([body.points[name] for name in POINTS], axis=1) - body.points["Waist"][:, None])[::_THIN]
+    told = []
+    for start in range(0, len(places) - _WINDOW, _STEP):
+        piece = places[start:start + _WINDOW]
+        speed = np.linalg.norm(np.diff(piece, axis=0), axis=-1) * 15.0
+        told.append(np.concatenate([piece.mean(0).ravel(), np.log(piece.std(0).ravel() + _LEAST_SPREAD),
+                                    np.log(speed.mean(0) + _LEAST_SPEED), np.log(speed.max(0) + _LEAST_SPEED)]))
+    return np.array(told, dtype=np.float64).reshape(-1, WIDTH)
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Mean [d] and covariance [d, d] of a set in the space."""
+
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, points: Array) -> Moments | None:
+        """Of [n, d]; None for fewer than three."""
+        return cls(points.mean(axis=0), np.cov(points.T)) if len(points) >= _FEWEST else None
+
+
+def frechet(first: Moments, second: Moments) -> float:
+    """The squared Frechet distance of two Gaussians."""
+    # The trace of the root of a product of covariances is the sum of singular values of the product of their roots.
+    shared = np.linalg.svd(_root(first.covariance) @ _root(second.covariance), compute_uv=False).sum()
+    spread = np.trace(first.covariance) + np.trace(second.covariance) - 2.0 * shared
+    return float(((first.mean - second.mean) ** 2).sum() + max(float(spread), 0.0))
+
+
+def _root(covariance: Array) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    root: Array = (vectors * np.sqrt(values.clip(min=0.0))) @ vectors.T
+    return root
+
+
+@dataclass(frozen=True)
+class ReferenceSpace:
+    """The frozen space: mean, sd: [40]; axes: [10, 40]; real: the moments of the real takes in it."""
+
+    mean: Array
+    sd: Array
+    axes: Array
+    real: Moments
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> ReferenceSpace:
+        """Read a file of statistics (.npz: mean, sd, axes, own_mean, own_root); InputError where it is none."""
+        wanted = ("mean", "sd", "axes", "own_mean", "own_root")
+        try:
+            with np.load(Path(path), allow_pickle=False) as content:
+                mean, sd, axes, own, root = (np.asarray(content[name], dtype=np.float64) for name in wanted)
+        except FileNotFoundError:
+            raise InputError(path, "does not exist", "check the path") from None
+        except (KeyError, ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile):
+            raise InputError(path, f"is no reference of the eye's space (it lacks {', '.join(wanted)})",
+                             f"give {REFERENCE}") from None
+        k = len(axes)
+        if (mean.shape, sd.shape, axes.shape, own.shape, root.shape) != ((WIDTH,), (WIDTH,), (k, WIDTH), (k,), (k, k)) \
+                or not all(np.isfinite(part).all() for part in (mean, sd, axes, own, root)) or (sd <= 0).any():
+            raise InputError(path, "holds statistics of another shape", f"give {REFERENCE}")
+        return cls(mean, sd, axes, Moments(own, root @ root.T))
+
+    @classmethod
+    def found(cls) -> ReferenceSpace | None:
+        """The one in GESTICULATOR_DATA; None where there is none."""
+        told = os.environ.get("GESTICULATOR_DATA")
+        file = Path(told).expanduser() / REFERENCE if told else None
+        return cls.load(file) if file is not None and file.is_file() else None
+
+    def see(self, descriptors: Array) -> Array:
+        """Windows [n, 40] in the space, [n, 10]."""
+        return ((descriptors - self.mean) / self.sd) @ self.axes.T
+
+    def moments(self, descriptors: Array) -> Moments | None:
+        """Of windows [n, 40]; None for fewer than three."""
+        return Moments.of(self.see(descriptors))
+
+    def distance(self, descriptors: Array, other: Moments | None = None) -> float:
+        """Of windows [n, 40] from the real takes, or from other moments in this space; NaN for fewer than three."""
+        own = self.moments(descriptors)
+        return math.nan if own is None else frechet(own, self.real if other is None else other)

@@ -1,0 +1,91 @@
+"""Trunk and life: do the head and the chest move, does anything, and does anything run through anything?
+
+Theory: a speaker nods, turns, leans and breathes. The spread of a rotation q_t about its mean (the largest eigenvector
+of sum q q^T) is the root mean square of the rotation vectors from the mean, degrees:
+
+- head on chest: of the head's rotation relative to the chest; chest: of the chest's, relative to the facing hips.
+- head yaw: the 95th percentile of how far the face is turned from where the hips face, degrees.
+- longest freeze: seconds for which both hands and the head stay under 2 cm/s (smoothed over 50 ms); of the head alone,
+  under 2 cm/s; of both hands, under 5 cm/s.
+- hand, elbow in the torso: percentage of frames of the worse side in which a wrist lies within 11.5 cm, an elbow within
+  13 cm, of the line from hips to chest.
+- fingers: percentage of time that some finger joint turns faster than 5 degrees a second; undefined without fingers.
+
+Good: near a speaker's own (16 and 9 degrees for the head, 9 and 4 for the chest, yaw under 25 degrees, no freeze over a
+second, 1 % or less in the torso).
+
+What fools them: a trunk that sways at random has a spread, so it says nothing of nods that go with the voice. A motion
+played backwards has all of them to the digit, and arms that mirror each other have the same trunk. Jitter ends every
+freeze. A body that stands apart from its hands at all times is never in its torso: a frozen pose passes that.
+
+    >>> longest(np.array([True] * 30 + [False] + [True] * 60))
+    1.0
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from data_module.motion import rotation
+from data_module.types import Array
+from eval.metrics.eye.body import HZ, SIDES, CommonBody
+
+STILL, HANDS_STILL = 0.02, 0.05
+"""m/s: what is slower stands still; of both hands without the head."""
+SMOOTHING = 3.0
+"""Frames at 60 Hz: the standard deviation of the Gaussian before speeds are taken (50 ms)."""
+_HAND_RADIUS, _ELBOW_RADIUS = 0.115, 0.13
+"""Metres from the trunk's line: half a chest's depth."""
+_FINGER_MOVES = 5.0
+"""Degrees a second."""
+
+
+def spread(turns: Array) -> float:
+    """Degrees: root mean square of rotations [T, 4] about their mean."""
+    mean = np.linalg.eigh(turns.T @ turns)[1][:, -1]
+    away = rotation.to_exponential_map(rotation.multiply(rotation.conjugate(mean), turns))
+    return float(np.degrees(np.sqrt((away ** 2).sum(axis=-1).mean())))
+
+
+def smoothed_speed(places: Array) -> Array:
+    """[T, J] m/s of places [T, J, 3] after the Gaussian, by central differences."""
+    velocity = np.gradient(gaussian_filter1d(places, SMOOTHING, axis=0), 1.0 / HZ, axis=0)
+    speed: Array = np.linalg.norm(velocity, axis=-1)
+    return speed
+
+
+def longest(mask: NDArray[np.bool_] | np.bool_) -> float:
+    """Seconds of the longest run of True, [T] at 60 Hz."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], np.atleast_1d(mask), [False]]).astype(np.int8)))
+    return float((ends[1::2] - ends[::2]).max(initial=0)) / HZ
+
+
+def inside(points: Array, low: Array, high: Array, radius: float) -> float:
+    """Percentage of frames in which points [T, 3] lie nearer than `radius` to the line from low to high, [T, 3]."""
+    axis = high - low
+    share = np.clip(((points - low) * axis).sum(-1) / np.maximum((axis * axis).sum(-1), 1e-12), 0.0, 1.0)
+    return 100.0 * float((np.linalg.norm(points - low - share[:, None] * axis, axis=-1) < radius).mean())
+
+
+def figures(body: CommonBody) -> dict[str, float]:
+    """Every figure of this chapter."""
+    face = rotation.rotate(body.head, np.array([0.0, 0.0, 1.0]))
+    yaw = np.degrees(np.abs(np.arctan2(face[:, 0], face[:, 2])))
+    speed = smoothed_speed(np.concatenate([body.hands, body.points["Head"][:, None]], axis=1))
+    hips, chest = np.zeros_like(body.points["Chest"]), body.points["Chest"]
+    moving = body.finger_speed
+    return {
+        "eye_head": spread(rotation.multiply(rotation.conjugate(body.chest), body.head)),
+        "eye_chest": spread(body.chest),
+        "eye_head_yaw": float(np.percentile(yaw, 95)),
+        "eye_freeze": longest((speed < STILL).all(axis=1)),
+        "eye_freeze_head": longest(speed[:, 2] < STILL),
+        "eye_freeze_hands": longest((speed[:, :2] < HANDS_STILL).all(axis=1)),
+        "eye_hand_in_torso": max(inside(body.points[side + "Hand"], hips, chest, _HAND_RADIUS) for side in SIDES),
+        "eye_elbow_in_torso": max(inside(body.points[side + "ForeArm"], hips, chest, _ELBOW_RADIUS) for side in SIDES),
+        "eye_fingers": math.nan if moving is None else 100.0 * float((moving > _FINGER_MOVES).mean()),
+    }

@@ -1,0 +1,427 @@
+"""Networks that see a stretch of gesture as a few numbers: what the Frechet gesture distance is measured in.
+
+Theory: an autoencoder (Yoon et al. 2020) reads a window of bone directions and must say it again from 32 numbers; what
+those keep is taken for what matters in a gesture. Two of that family stand here.
+
+- The network of both papers (RG 7.3.2, RACER 5.3), trained by its authors on Human3.6M, read from a folder that the
+  user names: it is theirs, and not for commercial use. Windows of 34 frames at 15 fps, nothing else.
+- Our own, trained on windows of a store, of any length: pinned by the SHA-256 of its file.
+
+Both see the directions of nine bones between ten joints, seen from the facing hips. So both are blind to the wrists,
+to the turn of a limb about its own length and to where the speaker stands.
+
+    >>> RawFeatures(frames=34).features(np.zeros((5, 34, DIRECTIONS))).shape       # two frames of 27 directions
+    (5, 54)
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import safetensors.torch
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from data_module.errors import InputError
+from data_module.files import write_bytes, write_text
+from data_module.layers import SLOPE, freeze
+from data_module.motion.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
+from data_module.store import Split, Store
+from data_module.types import Array, Motion
+from gesticulator.fit import FitSettings, fit
+
+DIRECTIONS = 3 * len(TED_BONES)
+"""27 numbers a frame."""
+FPS = 15.0
+"""Frames a second of the papers' network, and of ours unless told."""
+PUBLISHED = "h36m_gesture_encoder"
+PUBLISHED_AXES = (-1.0, -1.0, 1.0)
+"""Our directions times these are those that the published network learned: Y down, joints 4 to 6 at -X, facing +Z."""
+PUBLISHED_JOINTS = (("spine", "Spine2"), ("neck", "Neck"), ("nose", "Head"), ("head", "Head"),
+                    ("one shoulder", "LeftArm"), ("one elbow", "LeftForeArm"), ("one wrist", "LeftHand"),
+                    ("other shoulder", "RightArm"), ("other elbow", "RightForeArm"), ("other wrist", "RightHand"))
+"""Its ten joints, in order, and which joint of our character each is, or rides on: nose and crown are points on the
+head (`data_module.motion.representation.ted_positions` puts all ten in space)."""
+_REFERENCE = "h36m_reference.npz"
+_FORMAT = 1
+_LEAST_FRAMES = 12
+
+
+class Features(Protocol):
+    """What the distance is measured in."""
+
+    @property
+    def name(self) -> str:
+        """What a table calls it."""
+
+    @property
+    def frames(self) -> int:
+        """Frames of a window."""
+
+    @property
+    def fps(self) -> float:
+        """Frames a second of a window."""
+
+    @property
+    def sha256(self) -> str:
+        """Of the file of weights; "none" where nothing was trained."""
+
+    def features(self, windows: Array) -> Array:
+        """[N, E] of windows [N, frames, 27] of bone directions in our axes."""
+
+
+def directions(motion: Motion, fps: float) -> Array:
+    """[T, 27] unit vectors along the nine bones of the ten joints, at `fps`, of a motion of the 16-joint character."""
+    count = int(np.floor((len(motion) - 1) * fps / motion.fps + 1e-9)) + 1
+    points = POSITIONS.vectors(motion, np.arange(count) / fps)
+    return bone_directions(points.reshape(count, len(TED_JOINTS), 3)).reshape(count, DIRECTIONS)
+
+
+def windows(motion: Motion, frames: int, fps: float = FPS, stride: int | None = None) -> Array:
+    """[N, frames, 27] every window of a motion, `stride` frames apart (half a window when not told); none if short."""
+    step = max(1, frames // 2) if stride is None else stride
+    if frames < 1 or step < 1:
+        raise ValueError(f"windows need 1 frame or more and a stride of 1 or more, not {frames} and {step}")
+    own = directions(motion, fps)
+    if len(own) < frames:
+        return np.zeros((0, frames, DIRECTIONS))
+    return np.lib.stride_tricks.sliding_window_view(own, frames, axis=0)[::step].transpose(0, 2, 1).copy()
+
+
+@dataclass(frozen=True)
+class NetworkFeatures:
+    """A trained network as `Features`. encode: [N, frames, 27] to [N, E], in evaluation mode."""
+
+    name: str
+    frames: int
+    fps: float
+    sha256: str
+    encode: Callable[[Tensor], Tensor]
+    axes: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def features(self, windows: Array) -> Array:
+        """See `Features.features`; ValueError for another shape or numbers not finite."""
+        own = _checked(windows, self.frames) * np.tile(self.axes, len(TED_BONES))
+        with torch.no_grad():
+            parts = [self.encode(part) for part in torch.as_tensor(own, dtype=torch.float32).split(512)]
+        return torch.cat(parts).double().numpy() if parts else np.zeros((0, 0))
+
+
+@dataclass(frozen=True)
+class RawFeatures:
+    """No network: the directions of `count` frames, evenly chosen of the window, themselves.
+
+    Nothing is learned, so nothing is hidden; but all is weighed alike, and there are many numbers: 27 each.
+    """
+
+    frames: int
+    fps: float = FPS
+    count: int = 2
+    sha256: str = "none"
+
+    @property
+    def name(self) -> str:
+        """See `Features.name`."""
+        return f"raw directions of {self.count} frames"
+
+    def features(self, windows: Array) -> Array:
+        """See `Features.features`."""
+        own = _checked(windows, self.frames)
+        at = np.linspace(0, self.frames - 1, self.count).round().astype(int)
+        return own[:, at].reshape(len(own), self.count * DIRECTIONS)
+
+
+def _checked(values: Array, frames: int) -> Array:
+    own = np.asarray(values, dtype=np.float64)
+    if own.ndim != 3 or own.shape[1:] != (frames, DIRECTIONS):
+        raise ValueError(f"windows must be [N, {frames}, {DIRECTIONS}], not {own.shape}")
+    if not np.isfinite(own).all():
+        raise ValueError("windows must be finite")
+    return own
+
+
+class Encoder(nn.Module):
+    """Windows [N, frames, 27] to features [N, E]: four convolutions, then three layers and one more.
+
+    slope: of the LeakyReLU between the linear layers. The published network has 1, the identity, by a slip of its
+    authors (a True where a number belongs); it must be kept to get their features.
+    """
+
+    def __init__(self, frames: int, features: int = 32, slope: float = SLOPE) -> None:
+        super().__init__()
+        if frames < _LEAST_FRAMES:
+            raise ValueError(f"a window must have {_LEAST_FRAMES} frames or more, not {frames}")
+        self.convolutions = nn.Sequential(
+            _convolution(nn.Conv1d(DIRECTIONS, 32, 3)), _convolution(nn.Conv1d(32, 64, 3)),
+            _convolution(nn.Conv1d(64, 64, 4, stride=2)), nn.Conv1d(64, 32, 3))
+        self.linear = nn.Sequential(
+            nn.Linear(32 * _length(frames), 256), nn.BatchNorm1d(256), nn.LeakyReLU(slope),
+            nn.Linear(256, 128), nn.BatchNorm1d(128), nn.LeakyReLU(slope), nn.Linear(128, features))
+        self.feature = nn.Linear(features, features)
+
+    def forward(self, windows: Tensor) -> Tensor:
+        """[N, frames, 27] to [N, E]."""
+        return self.feature(self.linear(self.convolutions(windows.transpose(1, 2)).flatten(1)))
+
+
+def _convolution(layer: nn.Conv1d | nn.ConvTranspose1d) -> nn.Sequential:
+    return nn.Sequential(layer, nn.BatchNorm1d(layer.out_channels), nn.LeakyReLU(SLOPE))
+
+
+def _length(frames: int) -> int:
+    """Frames left after the four convolutions of `Encoder`: kernels 3, 3, 4 with stride 2, and 3."""
+    return (frames - 8) // 2 + 1 - 2
+
+
+# --- the network of the papers
+
+_THEIR_NAMES = {"net": "convolutions", "out_net": "linear", "fc_mu": "feature"}
+
+
+def published(folder: str | Path) -> NetworkFeatures:
+    """The papers' own Human3.6M network, of a folder with `h36m_gesture_encoder.safetensors` (or .npz) and .json.
+
+    Where `h36m_reference.npz` lies beside it, the features that the original gave for its windows must come out, or
+    the folder is refused. InputError for a file that is missing or is something else.
+    """
+    place = Path(folder)
+    listing = place / f"{PUBLISHED}.json"
+    weights = next((file for ending in ("safetensors", "npz")
+                    if (file := place / f"{PUBLISHED}.{ending}").is_file()), None)
+    if weights is None or not listing.is_file():
+        raise InputError(place, f"holds no {PUBLISHED}.safetensors (or .npz) with its .json",
+                         "name the folder of the Human3.6M gesture encoder")
+    try:
+        told = json.loads(listing.read_text(encoding="utf-8"))
+        frames, fps, width = int(told["frames"]), float(told["fps"]), int(told["dim"])
+        if width != DIRECTIONS:
+            raise ValueError(f"it reads {width} numbers a frame, not {DIRECTIONS}")
+        network = Encoder(frames, slope=1.0)
+        network.load_state_dict({_our_name(key): value for key, value in _tensors(weights).items()})
+    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(weights, f"is not the Human3.6M gesture encoder ({str(error).splitlines()[0]})",
+                         "fetch it again") from None
+    made = NetworkFeatures("Human3.6M (Yoon et al. 2020)", frames, fps, _sha256(weights.read_bytes()),
+                           freeze(network), PUBLISHED_AXES)
+    if (place / _REFERENCE).is_file() and (off := reference_error(made, place / _REFERENCE)) > 1e-3:
+        raise InputError(weights, f"gives features that are up to {off:.2g} off those of {_REFERENCE}",
+                         "fetch both again")
+    return made
+
+
+def reference_windows(path: str | Path) -> tuple[Array, Array]:
+    """The two sets of windows [64, 34, 27] of the reference file, in our axes."""
+    with np.load(path, allow_pickle=False) as stored:
+        first, second = (stored[key] * np.tile(PUBLISHED_AXES, len(TED_BONES)) for key in ("windows_a", "windows_b"))
+    return first, second
+
+
+def reference_error(network: Features, path: str | Path) -> float:
+    """Largest difference from the reference features, as a share of their standard deviation."""
+    with np.load(path, allow_pickle=False) as stored:
+        wanted = np.concatenate([stored["features_a"], stored["features_b"]])
+    got = network.features(np.concatenate(reference_windows(path)))
+    return float((np.abs(got - wanted) / wanted.std(axis=0)).max())
+
+
+def _our_name(theirs: str) -> str:
+    part, _, rest = theirs.removeprefix("pose_encoder.").partition(".")
+    return f"{_THEIR_NAMES.get(part, part)}.{rest}"
+
+
+def _tensors(weights: Path) -> dict[str, Tensor]:
+    if weights.suffix == ".npz":
+        with np.load(weights, allow_pickle=False) as stored:
+            return {key: torch.as_tensor(stored[key]) for key in stored.files}
+    return safetensors.torch.load_file(weights)
+
+
+# --- our own
+
+@dataclass(frozen=True)
+class AutoencoderConfig:
+    """What our own network is; the widths are the family's."""
+
+    frames: int = 34
+    """Frames of a window."""
+    fps: float = FPS
+    features: int = 32
+    velocity: float = 1.0
+    """Weight of the error between neighbouring frames' differences."""
+
+
+SETTINGS = FitSettings(steps=3000, batch=128, rate=5e-4, betas=(0.5, 0.999))
+"""Rate and betas are those of Yoon et al. 2020."""
+
+
+class Autoencoder(nn.Module):
+    """Our own network: windows are standardised, encoded, and said again; only the encoder is kept for the distance."""
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, config: AutoencoderConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.origin: dict[str, Any] = {}
+        self.register_buffer("mean", torch.zeros(DIRECTIONS))
+        self.register_buffer("deviation", torch.ones(()))
+        self.encoder = Encoder(config.frames, config.features)
+        self.widen = nn.Sequential(nn.Linear(config.features, 64), nn.BatchNorm1d(64), nn.LeakyReLU(SLOPE),
+                                   nn.Linear(64, 4 * config.frames))
+        self.decode = nn.Sequential(_convolution(nn.ConvTranspose1d(4, 32, 3)),
+                                    _convolution(nn.ConvTranspose1d(32, 32, 3)),
+                                    nn.Conv1d(32, 32, 3), nn.Conv1d(32, DIRECTIONS, 3))
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return {"reconstruction": 1.0, "velocity": self.config.velocity}
+
+    def standardise(self, data: Array) -> None:
+        """Take mean and deviation from training windows [N, frames, 27]; one deviation for all, or still bones would
+        be blown up."""
+        frames = data.reshape(-1, DIRECTIONS)
+        self.mean.copy_(torch.as_tensor(frames.mean(axis=0)))
+        self.deviation.copy_(torch.as_tensor(max(float(np.sqrt(frames.var(axis=0).mean())), 1e-6)))
+
+    def encode(self, windows: Tensor) -> Tensor:
+        """[N, frames, 27] to [N, E]."""
+        return self.encoder((windows - self.mean) / self.deviation)
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """L1 of the standardised windows and of their differences in time. batch: windows [N, frames, 27]."""
+        own = (batch["windows"] - self.mean) / self.deviation
+        again = self.decode(self.widen(self.encoder(own)).unflatten(1, (4, -1))).transpose(1, 2)
+        error = again - own
+        return {"reconstruction": error.abs().mean(), "velocity": torch.diff(error, dim=1).abs().mean()}
+
+
+def windows_of(store: Store, split: Split, frames: int, fps: float, stride: int | None = None) -> list[Array]:
+    """For each recording of a split its windows [n, frames, 27], by the store's order; short ones give none."""
+    return [windows(store.load(info.name).motion, frames, fps, stride) for info in store.of_split(split)]
+
+
+def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = None,
+          settings: FitSettings = SETTINGS, *, seed: int = 0, progress: bool = True) -> Autoencoder:
+    """Our own network on the windows of a store's training split; `folder` holds the run's checkpoint and log.
+
+    The figures of its validation split are kept in `origin`. InputError when no recording is as long as two windows.
+    """
+    chosen = config or AutoencoderConfig()
+    step = max(1, chosen.frames // 4)
+    data = np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)),
+                           *windows_of(store, "train", chosen.frames, chosen.fps, step)])
+    if len(data) < 2:
+        raise InputError(store.path, f"has no training motion of {chosen.frames} frames at {chosen.fps:g} fps",
+                         "use shorter windows or a larger store")
+    torch.manual_seed(seed)
+    network = Autoencoder(chosen)
+    network.standardise(data)
+    pool = torch.as_tensor(data, dtype=torch.float32)
+    held = np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)),
+                           *windows_of(store, "val", chosen.frames, chosen.fps, step)])
+
+    def batch(rng: np.random.Generator) -> dict[str, Tensor]:
+        return {"windows": pool[torch.as_tensor(rng.integers(len(pool), size=settings.batch))]}
+
+    def validate() -> dict[str, float]:
+        if len(held) == 0:
+            return {}
+        with torch.no_grad():
+            terms = network.losses({"windows": torch.as_tensor(held, dtype=torch.float32)})
+        return {key: round(float(term), 5) for key, term in terms.items()}
+
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    figures = fit(f"gesture_features_{chosen.frames}", network, batch, network.losses, settings, Path(folder),
+                  seed=seed, validate=validate, progress=progress)
+    freeze(network)
+    network.origin = {"store": store.corpus, "fingerprint": store.fingerprint, "licence": store.licence, "seed": seed,
+                      "steps": settings.steps, "windows": len(data), "validation": figures}
+    return network
+
+
+def as_features(network: Autoencoder) -> NetworkFeatures:
+    """Our own network as `Features`, pinned by the hash of the file that `save` writes of it."""
+    freeze(network)
+    config = network.config
+    return NetworkFeatures(f"own {config.frames} frames", config.frames, config.fps, _sha256(_bytes(network)),
+                           network.encode)
+
+
+def save(network: Autoencoder, folder: str | Path, name: str = "gesture_features") -> str:
+    """Write NAME.safetensors and NAME.json into `folder`; the SHA-256 of the former, which the latter holds too."""
+    place, data = Path(folder), _bytes(network)
+    place.mkdir(parents=True, exist_ok=True)
+    told = {"format": _FORMAT, "sha256": _sha256(data), "config": asdict(network.config), "origin": network.origin}
+    write_bytes(place / f"{name}.safetensors", data)
+    write_text(place / f"{name}.json", json.dumps(told, indent=1, sort_keys=True) + "\n")
+    return _sha256(data)
+
+
+def load(folder: str | Path, name: str = "gesture_features") -> Autoencoder:
+    """The inverse of `save`; InputError when a file is missing, was changed or is of another format."""
+    weights, listing = (Path(folder) / f"{name}.{ending}" for ending in ("safetensors", "json"))
+    for file in (weights, listing):
+        if not file.is_file():
+            raise InputError(file, "is missing", "train the gesture features again")
+    try:
+        told = json.loads(listing.read_text(encoding="utf-8"))
+        if told["format"] != _FORMAT:
+            raise InputError(listing, f"has format {told['format']}, and this version reads {_FORMAT}", "train again")
+        if _sha256(weights.read_bytes()) != told["sha256"]:
+            raise InputError(weights, "is not the file that its .json tells of (wrong SHA-256)", "copy both again")
+        with safe_open(weights, "pt") as stored:
+            # The configuration counts among what is pinned: it stands in the weights' file too.
+            config = AutoencoderConfig(**json.loads(stored.metadata()["config"]))
+        network = Autoencoder(config)
+        network.load_state_dict(safetensors.torch.load_file(weights))
+    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(weights, f"is not a network of gesture features ({str(error).splitlines()[0]})",
+                         "train it again") from None
+    network.origin = told.get("origin", {})
+    freeze(network)
+    return network
+
+
+def _bytes(network: Autoencoder) -> bytes:
+    """The file of weights. One entry of metadata only: the order of several is not fixed."""
+    state = {key: value.detach().cpu().contiguous() for key, value in network.state_dict().items()}
+    return safetensors.torch.save(state, metadata={"config": json.dumps(asdict(network.config), sort_keys=True)})
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def pooled(motions: Sequence[Motion], by: Features, stride: int | None = None) -> list[Array]:
+    """For each motion the features [n, E] of its windows."""
+    return [by.features(windows(motion, by.frames, by.fps, stride)) for motion in motions]
+
+
+NETWORK_FRAMES = (34, 60)
+"""Windows of our own networks, at 15 fps: that of the papers' network, and one of 4 s."""
+PUBLISHED_FOLDER = "fgd"
+"""In GESTICULATOR_DATA: where the papers' network lies, if it is there."""
+
+
+def networks(store: Store, work: Path, progress: bool = True) -> list[Features]:
+    """Our own networks, trained on the store's training split once and kept in `work`; the papers' where it is."""
+    found: list[Features] = []
+    for frames in NETWORK_FRAMES:
+        folder = work / f"fgd-{store.fingerprint[:12]}-{frames}"
+        if not (folder / "gesture_features.json").is_file():
+            save(train(store, folder, AutoencoderConfig(frames=frames), progress=progress), folder)
+        found.append(as_features(load(folder)))
+    place = os.environ.get("GESTICULATOR_DATA")
+    if place and (Path(place) / PUBLISHED_FOLDER).is_dir():
+        found.append(published(Path(place) / PUBLISHED_FOLDER))
+    return found

@@ -1,0 +1,144 @@
+"""Percentage of matched beats: is the motion in time with the sound? (RG Eq. 22)
+
+Theory: a motion beat counts when an onset lies within delta of it, one onset for one motion beat, in order, and the
+figure is the percentage of motion beats that count. As printed, the equation lets several onsets count for one motion
+beat, so it can pass 100 %; one-to-one it cannot. Motion beats are those of `motion.motion_beats`: where the arms
+brake hardest (mode A, the default) or where they are slowest (mode B). The paper's words fit either, so name the mode.
+
+Unit: percent of motion beats; `above_chance` is a share. Good: high above chance, near the speaker's own. More is not
+better without end: nobody beats to every syllable.
+
+What fools it:
+- A wide delta. At 0.2 s, where the papers print it, unrelated beats already reach 95 % among onsets 0.2 to 0.5 s apart
+  (0.1 s: 56 %, 0.05 s: 28 %). The figure means nothing without its chance level, that of the same motion moved against
+  the same onsets; the curve over delta shows what one delta hides.
+- Many onsets: the more the sound has, the higher the chance. Few motion beats: one beat that is met is 100 %.
+- It sees rhythm alone: what is gestured, and how large, makes no difference.
+
+One of two motion beats lies within 0.1 s of an onset:
+
+    >>> pmb(np.array([1.0, 2.0]), np.array([1.05, 3.0]))
+    50.0
+    >>> above_chance(80.0, 50.0)
+    0.6
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.speech.beats import merged
+from data_module.types import Array
+
+DELTA = 0.1
+"""Seconds: the tolerance that tells most; the papers print 0.2."""
+DELTAS = (0.025, 0.05, 0.075, 0.1, 0.125, 0.15, 0.175, 0.2, 0.25, 0.3)
+MERGE = 0.05
+"""Seconds: onsets closer than this are one event, found twice."""
+SHIFTS = 200
+NO_BEAT = "the motion has no beat"
+"""Why a figure is NaN."""
+
+
+@dataclass(frozen=True)
+class Chance:
+    """PMB of the same motion beats moved against the same onsets: mean in percent, and the one-sided p-value; NaN
+    without motion beats, and reason says so."""
+
+    mean: float
+    p_value: float
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """PMB against delta. deltas: [n] seconds; percent: [n]; area: mean height over the span of delta, percent; NaN
+    without motion beats, and reason says so."""
+
+    deltas: Array
+    percent: Array
+    area: float
+    reason: str = ""
+
+
+def matched(motion_beats: Array, onsets: Array, delta: float) -> NDArray[np.int64]:
+    """For each motion beat the index of its onset, -1 for none, [n]. Both rising seconds.
+
+    Each motion beat in turn takes the earliest unused onset less than `delta` away. For intervals of one width this
+    greedy rule finds as many pairs as any (a maximum matching).
+    """
+    pairs = np.full(len(motion_beats), -1, dtype=np.int64)
+    free = 0
+    for index, beat in enumerate(motion_beats):
+        while free < len(onsets) and onsets[free] <= beat - delta:
+            free += 1
+        if free < len(onsets) and onsets[free] < beat + delta:
+            pairs[index] = free
+            free += 1
+    return pairs
+
+
+def pmb(motion_beats: Array, onsets: Array, delta: float = DELTA) -> float:
+    """Percentage of motion beats that an onset matches (RG Eq. 22, one-to-one), both in seconds, in any order.
+
+    Onsets closer than `MERGE` are merged first. NaN without motion beats, as a share of none (`NO_BEAT`); 0 without
+    onsets. ValueError for times that are not finite or not [n], and for a delta that is not positive.
+    """
+    own, heard = _times(motion_beats), _times(onsets)
+    if not (np.isfinite(delta) and delta > 0):
+        raise ValueError(f"delta must be positive, not {delta}")
+    if len(own) == 0:
+        return float("nan")
+    return 100.0 * float(np.mean(matched(own, merged(heard, MERGE), delta) >= 0))
+
+
+def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = DELTA, *, seed: int = 0,
+           shifts: int = SHIFTS) -> Chance:
+    """What PMB the motion would reach beside another stretch of speech: circular shifts over `duration` seconds.
+
+    Shifts are drawn evenly, no closer to 0 than a second (or a tenth of the duration). The p-value is the share of
+    shifts that do as well as no shift, with the unshifted one counted in. NaN without motion beats. ValueError as in
+    `pmb`, and for a duration that is not positive or no shift at all.
+    """
+    if not (np.isfinite(duration) and duration > 0) or shifts < 1:
+        raise ValueError(f"the duration must be positive and shifts 1 or more, not {duration} and {shifts}")
+    if math.isnan(pmb(motion_beats, onsets, delta)):
+        return Chance(float("nan"), float("nan"), NO_BEAT)
+    least = min(1.0, 0.1 * duration)
+    by = np.random.default_rng(seed).uniform(least, duration - least, shifts)
+    values = np.array([pmb((np.asarray(motion_beats) + shift) % duration, onsets, delta) for shift in by])
+    as_good = np.count_nonzero(values >= pmb(motion_beats, onsets, delta) - 1e-9)
+    return Chance(float(values.mean()), (1 + as_good) / (1 + shifts))
+
+
+def above_chance(value: float, by_chance: float, best: float = 100.0) -> float:
+    """(value - chance) / (best - chance): 0 is chance, 1 is the best; NaN where chance leaves no room."""
+    if not by_chance < best:
+        return float("nan")
+    return (value - by_chance) / (best - by_chance)
+
+
+def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float, ...] = DELTAS) -> Curve:
+    """PMB for each delta (RG Fig. 11), and its area as a mean height, from delta 0 (where nothing matches) on.
+
+    ValueError as in `pmb`, and for deltas [n] that do not rise.
+    """
+    at = np.asarray(deltas, dtype=np.float64)
+    if at.ndim != 1 or len(at) == 0 or (np.diff(at) <= 0).any():
+        raise ValueError("deltas must rise, one at least")
+    percent = np.array([pmb(motion_beats, onsets, float(delta)) for delta in at])
+    x, y = np.concatenate([[0.0], at]), np.concatenate([[0.0], percent])
+    area = float(np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / x[-1])
+    return Curve(at, percent, area, NO_BEAT if len(motion_beats) == 0 else "")
+
+
+def _times(seconds: Array) -> Array:
+    """Times [n], checked, rising."""
+    own = np.asarray(seconds, dtype=np.float64)
+    if own.ndim != 1 or not np.isfinite(own).all():
+        raise ValueError(f"times must be finite seconds, [n], not {own.shape}")
+    return np.sort(own)

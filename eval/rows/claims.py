@@ -1,0 +1,222 @@
+"""What the papers say, and whether it is so here: every claim of both, each a paired test over seeds and clips.
+
+A claim says that one row's figure lies above (or below) another's, or that both are alike. The rows' values on the same
+seeds and clips are subtracted; the mean difference has a 95 % interval by the bootstrap, seeds and clips both drawn
+anew. The claim holds when the whole interval lies on its side, does not hold when it lies on the other, and is
+undecided between. One that says "alike" holds when the interval lies within `ALIKE` of zero. Fewer than three seeds
+decide nothing, whatever the interval. Three claims are answered by probes (`PROBED`): they are of one bundle, with
+intervals over clips alone, and hold when all of several intervals lie on their side.
+
+What fools it: no correction is made for the number of claims (one in forty that is false will seem to hold); three
+seeds are few, and their bootstrap is narrow; a part that does nothing on this corpus may matter on another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_module.errors import InputError
+from eval import stats
+from eval.cells import Cells
+from eval.rows import OURS, PERFORMER, TABLES, racer
+from eval.rows.row import COLUMNS, DECIDED, DECISIONS, RowColumn
+from eval.rows.tables import pairs
+from eval.table import Column, Table, load
+
+HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
+ALIKE = 5.0
+"""How far apart two shares of PMB, in percent, may lie and still be called alike."""
+RACER_TABLE = "RACER Table 2"
+_PAPERS_KEY = {"pmb_above_chance": "pmb", "judge_return": "return"}
+"""Columns that stand for one of the paper's of another name."""
+_COLUMNS: dict[str, RowColumn] = {**{key: own for part in DECISIONS.values() for key, own in part.items()}, **COLUMNS}
+
+@dataclass(frozen=True)
+class Claim:
+    """`first`'s figure is higher than `second`'s ("above"), lower ("below") or the same ("alike").
+
+    where: the table it is read from. needs: why it cannot be tested here at all, or where it is.
+    """
+
+    where: str
+    first: str
+    second: str
+    metric: str
+    says: str = "above"
+    needs: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """For a reader."""
+        if self.needs:
+            return self.first
+        title = _COLUMNS[self.metric].heading if self.metric in COLUMNS else self.metric.replace("_", " ")
+        words = {"above": "higher than", "below": "lower than", "alike": "about that of"}[self.says]
+        return f"{title}: {self.first} {words} {self.second}"
+
+
+def _above(where: str, metric: str, first: str, *others: str) -> list[Claim]:
+    return [Claim(where, first, other, metric) for other in others]
+
+
+def _below(where: str, metric: str, first: str, *others: str) -> list[Claim]:
+    return [Claim(where, first, other, metric, "below") for other in others]
+
+
+def _alike(where: str, first: str, *others: str) -> list[Claim]:
+    return [Claim(where, first, other, "pmb_above_chance", "alike") for other in others]
+
+
+def _rhythmic_gesticulator() -> list[Claim]:
+    pmb, parts = "pmb_above_chance", ("no-segmentation", "no-lexemes", "no-style", "audio-only")
+    out = [claim for metric in ("maje", "mad", "fgd") for claim in _below("RG Table 1", metric, OURS, *parts)]
+    out += _above("RG Table 1", pmb, OURS, "no-segmentation", "no-lexemes", "audio-only")
+    out += _alike("RG Table 1", OURS, "no-style") + _above("RG Table 1", pmb, PERFORMER, OURS)
+    # Each step of Table 2 adds to variance and takes from FGD.
+    steps = ("no-audio-no-style", "no-style", "random-style")
+    out += [claim for less, more in zip(steps, steps[1:], strict=False)
+            for claim in (*_above("RG Table 2", "variance", more, less), *_below("RG Table 2", "fgd", more, less))]
+    out += _above("RG Table 2", "variance", OURS, "no-style") + _below("RG Table 2", "fgd", OURS, "random-style")
+    out += _above("RG Table 2", pmb, "no-style", "no-audio-no-style") + _alike("RG Table 2", OURS, "random-style")
+    out += _above("RG Table 2", "variance", PERFORMER, "no-style")
+    out += _below("RG Table 3", "fgd", "style-reads", OURS) + _alike("RG Table 3", "style-reads", OURS)
+    out += _below("RG Table 4", "fgd", OURS, "range-0.2-1.0", "range-0.5-1.0")
+    out += _above("RG Table 4", pmb, OURS, "range-0.5-1.0") + _alike("RG Table 4", OURS, "range-0.2-1.0")
+    out += _above("RG Table 5", "diversity", OURS, "no-lexemes") + _above("RG Table 5", "diversity", PERFORMER, OURS)
+    out += _above("RG Table 6", "accuracy", OURS, "statistical") + _below("RG Table 6", "fgd", OURS, "statistical")
+    out += _above("RG Table 6", pmb, OURS, "statistical")
+    out += _below("RG Table 7", "fgd", OURS, "no-position") + _above("RG Table 7", pmb, OURS, "no-position")
+    out += _below("RG Fig. 18", "fgd", "size-100", "size-10", "size-400")
+    out += _alike("RG Fig. 18", "size-100", "size-10", "size-400")
+    out += _below("RG 6.4.1", "silence_speed", OURS, "no-hint", "no-augmentation")
+    return out
+
+
+def _racer() -> list[Claim]:
+    ours = racer.OURS
+    others = tuple(racer.PREFIX + name for name in ("supervised", "distance", "dqn", "actor-critic"))
+    out = [claim for metric in ("return", "judge_return")
+           for claim in _above(RACER_TABLE, metric, ours, *others)]
+    out += _above(RACER_TABLE, "pmb_above_chance", ours, *others)
+    return out + [claim for metric in ("maje", "mad", "fgd") for claim in _below(RACER_TABLE, metric, ours, *others)]
+
+
+_SYSTEMS = "needs the motion of the other systems for the test speech"
+_PEOPLE = "needs people who look at it"
+NOT_HERE = [
+    Claim("RG Table 1", "ours beats SG, Ges, GTC and S2AG in MAJE, MAD, FGD and PMB", "", "", needs=_SYSTEMS),
+    Claim("RG Fig. 11", "ours has the highest PMB of all systems at every delta", "", "", needs=_SYSTEMS),
+    Claim("RG Fig. 12", "people prefer ours", "", "", needs=_PEOPLE),
+    Claim("RG Fig. 10", "motion follows what is asked of height, speed and radius", "", "",
+          needs="run gesticulator probe style-editing"),
+    Claim("RG Fig. 13", "a model of one language gestures in time with others, for each above chance", "", "",
+          needs="run gesticulator probe languages"),
+    Claim("RG Fig. 14", "the high level tells lexemes better than the low one", "", "",
+          needs="run gesticulator probe speech-levels"),
+    Claim("RACER Table 1", "RACER beats SG, Ges, S2AG and Bailando in MAJE, MAD, FGD and PMB", "", "", needs=_SYSTEMS),
+    Claim("RACER Fig. 4", "people prefer RACER", "", "", needs=_PEOPLE),
+]
+CLAIMS: list[Claim] = [*_rhythmic_gesticulator(), *_racer(), *NOT_HERE]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a claim. difference: first less second; seeds, clips: how many pairs of each."""
+
+    verdict: str
+    reason: str = ""
+    difference: stats.Interval | None = None
+    seeds: int = 0
+    clips: int = 0
+
+
+def decided(difference: stats.Interval, says: str) -> str:
+    """What an interval of the difference says of a claim."""
+    if says == "alike":
+        if difference.above(-ALIKE) and difference.below(ALIKE):
+            return HOLDS
+        return FAILS if difference.above(ALIKE) or difference.below(-ALIKE) else UNDECIDED
+    right, wrong = difference.above(), difference.below()
+    if says == "below":
+        right, wrong = wrong, right
+    return HOLDS if right else FAILS if wrong else UNDECIDED
+
+
+def judged(claim: Claim, cells: Cells) -> Verdict:
+    """Whether a claim holds for these cells."""
+    if claim.needs:
+        return Verdict(UNDECIDED, claim.needs)
+    lacking = [name for name in (claim.first, claim.second) if not cells.get(name)]
+    if lacking:
+        return Verdict(UNDECIDED, f"not run: {', '.join(lacking)}")
+    _, apart = pairs(cells[claim.first], cells[claim.second], claim.metric)
+    apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
+    if not apart.size:
+        return Verdict(UNDECIDED, "no figure of a clip that both have")
+    found, seeds = stats.crossed(apart), len(apart)
+    if seeds < DECIDED:
+        return Verdict(UNDECIDED, f"{seeds} of {DECIDED} seeds", found, seeds, found.n)
+    return Verdict(decided(found, claim.says), "", found, seeds, found.n)
+
+
+PROBED = {"RG Fig. 10": "style_editing", "RG Fig. 13": "languages", "RG Fig. 14": "speech_levels"}
+"""By a claim's place: the file of the probe that answers it. The first table's facts have under "claim" the intervals
+that must lie above 0."""
+LEAST_CLIPS = 3
+"""An interval over fewer decides nothing."""
+
+
+def probed(results: Path) -> dict[str, Verdict]:
+    """Verdicts on the claims of `PROBED` whose file is there; the difference is that of the worst interval."""
+    out = {}
+    for where, name in PROBED.items():
+        try:
+            found = [stats.Interval.from_dict(held) for held in load(results / f"{name}.json")[0].facts["claim"]]
+        except (InputError, KeyError, IndexError):
+            continue
+        worst, few = min(found, key=lambda interval: interval.low), sum(one.n < LEAST_CLIPS for one in found)
+        verdicts = {decided(interval, "above") for interval in found}
+        verdict = next((one for one in (FAILS, UNDECIDED) if one in verdicts), HOLDS)
+        reason = f"{len(found)} intervals, the lowest shown" + (
+            f"; {few} are over less than {LEAST_CLIPS} clips" if few else "")
+        out[where] = Verdict(UNDECIDED if few and verdict == HOLDS else verdict, reason, worst, 1, worst.n)
+    return out
+
+
+def papers_numbers(claim: Claim) -> str:
+    """The paper's own two figures, on Trinity and on TED; empty where it prints none."""
+    key = _PAPERS_KEY.get(claim.metric, claim.metric)
+    lines = [line for title, table in TABLES.items() if title.split(",")[0] == claim.where for line in table.lines]
+    one, other = (next((line.paper[key] for line in lines if line.row == row and key in line.paper), None)
+                  for row in (claim.first, claim.second))
+    if one is None or other is None:
+        return ""
+    return "; ".join(f"{place} {a:g} and {b:g}" for place, a, b in zip(("Trinity", "TED"), one, other, strict=True)
+                     if a is not None and b is not None)
+
+
+def claims_table(cells: Cells, results: Path | None = None) -> Table:
+    """Every claim and what became of it. results: where the probes keep what they found."""
+    elsewhere = probed(results) if results else {}
+    verdicts = [(elsewhere.get(claim.where) if claim.needs else None) or judged(claim, cells) for claim in CLAIMS]
+    count = {name: sum(found.verdict == name for found in verdicts) for name in (HOLDS, FAILS, UNDECIDED)}
+    rows = {}
+    for number, (claim, found) in enumerate(zip(CLAIMS, verdicts, strict=True), start=1):
+        digits = _COLUMNS[claim.metric].digits if claim.metric in COLUMNS else 2
+        rows[str(number)] = {
+            "where": claim.where, "claim": claim.sentence, "paper": papers_numbers(claim),
+            "difference": found.difference.text(digits) if found.difference else None,
+            "pairs": f"{found.seeds}, {found.clips}" if found.difference else None,
+            "verdict": found.verdict + (f" ({found.reason})" if found.reason else "")}
+    columns = {key: Column(title) for key, title in (
+        ("where", "where"), ("claim", "claim"), ("paper", "the paper's figures"), ("difference", "difference here"),
+        ("pairs", "seeds, clips"), ("verdict", ""))}
+    facts = [{**asdict(claim), "sentence": claim.sentence, "paper": papers_numbers(claim), **asdict(found)}
+             for claim, found in zip(CLAIMS, verdicts, strict=True)]
+    return Table("Claims", columns, rows, "", [
+        f"{count[HOLDS]} claims hold, {count[FAILS]} do not, {count[UNDECIDED]} are undecided. Differences are paired, "
+        "with bootstrap 95 % intervals over seeds and clips. The papers' figures are of other data: compare the "
+        "order."], {"claims": facts, "count": count})

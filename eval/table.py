@@ -1,0 +1,190 @@
+"""The table: every judge gives its figures as one, and it is shown as Markdown, on the terminal, and kept as JSON.
+
+A cell is an interval, a number, a text, or None for nothing. What is undefined is NaN in numbers and null in JSON,
+which has no NaN. A file of results is FILE.json with {"tables": [...]} for programs, and beside it the same as FILE.md
+for readers. Raw values that no table shows (curves, settings) are `facts` of a table.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from data_module.errors import InputError
+from data_module.files import write_text
+from eval.stats import Interval
+
+
+@dataclass(frozen=True)
+class Marked:
+    """A value with a mark behind it, such as "(!)", and the reason of the mark or of what is undefined."""
+
+    value: Interval | float | int | None
+    mark: str = ""
+    reason: str = ""
+
+
+Cell = Interval | Marked | float | int | str | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A heading, its unit, how many digits are shown, and what is good: "low", "high", "near" (the truth's), or ""."""
+
+    title: str
+    unit: str = ""
+    digits: int = 2
+    good: str = ""
+
+    @property
+    def heading(self) -> str:
+        """With the unit."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+
+@dataclass(frozen=True)
+class Table:
+    """Figures: columns by key, rows by name, of each row the cells by the columns' keys (one that lacks is None).
+
+    head: what the rows are, the heading of the first column; notes: sentences below; facts: raw values for JSON alone.
+    """
+
+    title: str
+    columns: Mapping[str, Column]
+    rows: Mapping[str, Mapping[str, Cell]]
+    head: str = ""
+    notes: Sequence[str] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def cells(self) -> list[list[str]]:
+        """What is shown: headings first, then the rows."""
+        shown = [[self.head, *(column.heading for column in self.columns.values())]]
+        return shown + [[name, *(shown_cell(row.get(key), column.digits) for key, column in self.columns.items())]
+                        for name, row in self.rows.items()]
+
+    def markdown(self) -> str:
+        """Title, table, notes."""
+        first, *rest = self.cells() if self.columns else [[]]
+        lines = [f"### {self.title}", ""] if self.title else []
+        if first:
+            lines += [_line(first), "|---" * len(first) + "|", *map(_line, rest), ""]
+        return "\n".join([*lines, *(f"{note}\n" for note in self.notes)]).rstrip() + "\n"
+
+    def terminal(self) -> str:
+        """The same with columns of one width."""
+        lines = [self.title] if self.title else []
+        if self.columns:
+            rows = self.cells()
+            widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+            lines += ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+                      for row in rows]
+        return "\n".join([*lines, *self.notes]) + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"title": self.title, "head": self.head, "columns": {k: asdict(v) for k, v in self.columns.items()},
+                "rows": {name: {key: _packed(cell) for key, cell in row.items()} for name, row in self.rows.items()},
+                "notes": list(self.notes), "facts": dict(self.facts)}
+
+    @classmethod
+    def from_dict(cls, held: Mapping[str, Any]) -> Table:
+        """What `to_dict` gave."""
+        return cls(held["title"], {key: Column(**own) for key, own in held["columns"].items()},
+                   {name: {key: _unpacked(cell) for key, cell in row.items()} for name, row in held["rows"].items()},
+                   held["head"], held["notes"], _undefined(held["facts"]))
+
+
+def shown_cell(cell: Cell, digits: int) -> str:
+    """A cell for a reader; "-" for nothing."""
+    if isinstance(cell, Marked):
+        return f"{shown_cell(cell.value, digits)} {cell.mark}".rstrip()
+    if isinstance(cell, Interval):
+        return cell.text(digits)
+    if isinstance(cell, float):
+        return f"{cell:.{digits}f}" if math.isfinite(cell) else "-"
+    return "-" if cell is None else str(cell)
+
+
+def _line(cells: Iterable[str]) -> str:
+    escaped = (cell.replace("|", "\\|").replace("\n", " ") for cell in cells)
+    return "| " + " | ".join(escaped) + " |"
+
+
+def _packed(cell: Cell) -> Any:
+    if isinstance(cell, Marked):
+        return {"value": _packed(cell.value), "mark": cell.mark, "reason": cell.reason}
+    return cell.to_dict() if isinstance(cell, Interval) else cell
+
+
+def _unpacked(cell: Any) -> Cell:
+    if not isinstance(cell, Mapping):
+        known: Cell = cell
+        return known
+    if "mark" in cell:
+        value = _unpacked(cell["value"])
+        return Marked(value if isinstance(value, Interval | float | int) else None, cell["mark"], cell["reason"])
+    return Interval.from_dict(cell)
+
+
+# ---------------------------------------------------------------------------------------------------------------- JSON
+
+def plain(value: Any) -> Any:
+    """Null for what is no finite number, however deep it lies."""
+    if isinstance(value, Mapping):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def dumps(value: Any, indent: int | None = None) -> str:
+    """JSON, with a line's end."""
+    return json.dumps(plain(value), indent=indent, allow_nan=False) + "\n"
+
+
+def loads(text: str) -> Any:
+    """What `dumps` wrote, NaN where it has null. ValueError where it is no JSON."""
+    return _undefined(json.loads(text))
+
+
+def _undefined(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _undefined(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_undefined(inner) for inner in value]
+    return math.nan if value is None else value
+
+
+def markdown(tables: Iterable[Table]) -> str:
+    """All tables for a reader."""
+    return "\n".join(table.markdown() for table in tables)
+
+
+def save(tables: Sequence[Table], out: str | Path) -> None:
+    """Write `out` (.json) and its .md, each whole or not at all; the folder is made where it lacks."""
+    place = Path(out)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    write_text(place, dumps({"tables": [table.to_dict() for table in tables]}, indent=1))
+    write_text(place.with_suffix(".md"), markdown(tables))
+
+
+def load(path: str | Path) -> list[Table]:
+    """The tables of a file of results; InputError where it is none."""
+    try:
+        held = json.loads(Path(path).read_text())
+        return [Table.from_dict(own) for own in held["tables"]]
+    except FileNotFoundError as error:
+        raise InputError(path, "is not there", "run the command that writes it") from error
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(path, "holds no tables", "run the command that writes it again") from error
+
+
+def publish(tables: Sequence[Table], out: str | Path | None) -> None:
+    """`save` where a file is asked for, and the tables on the screen."""
+    if out:
+        save(tables, out)
+    print("\n".join(table.terminal() for table in tables), end="")

@@ -1,0 +1,101 @@
+"""The contract of every metric: its example holds, perfect input is the best, and it is fooled by what it names."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
+from data_module.types import Motion, Speech
+from eval import score
+from eval.clip_set import common_clips
+from eval.foreign import Clip
+from eval.metrics import EYE_METRICS, METRICS, SET_METRICS
+from eval.metrics.gesture_features import RawFeatures
+from gesticulator import bundle as bundles
+
+SECONDS, FPS, RATE = 12.0, 20.0, 16000
+NETWORK = "raw directions of 2 frames, 12 frames"
+CONTROLS = ("still", "shuffled", "reversed", "jitter")
+EYE_CONTROLS = ("mirrored", "frozen", "bobbing")
+
+
+def clip(seed: int) -> Clip:
+    """Arms that swing, faster and faster up to each beat, where they stop, with a click of the sound at each beat."""
+    rng = np.random.default_rng(seed)
+    beats = np.cumsum(rng.uniform(0.45, 1.1, 40))
+    beats = beats[beats < SECONDS - 0.3]
+    time = np.arange(round(SECONDS * FPS)) / FPS
+    edges = np.concatenate([[0.0], beats, [SECONDS]])
+    stroke = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, len(edges) - 2)
+    done = (time - edges[stroke]) / np.diff(edges)[stroke]
+    speed = np.resize([1.0, -1.0], len(edges))[stroke] * rng.uniform(2.0, 5.0, len(edges))[stroke] * done
+    angle = np.cumsum(speed) / FPS
+    maps = np.zeros((len(time), len(CHARACTER), 3))
+    for name, sign in (("RightArm", 1.0), ("LeftArm", -0.9)):
+        maps[:, CHARACTER.index(name), 2] = sign * angle
+    maps[:, CHARACTER.index("Spine"), 0] = 0.05 * np.sin(time)
+    samples = np.zeros(round(SECONDS * RATE), np.float32)
+    for beat in beats:
+        samples[int(beat * RATE):int(beat * RATE) + 800] = 0.4 * rng.normal(size=800).clip(-2, 2)
+    motion = Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(time), 3)), FPS)
+    return Clip(f"clip{seed}", motion, Speech(samples, RATE), f"clip{seed}")
+
+
+@pytest.fixture(scope="module")
+def rows() -> dict[str, Any]:
+    """metric -> figure, by row: the truth, the same again, and every control."""
+    truth = {f"clip{seed}": clip(seed) for seed in range(12)}
+    figures = score.score(common_clips({"truth": truth, "same": truth}), {NETWORK: RawFeatures(12)},
+                          bundles.load(bundles.SHIPPED)).figures
+    return {row: {("fgd" if key == NETWORK else key): score.mean_of(figures, row, key) for key in cells}
+            for row, cells in figures.items()}
+
+
+@pytest.mark.parametrize("chapter", sorted({metric.chapter for metric in METRICS.values()} | {"gesture_features"}))
+def test_the_example_of_every_chapter_holds(chapter: str) -> None:
+    found = doctest.testmod(importlib.import_module(f"eval.metrics.{chapter}"))
+    assert found.attempted > 0 and found.failed == 0
+
+
+@pytest.mark.parametrize("name", [name for name in METRICS if name not in EYE_METRICS])
+def test_perfect_input_has_the_best_value(name: str, rows: dict[str, Any]) -> None:
+    assert rows["same"][name] == pytest.approx(rows["truth"][name])
+    if METRICS[name].good == "low":
+        assert rows["same"][name] == pytest.approx(0.0, abs=1e-9)
+    if name == "lexeme_accuracy":
+        assert rows["same"][name] == 100.0
+
+
+@pytest.mark.parametrize("name", [name for name, metric in METRICS.items() if metric.good and name not in EYE_METRICS])
+def test_it_is_fooled_by_what_it_names(name: str, rows: dict[str, Any]) -> None:
+    metric, truth = METRICS[name], rows["truth"][name]
+    told = {control: rows[control][name] for control in CONTROLS}
+    for control in metric.fooled_by:
+        if metric.good == "low" and "set" not in metric.needs:
+            assert told[control] < told["shuffled"], f"{control} passes for better than real motion"
+        elif metric.good == "low":
+            assert told[control] <= rows["truth, half against half"][name]
+        elif metric.good == "high":
+            assert told[control] > truth or told[control] > told["shuffled"] + 5
+        else:
+            assert told[control] == pytest.approx(truth, rel=0.12)
+    if metric.good == "high":
+        # Consistency above chance hardly moves on arms alone: what it says of jitter is within its own error.
+        assert all(np.isnan(told[control]) or told[control] < truth + 0.02 for control in CONTROLS
+                   if control not in metric.fooled_by), told
+
+
+def test_every_figure_that_needs_a_set_is_of_sets() -> None:
+    assert all("set" in metric.needs for metric in SET_METRICS.values())
+    assert {metric.good for metric in METRICS.values()} == {"low", "high", "near", ""}
+    for name, metric in METRICS.items():
+        known = (*CONTROLS, *EYE_CONTROLS) if name in EYE_METRICS else CONTROLS
+        assert set(metric.fooled_by) <= set(known) and not (metric.fooled_by and not metric.good)
+    assert replace(METRICS["mad"], unit="").heading == "MAD, length"

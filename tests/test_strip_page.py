@@ -1,0 +1,88 @@
+"""Pages of strips: several systems at the same seconds, with the credit that a licence asks for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from performances import perform
+
+from data_module.errors import InputError
+from data_module.motion import bvh
+from eval.commands import DRAW
+from eval.draw import strip_page
+from eval.draw.strip_page import BEAT_CREDIT, LINE, Source, draw_page, page_times
+
+matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+
+
+def texts(figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(matplotlib.text.Text) if text.get_text()]
+
+
+def test_four_poses_a_second_as_far_as_the_motion_goes() -> None:
+    np.testing.assert_allclose(page_times(2.0, 1.5, 60.0), [2.0, 2.25, 2.5, 2.75, 3.0, 3.25])
+    assert len(page_times(0.0, 15.0, 60.0)) == 60 and page_times(58.0, 15.0, 59.0)[-1] == 58.75
+    for start, seconds in ((60.0, 1.0), (-1.0, 1.0), (0.0, 0.0), (float("nan"), 1.0)):
+        with pytest.raises(InputError):
+            page_times(start, seconds, 59.0)
+
+
+def test_every_source_stands_front_and_side_in_every_line_that_it_reaches() -> None:
+    long, short = perform(seconds=8.0), perform(seconds=3.0, seed=4)
+    figure = draw_page([Source("first", long.motion), Source("second", short.motion, "made by somebody")],
+                       page_times(0.0, 8.0, 8.0), long.speech, title="both", credits=["and thanks"])
+    found = texts(figure)
+    # 32 poses are two lines; the second source ends before the first line does, so it has none.
+    assert LINE < 32 and found.count("first") == 2 and found.count("second") == 0
+    assert found.count("front") == found.count("side") == 2
+    assert {"0.00 s", "3.75 s", "4.00 s", "7.75 s", "both", "made by somebody", "and thanks"} <= set(found)
+    both = [Source("first", long.motion), Source("second", short.motion)]
+    reached = texts(draw_page(both, page_times(0.0, 2.0, 8.0)))
+    assert reached.count("second") == 1 and reached.count("side") == 2
+    with pytest.raises(InputError):
+        draw_page([], np.zeros(1))
+
+
+def test_command_draws_a_page_of_files_and_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import soundfile
+
+    made = perform(seconds=3.0)
+    (tmp_path / "ours").mkdir()
+    bvh.write_bvh(tmp_path / "ours" / "talk.bvh", made.motion)
+    bvh.write_bvh(tmp_path / "ours" / "other.bvh", made.motion)
+    soundfile.write(tmp_path / "talk.wav", made.speech.samples, made.speech.sample_rate)
+    out = tmp_path / "page.png"
+    begin = ["strip", "--system", f"a={tmp_path / 'ours'}", "--system", f"b={tmp_path / 'ours' / 'other.bvh'}"]
+    assert DRAW.main("gesticulator draw", [*begin, "--sound", str(tmp_path / "talk.wav"), "--seconds", "1", "--out",
+                                           str(out)]) == 0
+    assert capsys.readouterr().out.strip() == str(out)
+    first = out.read_bytes()
+    ink = (matplotlib.image.imread(out)[..., :3] < 0.9).any(axis=-1)
+    # Two sources, two views each, and a waveform: ink in each fifth of the page, left and right.
+    assert all(half.mean() > 0.02 for part in np.array_split(ink, 5) for half in np.array_split(part, 2, axis=1))
+    DRAW.main("gesticulator draw", [*begin, "--sound", str(tmp_path / "talk.wav"), "--seconds", "1", "--out", str(out)])
+    assert out.read_bytes() == first
+    wrong = (([*begin], "--out"), ([*begin, "--out", str(out)], "name the file itself"),
+             (["strip", "--out", str(out)], "nothing|outside"), (["strip", "--ours", "--out", str(out)], "no sound"),
+             (["strip", "--system", "nameless", "--out", str(out)], "NAME=FILE"),
+             (["strip", str(tmp_path / "ours" / "talk.bvh"), "--take"], "stands beside"))
+    for arguments, told in wrong:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as caught:
+            DRAW.main("gesticulator draw", arguments)
+        said = capsys.readouterr().err
+        assert caught.value.code == 2 and any(part in said for part in told.split("|")), said
+
+
+def test_the_take_brings_its_credit_and_a_page_without_it_does_not(outside_data: Path,
+                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GESTICULATOR_DATA", str(outside_data))
+    drawn = []
+    monkeypatch.setattr(strip_page, "save_strip", lambda figure, path: drawn.append(texts(figure)))
+    DRAW.main("gesticulator draw", ["strip", "--take", "--seconds", "0.5", "--out", "page.png"])
+    assert "real take" in drawn[0] and BEAT_CREDIT in drawn[0] and "CC BY-NC 4.0" in BEAT_CREDIT
+    monkeypatch.setenv("GESTICULATOR_DATA", str(outside_data / "absent"))
+    with pytest.raises(SystemExit):
+        DRAW.main("gesticulator draw", ["strip", "--take", "--out", "page.png"])

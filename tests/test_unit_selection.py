@@ -1,0 +1,140 @@
+"""Unit selection: what it chooses for its own recordings, how it joins, and that it is the same again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_module.blocks import BlockSettings, cut, normalise_motion
+from data_module.errors import InputError
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
+from data_module.store import Recording, RecordingInfo, Store, StoreWriter
+from data_module.types import Motion, Speech
+from eval import unit_selection
+from eval.unit_selection import FADE, Sounds, UnitDatabase, UnitSelection, joined
+
+RATE, FPS = 16000, 60.0
+
+
+def recording(name: str, seed: int, seconds: float = 20.0, split: str = "train") -> Recording:
+    """Bursts of different loudness, and arms and a head on slow paths of their own."""
+    rng = np.random.default_rng(seed)
+    samples = 1e-4 * rng.normal(size=round(seconds * RATE))
+    at = 0.3
+    while at < seconds - 2.6:
+        length = rng.uniform(0.15, 0.5)
+        piece = slice(int(at * RATE), int((at + length) * RATE))
+        samples[piece] += 10 ** rng.uniform(-1.6, -0.4) * rng.normal(size=piece.stop - piece.start)
+        at += length + rng.choice([0.08, 0.2, 1.6], p=[0.5, 0.4, 0.1])
+    time = np.arange(round(seconds * FPS)) / FPS
+    maps = np.zeros((len(time), len(CHARACTER), 3))
+    for joint in ("LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head"):
+        speed, phase, size = rng.uniform(0.3, 2.0, (3, 3)), rng.uniform(0, 6, (3, 3)), rng.normal(0, 0.3, (3, 3))
+        maps[:, CHARACTER.index(joint)] = (size * np.sin(speed * time[:, None, None] + phase)).sum(axis=1)
+    motion = Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((len(time), 3)), FPS)
+    info = RecordingInfo(name, split, "anna", "voice", "en")  # type: ignore[arg-type]
+    return Recording(info, Speech(samples.clip(-1, 1).astype(np.float32), RATE), motion)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Three recordings for training, one for test."""
+    writer = StoreWriter(tmp_path_factory.mktemp("units") / "store", "folder", {}, 1, "free")
+    names = ["one", "two", "three", "test"]
+    for seed, name in enumerate(names):
+        writer.add(recording(name, seed, split="test" if name == "test" else "train"))
+    return writer.finish(names)
+
+
+@pytest.fixture(scope="module")
+def units(store: Store) -> UnitDatabase:
+    """Their units."""
+    return UnitDatabase.of(store)
+
+
+def test_the_database_holds_the_training_split_alone(store: Store, units: UnitDatabase) -> None:
+    counts = [len(cut(store.load(name).speech)) for name in ("one", "two", "three")]
+    assert len(units) == sum(counts)
+    ends = np.cumsum(counts) - 1
+    assert (units.follower[ends] == -1).all()
+    inner = np.delete(np.arange(len(units)), ends)
+    np.testing.assert_array_equal(units.follower[inner], inner + 1)
+    blocks = cut(store.load("two").speech)
+    own = slice(counts[0], counts[0] + counts[1])
+    np.testing.assert_allclose(units.poses[own], normalise_motion(store.load("two").motion, blocks), atol=1e-5)
+    np.testing.assert_array_equal(units.sounds.silent[own], blocks.silent)
+
+
+def test_a_recording_that_it_knows_gets_its_own_motion(store: Store, units: UnitDatabase,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unit_selection, "NOISE", 0.0)
+    known = store.load("two")
+    made = UnitSelection(units)(known.speech)
+    first = len(cut(store.load("one").speech))
+    np.testing.assert_array_equal(made.units, first + np.arange(len(made.blocks)))
+    assert made.joins == 0 and len(made.motion) == len(known.motion)
+    # All but the smoothing and 20 knots a second: a hundredth of a radian.
+    apart = rotation.angle_between(made.motion.rotations[60:-60], known.motion.rotations[60:-60])
+    assert np.percentile(apart, 99) < 0.03
+
+
+def test_same_seed_same_motion_and_another_seed_another_manner(store: Store, units: UnitDatabase) -> None:
+    speech = store.load("test").speech
+    first, again, other = (UnitSelection(units)(speech, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.motion.rotations, again.motion.rotations)
+    assert (first.units != other.units).any()
+    assert np.isfinite(first.motion.rotations).all() and first.joins > 0
+    assert abs(first.motion.duration - speech.duration) < 0.02
+
+
+def test_silent_blocks_get_silent_units_and_loud_ones_loud(store: Store, units: UnitDatabase) -> None:
+    speech = store.load("test").speech
+    heard = Sounds.of(speech, cut(speech))
+    chosen = UnitSelection(units).select(heard)
+    assert heard.silent.any() and (units.sounds.silent[chosen] == heard.silent).mean() > 0.9
+    own, theirs = heard.contour[:, 1:5].mean(axis=1), units.sounds.contour[chosen, 1:5].mean(axis=1)
+    late = UnitSelection(units).select(heard.rolled(len(chosen) // 2))
+    behind = units.sounds.contour[late, 1:5].mean(axis=1)
+    assert np.corrcoef(own, theirs)[0, 1] > 0.6 > np.corrcoef(own, behind)[0, 1] + 0.2
+    np.testing.assert_array_equal(heard.rolled(3).durations, heard.durations)
+    np.testing.assert_array_equal(heard.rolled(3).silent[3:], heard.silent[:-3])
+
+
+def test_a_join_goes_on_from_where_the_pose_was_and_ends_on_the_new_piece() -> None:
+    rng = np.random.default_rng(0)
+    size = (6, 10, 3 * len(CHARACTER))
+    pieces = (rng.normal(0, 0.3, (6, 1, size[2])) + 0.02 * np.arange(10)[:, None] * rng.normal(size=(6, 1, size[2]))
+              ).astype(np.float32)
+    np.testing.assert_allclose(joined(pieces, np.zeros(5, bool)), pieces, atol=1e-6)
+    jumps = np.array([False, True, False, False, False])
+    out = joined(pieces, jumps)
+    np.testing.assert_allclose(out[:2], pieces[:2], atol=1e-6)
+    step = np.abs(out[2, 0] - out[1, -1]).max()
+    own, gap = np.abs(pieces[2, 1] - pieces[2, 0]).max(), np.abs(pieces[2, 0] - pieces[1, -1]).max()
+    assert step < own + 0.1 * gap < gap
+    faded = 2 * 10 + FADE
+    np.testing.assert_allclose(out.reshape(60, -1)[faded:], pieces.reshape(60, -1)[faded:], atol=1e-6)
+
+
+def test_the_kept_database_is_the_same_and_a_damaged_one_is_made_again(store: Store, units: UnitDatabase,
+                                                                       tmp_path: Path) -> None:
+    made = UnitDatabase.of(store, work=tmp_path)
+    file = next(tmp_path.glob("units.*.npz"))
+    for _ in range(2):
+        again = UnitDatabase.of(store, work=tmp_path)
+        for left, right in ((made.poses, again.poses), (made.follower, again.follower),
+                            (made.sounds.contour, again.sounds.contour), (units.poses, again.poses)):
+            np.testing.assert_array_equal(left, right)
+        file.write_bytes(file.read_bytes()[:1000])
+    UnitDatabase.of(store, BlockSettings(fps=25.0), tmp_path)
+    assert len(list(tmp_path.glob("units.*.npz"))) == 2
+
+
+def test_a_store_without_training_split_is_refused(tmp_path: Path) -> None:
+    writer = StoreWriter(tmp_path / "store", "folder", {}, 1, "free")
+    writer.add(recording("only", 0, 4.0, "test"))
+    with pytest.raises(InputError, match="training split"):
+        UnitDatabase.of(writer.finish(["only"]))
