@@ -26,7 +26,6 @@ from typing import Any, cast
 import numpy as np
 
 from data_module.arrays import read_npy
-from data_module.corpora.folder import SOUNDS
 from data_module.errors import InputError, shown
 from data_module.files import read_text
 from data_module.motion import rotation
@@ -34,7 +33,7 @@ from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions
 from data_module.motion.skeletons import CHARACTER, find_table, to_character
 from data_module.motion.smplx import read_smplx
-from data_module.speech.audio import load_speech
+from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import RecordingInfo, Split, Store
 from data_module.types import Array, Motion, Speech
 

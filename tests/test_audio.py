@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import io
+import struct
 import subprocess
 import sys
+import time
 import tracemalloc
 import warnings
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import soundfile
 
 from data_module.errors import InputError
-from data_module.speech.audio import SAMPLE_RATE, AudioWarning, load_speech, write_flac
+from data_module.speech.audio import SAMPLE_RATE, AudioWarning, check_file, level_note, load_speech, write_flac
 from data_module.types import Samples, Speech
 
 FORMATS = [("wav", "WAV", "PCM_16"), ("flac", "FLAC", "PCM_16"), ("ogg", "OGG", "VORBIS"), ("mp3", "MP3", None)]
@@ -168,3 +172,254 @@ def test_importing_the_reader_imports_no_decoder() -> None:
     code = ("import sys, data_module.speech.audio;"
             "print([m for m in ('soundfile', 'soxr', 'librosa') if m in sys.modules])")
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+# ---------------------------------------------------------------------------------------------------- the terminal
+
+_THREADS = """
+import os, sys, threading
+from data_module.speech.audio import load_speech
+def work():
+    for path in sys.argv[1:] * 3:
+        load_speech(path)
+threads = [threading.Thread(target=work) for _ in range(4)]
+[thread.start() for thread in threads]
+lines = 0
+while any(thread.is_alive() for thread in threads):
+    os.write(2, b"line\\n")
+    lines += 1
+[thread.join() for thread in threads]
+os.write(2, b"end\\n")
+print(lines)
+"""
+
+
+def sounds(folder: Path) -> list[Path]:
+    noise = (0.1 * np.random.default_rng(0).standard_normal(48000)).astype(np.float32)
+    return [put(folder, f"a.{suffix}", encoded(noise, 16000, kind, subtype)) for suffix, kind, subtype in FORMATS]
+
+
+def test_threads_that_load_sound_keep_what_others_write(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", _THREADS, *map(str, sounds(tmp_path))], capture_output=True, text=True,
+                          check=True)
+    assert done.stderr == "line\n" * int(done.stdout) + "end\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell's way to close a stream")
+def test_good_recordings_are_read_without_a_terminal(tmp_path: Path) -> None:
+    code = ("import sys\nfrom data_module.speech.audio import load_speech\n"
+            "print([len(load_speech(path).samples) for path in sys.argv[1:]])")
+    done = subprocess.run(["/bin/sh", "-c", 'code=$1; shift; exec "$0" -c "$code" "$@" 2>&- <&-', sys.executable, code,
+                           *map(str, sounds(tmp_path))], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "[48000, 48000, 48000, 48000]\n")
+
+
+# ---------------------------------------------------------------------------------------------------- length
+
+def quickly(path: Path, *words: str, seconds: float = 4.0) -> None:
+    begun = time.monotonic()
+    refused(path, *words)
+    assert time.monotonic() - begun < seconds
+
+
+def riff(rate: int, channels: int, data: int) -> bytes:
+    """The header of a WAV of `data` bytes of 16-bit sound."""
+    return struct.pack("<4sI4s4sIHHIIHH4sI", b"RIFF", 36 + data, b"WAVE", b"fmt ", 16, 1, channels, rate,
+                       2 * rate * channels, 2 * channels, 16, b"data", data)
+
+
+def sparse(path: Path, head: bytes, length: int) -> Path:
+    """A file of `length` bytes, zeros behind its head, which take no room on most disks."""
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(length)
+    return path
+
+
+def hours_of_flac(folder: Path, hours: float, told: bool) -> Path:
+    """Digital silence, which FLAC keeps in next to nothing."""
+    path = folder / "long.flac"
+    with soundfile.SoundFile(path, "w", 16000, 1, format="FLAC") as file:
+        for _ in range(round(hours * 60)):
+            file.write(np.zeros(16000 * 60, np.int16))
+    if not told:
+        data = bytearray(path.read_bytes())
+        data[21] &= 0xF0
+        data[22:26] = bytes(4)
+        path.write_bytes(data)
+    assert path.stat().st_size < 1_000_000
+    return path
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_more_than_an_hour_is_refused_by_its_header_or_while_it_is_read(tmp_path: Path, told: bool) -> None:
+    path = hours_of_flac(tmp_path, 4.0, told)
+    quickly(path, "longer than 1 hour", "--any-length", *(["4 hours"] if told else []), seconds=2.0 if told else 8.0)
+    if told:
+        with pytest.raises(InputError, match="4 hours"):
+            check_file(path)
+        check_file(path, any_length=True)
+
+
+def test_an_hour_may_be_read_and_more_when_it_is_asked_for(tmp_path: Path) -> None:
+    path = hours_of_flac(tmp_path, 61 / 60, True)
+    quickly(path, "longer than 1 hour")
+    assert load_speech(path, any_length=True).duration == 3660.0
+    assert load_speech(hours_of_flac(tmp_path, 1.0, True)).duration == 3600.0
+
+
+@pytest.mark.parametrize(("rate", "channels"), [(1000, 1), (8000, 2), (16000, 1024)])
+def test_length_is_seconds_at_any_rate_and_number_of_channels(tmp_path: Path, rate: int, channels: int) -> None:
+    size = 2 * rate * channels * 3601
+    if size < 1 << 31:
+        quickly(sparse(tmp_path / "a.wav", riff(rate, channels, size), 44 + size), "longer than 1 hour")
+    size = 2 * rate * channels * 2
+    tracemalloc.start()
+    speech = load_speech(sparse(tmp_path / "b.wav", riff(rate, channels, size), 44 + size))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert speech.duration == pytest.approx(2.0) and peak < 20e6
+
+
+@pytest.mark.parametrize("head", [
+    b"RIFF\xff\xff\xff\x0fWAVE", b"RIFF\xff\xff\xff\x0fWAVEfmt \x10\0\0\0" + riff(16000, 1, 0)[20:36],
+    b"RIFF\xff\xff\xff\x0fWAVE" + b"junk\0\0\0\0" * 5000, b"RF64\xff\xff\xff\xffWAVE",
+    b"FORM\x0f\xff\xff\xffAIFF", b"fLaC", b"OggS", b"ID3\4\0\0\0\0\0\0", b"\xff\xfb\x90\x64", b".snd",
+    b"caff\0\1\0\0", b"riff.\x91\xcf\x11\xa5\xd6\x28\xdb\x04\xc1\0\0",
+    b"\0\0\0\x18ftypM4A \0\0\0\0", b"\x1aE\xdf\xa3", b"", b"#!AMR\n",
+])
+def test_a_header_and_zeros_are_refused_at_once(head: bytes, tmp_path: Path) -> None:
+    quickly(sparse(tmp_path / "a.wav", head, 256 << 20), seconds=6.0)  # the first took 41 s
+
+
+# ---------------------------------------------------------------------------------------------------- streams
+
+@pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
+def test_a_stream_is_read_as_a_file_is(tmp_path: Path, suffix: str, kind: str, subtype: str | None) -> None:
+    data = encoded(tone(44100), 44100, kind, subtype)
+    path = put(tmp_path, f"a.{suffix}", data)
+    expected = load_speech(path).samples
+
+    class Pipe(io.RawIOBase):
+        def __init__(self) -> None:
+            self.rest = data
+
+        def readable(self) -> bool:
+            return True
+
+        def readinto(self, target: Any) -> int:
+            count = min(len(target), 1000, len(self.rest))
+            target[:count], self.rest = self.rest[:count], self.rest[count:]
+            return count
+
+    with path.open("rb") as file:
+        for stream in (io.BytesIO(data), io.BufferedReader(Pipe()), file):
+            assert np.array_equal(load_speech(stream).samples, expected)
+
+
+def test_faults_of_a_stream_name_it(tmp_path: Path) -> None:
+    for data, says in ((b"", "empty"), (b"no sound", "decoded"), (encoded(tone(16000), 16000)[:9000], "cut short")):
+        with pytest.raises(InputError, match=f"^standard input: .*{says}"):
+            load_speech(io.BytesIO(data))
+    code = "import sys\nfrom data_module.speech.audio import load_speech\nprint(load_speech(sys.stdin.buffer).duration)"
+    done = subprocess.run([sys.executable, "-c", code], input=encoded(tone(16000), 16000), capture_output=True,
+                          check=True)
+    assert done.stdout == b"2.0\n"
+
+
+# ---------------------------------------------------------------------------------------------------- containers
+
+CONTAINERS = [("m4a", "mp4", "aac"), ("mp4", "mp4", "aac"), ("mov", "mov", "pcm_s16le"), ("webm", "webm", "libopus"),
+              ("mkv", "matroska", "flac"), ("avi", "avi", "pcm_s16le"), ("aac", "adts", "aac")]
+
+
+def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, picture: bool = False, late: float = 0.0
+              ) -> bytes:
+    """Mono sound in a container, with a video of black pictures when asked."""
+    av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
+    memory = io.BytesIO()
+    with av.open(memory, "w", format=kind) as file:
+        if picture:
+            video = file.add_stream("mpeg4", rate=25)
+            video.width, video.height, video.pix_fmt = 64, 48, "yuv420p"
+        stream = file.add_stream(codec, rate=rate)
+        stream.layout = "mono"
+        if picture:
+            for number in range(round(25 * (late + len(samples) / rate))):
+                frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8))
+                frame.pts = number
+                for packet in video.encode(frame):
+                    file.mux(packet)
+            for packet in video.encode(None):
+                file.mux(packet)
+        for start in range(0, len(samples), 4096):
+            part = (32767 * samples[None, start:start + 4096]).astype(np.int16)
+            frame = av.AudioFrame.from_ndarray(part, format="s16", layout="mono")
+            frame.sample_rate, frame.pts = rate, start + round(late * rate)
+            frame.time_base = Fraction(1, rate)
+            for packet in stream.encode(frame):
+                file.mux(packet)
+        for packet in stream.encode(None):
+            file.mux(packet)
+    return memory.getvalue()
+
+
+@pytest.mark.parametrize(("suffix", "kind", "codec", "picture"), [
+    *[(*row, False) for row in CONTAINERS],
+    *[(*row, True) for row in CONTAINERS if row[0] in ("mp4", "mov", "mkv", "avi")]])
+def test_sound_in_containers_and_of_videos(tmp_path: Path, suffix: str, kind: str, codec: str, picture: bool) -> None:
+    path = put(tmp_path, f"a.{suffix}", contained(tone(48000), kind, codec, picture=picture))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore" if suffix in ("webm", "mkv", "aac", "avi") else "error", AudioWarning)
+        speech = load_speech(path)
+    assert abs(speech.duration - 2.0) < 0.06
+    middle = speech.samples[4000:28000].astype(np.float64)
+    spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
+    assert abs(np.argmax(spectrum) * SAMPLE_RATE / len(middle) - 440.0) < 1.0
+    assert np.sqrt(np.mean(middle ** 2)) == pytest.approx(0.3 / np.sqrt(2), rel=0.05)
+    with path.open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert np.array_equal(load_speech(file).samples, speech.samples)
+
+
+def test_sound_that_begins_late_in_a_video_begins_late(tmp_path: Path) -> None:
+    path = put(tmp_path, "a.mov", contained(tone(48000), "mov", "pcm_s16le", picture=True, late=0.5))
+    samples = load_speech(path).samples
+    assert np.abs(samples[:7900]).max() < 1e-3 < np.abs(samples[8100:8200]).max()
+    assert len(samples) == pytest.approx(40000, abs=200)
+
+
+def test_videos_that_cannot_be_used_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = (0.1 * np.random.default_rng(0).standard_normal(48000 * 4)).astype(np.float32)
+    whole = contained(noise, "matroska", "flac")
+    refused(put(tmp_path, "head.mkv", whole[:60]))
+    refused(put(tmp_path, "none.mp4", contained(tone(48000)[:0], "mp4", "aac")), "")
+    late = contained(noise, "mov", "pcm_s16le")
+    refused(put(tmp_path, "index.mov", late[:len(late) // 2]), "decoded")
+    # The index first, as for the web, and the sound cut off behind it.
+    av = pytest.importorskip("av")
+    place = str(tmp_path / "whole.mov")
+    with av.open(io.BytesIO(late)) as old, av.open(place, "w", options={"movflags": "faststart"}) as new:
+        stream = new.add_stream_from_template(old.streams.audio[0])
+        for packet in old.demux(audio=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                new.mux(packet)
+    fast = (tmp_path / "whole.mov").read_bytes()
+    refused(put(tmp_path, "fast.mov", fast[:len(fast) // 2]), "is cut short", "of the 3.75 s")
+    monkeypatch.setitem(sys.modules, "av", None)
+    refused(put(tmp_path, "a.mkv", whole), "PyAV", "pip install 'gesticulator[video]'")
+
+
+# ---------------------------------------------------------------------------------------------------- level
+
+def test_a_recording_that_is_too_low_is_told_its_gain() -> None:
+    rng = np.random.default_rng(0)
+    loud = (np.repeat(rng.random(40) < 0.6, 4000) * rng.standard_normal(160_000) * 0.05).astype(np.float32)
+    assert level_note(Speech(loud, 16000)) is None
+    for gain in (-30, -46):
+        note = level_note(Speech(loud * np.float32(10 ** (gain / 20)), 16000))
+        assert note is not None
+        # Loud frames are at -26 dBFS, the usual level, so the gain is what was lost.
+        assert f"at {-26 + gain} dBFS" in note and f"volume={-gain}dB" in note
+    assert "silence" in str(level_note(Speech(np.zeros(16000, np.float32), 16000)))

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from data_module.speech.audio import load_speech
 from data_module.speech.silence import (
     FRAME,
     LOOK_AHEAD,
+    QUIETEST,
     SHORTEST_PAUSE,
     frame_levels,
     noise_floor,
     pauses,
+    quietest,
     silent_blocks,
     silent_frames,
 )
@@ -78,6 +83,50 @@ def test_a_quiet_voice_is_not_silent(speech: float, noise: float) -> None:
     silent = silent_blocks(Speech(sound, RATE), steps(22.0))
     assert silent[:7].all()
     assert not silent[9:].any()
+
+
+@pytest.mark.parametrize("gain", [-30, -46, -55])
+def test_a_microphone_that_is_far_too_low_makes_no_silence(gain: float) -> None:
+    """The recording as it should be, and its copy in 16 bits: the same blocks are silent, but for the first phrase."""
+    sound = np.concatenate([np.zeros(2 * RATE), voice(12.0, -26), np.zeros(3 * RATE), voice(12.0, -26)])
+    sound = (sound + room(29.0, -62)).astype(np.float32)
+    faint = (np.round(sound * 10 ** (gain / 20) * 32767) / 32767).astype(np.float32)
+    whole, copy = (silent_blocks(Speech(samples, RATE), steps(29.0)) for samples in (sound, faint))
+    assert whole[:7].all() and not whole[9:55].any()
+    # Two seconds of sound are needed to tell a faint voice from a noise before the first word.
+    assert np.array_equal(copy[17:], whole[17:])
+    assert copy[:8].all()
+
+
+def test_faint_silence_is_the_same_in_a_stream() -> None:
+    sound = np.concatenate([voice(6.0, -70), np.zeros(3 * RATE, np.float32), voice(6.0, -74)]) + room(15.0, -105)
+    whole = pauses(silent_frames(sound, RATE))
+    assert whole[:100].all() and not whole[300:590].any() and whole[620:880].all()
+    for seconds in (1.9, 4.0, 6.5, 8.0, 12.0):
+        part = pauses(silent_frames(sound[:round(seconds * RATE)], RATE))
+        sure = round((seconds - LOOK_AHEAD) / FRAME)
+        assert np.array_equal(part[:sure], whole[:sure])
+
+
+def test_the_limit_of_an_ordinary_recording_does_not_move() -> None:
+    """Faint breaths before the first word and in a long pause, after it digital silence."""
+    breaths = np.concatenate([np.zeros(RATE // 2), voice(0.4, -66), np.zeros(RATE // 2), voice(0.5, -64)])
+    sound = np.concatenate([breaths, voice(8.0, -24), np.zeros(RATE), breaths, breaths, np.zeros(5 * RATE)])
+    levels = frame_levels(sound.astype(np.float32), RATE)
+    assert (quietest(levels, noise_floor(levels)) == QUIETEST).all()
+
+
+def test_the_last_bits_of_a_sound_card_are_silent() -> None:
+    rng = np.random.default_rng(0)
+    flips = (rng.random(30 * RATE) < 0.02).astype(np.float32) / 32768
+    assert silent_blocks(Speech(flips, RATE), steps(30.0)).all()
+
+
+def test_real_recordings_keep_the_limit(outside_data: Path) -> None:
+    """What has its usual level is cut as it always was, to the bit."""
+    for file in sorted((outside_data / "speech").glob("*.flac")):
+        levels = frame_levels(load_speech(file).samples, RATE)
+        assert (quietest(levels, noise_floor(levels)) == QUIETEST).all(), file
 
 
 def test_a_voice_that_starts_at_once_is_heard() -> None:

@@ -23,12 +23,11 @@ from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError, shown
 from data_module.files import read_text, write_text
 from data_module.motion.bvh import bvh_text
-from data_module.speech.audio import load_speech
+from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
 from data_module.truth import Truth
 from data_module.types import Speech, Word
 
-SOUNDS = (".flac", ".wav", ".mp3", ".ogg")
 DEFAULT_SPLIT = "80/10/10"
 """Percent for train, val and test."""
 _SAID = ("words", "segments", "tiers", "text")

@@ -8,57 +8,68 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import shutil
+import tempfile
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal
+from typing import BinaryIO, cast
 
 import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
+from data_module.speech.decoders import BrokenSoundError, NoSoundError, Sound, container, mpeg, sndfile
+from data_module.speech.features import TYPICAL_LEVEL
+from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, noise_floor
+from data_module.speech.sound_headers import Patched, Promise, container_of, is_mpeg, promised
 from data_module.types import Samples, Speech
-
-if TYPE_CHECKING:
-    import soundfile
-    from typing_extensions import Buffer
 
 SAMPLE_RATE = 16000
 """Hertz of every `Speech` that this module returns."""
 SHORTEST = 0.3
 """Seconds: anything shorter holds no block."""
+LONGEST = 3600.0
+"""Seconds: an hour takes 0.7 GB and some minutes to make gestures for; more is asked for by name (`any_length`)."""
+SOUNDS = (".flac", ".wav", ".mp3", ".ogg", ".opus", ".m4a", ".aac", ".webm", ".mp4", ".mkv", ".mov")
+"""Endings of sound files, and of videos with sound; where a name has several, the first of these is read."""
+LOW_LEVEL = -45.0
+"""dBFS: speech below it was recorded too low by some 20 dB, and its quiet syllables begin to drown."""
 
-_PIECE = 1 << 18
-_LOWEST_RATE = 1000
-# A recorder that writes to a pipe cannot go back to fill in the length; these are what it leaves there.
-_STREAMED = 0x7FFF0000
+_LOWEST_RATE, _HIGHEST_RATE = 1000, 768_000
+"""Hertz: below the first no syllable can be told, and no sound card goes beyond the second."""
 _FULL_SCALE = 16.0
+"""Times full scale (24 dB) that a sample in floating point may be above it; more is another unit."""
+_OPEN_END = 1 << 40
+"""Samples: decoders give more than these two years for a file that does not tell its length."""
+_STREAM_PIECE = 1 << 20
+"""Bytes that are read from a pipe at a time."""
 
 
 class AudioWarning(UserWarning):
     """A recording can be used, but something about it could not be checked."""
 
 
-def load_speech(path: str | os.PathLike[str]) -> Speech:
-    """Read a recording (WAV, FLAC, OGG, MP3; any rate, any number of channels) as mono speech at `SAMPLE_RATE`.
+def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = False) -> Speech:
+    """Read a recording (any rate, any number of channels) as mono speech at `SAMPLE_RATE`.
 
-    Channels are averaged. Raises `InputError` with one line for anything that is not a whole recording of
-    `SHORTEST` seconds or more; warns with `AudioWarning` where the file does not tell how long it should be.
+    source: a path, or a binary stream such as `sys.stdin.buffer` that holds a sound file: WAV, FLAC, OGG, MP3 and what
+    else libsndfile reads, and with PyAV installed M4A, MP4, WebM and other containers. any_length: take more than
+    `LONGEST` seconds. Channels are averaged.
+
+    Raises `InputError` with one line for anything that is not a whole recording of `SHORTEST` seconds or more; warns
+    with `AudioWarning` where the file does not tell how long it should be.
     """
-    import soundfile
-
-    name = Path(path)
-    check_file(name)
+    name = _name_of(source)
     try:
-        with name.open("rb") as raw, _quiet():
-            promise = _promised(raw, name.stat().st_size, name)
-            raw.seek(0)
-            # A WAV written to a pipe may say 0 bytes of sound; the decoder would believe it.
-            with _straight()(_Patched(raw, promise.patch) if promise.patch else raw) as file:
-                samples = _decode(file, name, promise)
-    except (soundfile.SoundFileError, TypeError, ValueError) as error:
+        with _opened(source, any_length) as raw, _decoder(raw, name) as (sound, promise):
+            samples = _mono(sound, promise, name, any_length)
+    except NoSoundError as error:
         raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
+    except BrokenSoundError as error:
+        raise InputError(name, f"breaks off: it cannot be decoded to its end ({error})",
+                         "copy it again from its source") from None
     except OSError as error:
         raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
     if len(samples) < round(SHORTEST * SAMPLE_RATE):
@@ -68,6 +79,40 @@ def load_speech(path: str | os.PathLike[str]) -> Speech:
         warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a cut end would go unnoticed"),
                       stacklevel=2)
     return Speech(samples, SAMPLE_RATE)
+
+
+def check_file(name: Path, any_length: bool = False) -> None:
+    """`InputError` where a path cannot be a recording, or its header tells of a longer one than may be; no decoding."""
+    if not name.exists():
+        raise InputError(name, "does not exist", "check the path")
+    if name.is_dir():
+        raise InputError(name, "is a directory", "give a sound file")
+    if not name.is_file():
+        raise InputError(name, "is not a regular file", "give a sound file")
+    if name.stat().st_size == 0:
+        raise InputError(name, "is empty", "record or copy it again")
+    seconds = 0.0
+    # What else is wrong with it is told when it is read. MP3 takes a process to ask, so it is asked then, too.
+    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw:
+        if not any_length and not is_mpeg(raw.read(512)):
+            with _decoder(raw, name) as (sound, promise):
+                seconds = _claimed(sound, promise) / sound.rate
+    if seconds > LONGEST:
+        raise _too_long(name, f"its header tells of {_hours(seconds)}")
+
+
+def level_note(speech: Speech) -> str | None:
+    """What to tell the user of a recording whose level is far too low, with the gain to apply; None for others."""
+    levels = frame_levels(speech.samples, speech.sample_rate)
+    loud = levels > np.maximum(noise_floor(levels) + MARGIN, FAINTEST_SPEECH)
+    if levels.max() <= FAINTEST_SPEECH:
+        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
+    level = float(levels[loud].mean()) if loud.any() else float(levels.max())
+    if level >= LOW_LEVEL:
+        return None
+    gain = round(TYPICAL_LEVEL - level)
+    return (f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB "
+            f"(ffmpeg -i IN -af volume={gain}dB OUT)")
 
 
 def resample(speech: Speech, sample_rate: int) -> Speech:
@@ -89,103 +134,96 @@ def write_flac(path: str | os.PathLike[str], speech: Speech) -> None:
     write_bytes(path, memory.getvalue())
 
 
-def _straight() -> type[soundfile.SoundFile]:
-    """A sound file that is only ever read forwards: a seek after each piece is slow in MP3 and, where the length is
-    open, fails."""
-    import soundfile
+# ---------------------------------------------------------------------------------------------------- reading
 
-    class Straight(soundfile.SoundFile):
-        def seekable(self) -> bool:
-            return False
-
-    return Straight
-
-
-@dataclass(frozen=True)
-class _Promise:
-    """What a header says. known: it tells the length; frames: samples per channel, 0 where the decoder's own count is
-    the promise; patch: where a length of 0 stands that has to be read as "to the end"."""
-
-    known: bool
-    frames: int = 0
-    patch: int = 0
-
-
-class _Patched(io.RawIOBase):
-    """A binary file read as if the four bytes at `place` were 0xFF."""
-
-    def __init__(self, raw: BinaryIO, place: int) -> None:
-        self._raw, self._place = raw, place
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        return self._raw.seek(offset, whence)
-
-    def tell(self) -> int:
-        return self._raw.tell()
-
-    def readinto(self, target: Buffer) -> int:
-        view = memoryview(target).cast("B")
-        start = self._raw.tell()
-        data = bytearray(self._raw.read(len(view)))
-        for place in range(max(start, self._place), min(start + len(data), self._place + 4)):
-            data[place - start] = 0xFF
-        view[:len(data)] = data
-        return len(data)
+def _name_of(source: str | os.PathLike[str] | BinaryIO) -> object:
+    """What messages call a recording."""
+    if isinstance(source, str | os.PathLike):
+        return Path(source)
+    name = getattr(source, "name", "")
+    return name if isinstance(name, str) and name and not name.startswith("<") else "standard input"
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep the decoders' C libraries, which print past Python, off the terminal."""
-    try:
-        kept = os.dup(2)
-    except OSError:  # there is no such terminal
-        yield
+def _opened(source: str | os.PathLike[str] | BinaryIO, any_length: bool) -> Iterator[BinaryIO]:
+    """The sound file as something that can be gone back in."""
+    if isinstance(source, str | os.PathLike):
+        check_file(Path(source), any_length)
+        with Path(source).open("rb") as raw:
+            yield raw
+    elif source.seekable():
+        yield source
+    else:
+        # A header may say where to go on, and a pipe has no way there.
+        with tempfile.TemporaryFile() as copy:
+            _spool(source, copy, any_length)
+            yield cast(BinaryIO, copy)
+
+
+def _spool(source: BinaryIO, copy: BinaryIO, any_length: bool) -> None:
+    most = round(LONGEST * _HIGHEST_RATE)  # bytes: an hour of 96 kHz stereo in floating point
+    if any_length:
+        shutil.copyfileobj(source, copy, _STREAM_PIECE)
         return
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+    while data := source.read(_STREAM_PIECE):
+        copy.write(data)
+        if copy.tell() > most:
+            raise _too_long("standard input", "its bytes are more than an hour of sound has")
 
 
-def _reason(error: Exception) -> str:
-    text = getattr(error, "error_string", None) or str(error)
-    return str(text).rstrip(". ") or type(error).__name__
-
-
-def check_file(name: Path) -> None:
-    """`InputError` where a path cannot be a recording, without reading it."""
-    if not name.exists():
-        raise InputError(name, "does not exist", "check the path")
-    if name.is_dir():
-        raise InputError(name, "is a directory", "give a sound file")
-    if not name.is_file():
-        raise InputError(name, "is not a regular file", "give a sound file")
-    if name.stat().st_size == 0:
+@contextlib.contextmanager
+def _decoder(raw: BinaryIO, name: object) -> Iterator[tuple[Sound, Promise]]:
+    """The sound file being decoded by what knows its format, and what its header promises."""
+    size = raw.seek(0, io.SEEK_END)
+    raw.seek(0)
+    if size == 0:
         raise InputError(name, "is empty", "record or copy it again")
+    head = raw.read(512)
+    kind = container_of(head)
+    if kind:
+        with container(raw, kind, name) as sound:
+            yield sound, Promise(sound.known, sound.frames if sound.known else 0)
+        return
+    raw.seek(0)
+    promise = promised(raw, size, name)
+    raw.seek(0)
+    if is_mpeg(head):
+        with mpeg(raw) as sound:
+            # Without a count of its own what the decoder tells is a guess by the first frame.
+            yield replace(sound, frames=sound.frames if promise.known else 0), promise
+        return
+    # A WAV written to a pipe may say 0 bytes of sound; the decoder would believe it.
+    with sndfile(cast(BinaryIO, Patched(raw, promise.patch)) if promise.patch else raw) as sound:
+        yield sound, promise
 
 
-def _decode(file: soundfile.SoundFile, name: Path, promise: _Promise) -> Samples:
-    """All samples as mono at `SAMPLE_RATE`, [n]."""
+def _claimed(sound: Sound, promise: Promise) -> int:
+    """Samples per channel by the header, 0 where it does not say."""
+    claimed = promise.frames or sound.frames
+    return claimed if claimed < _OPEN_END else 0
+
+
+def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Samples:
+    """All samples as mono at `SAMPLE_RATE`, [n]; `InputError` where they are fewer than promised, or too many."""
     import soxr
 
-    rate = int(file.samplerate)
+    rate = sound.rate
     if rate < _LOWEST_RATE:
         raise InputError(name, f"has {rate} samples per second, too few for speech", "record at 8 kHz or more")
+    if rate > _HIGHEST_RATE:
+        raise InputError(name, f"claims {rate} samples per second", "export it again")
+    most = float("inf") if any_length else LONGEST * rate
+    told = _claimed(sound, promise)
+    if told > most:
+        raise _too_long(name, f"its header tells of {_hours(told / rate)}")
     resampler = soxr.ResampleStream(rate, SAMPLE_RATE, 1, dtype="float32") if rate != SAMPLE_RATE else None
-    told = promise.frames or file.frames
     buffer, frames = bytearray(), 0
-    for piece in _pieces(file, name):
+    for piece in sound.pieces:
         frames += len(piece)
-        buffer += (piece if resampler is None else resampler.resample_chunk(piece)).tobytes()
+        if frames > most:
+            raise _too_long(name, "it goes on beyond that")
+        mono = _averaged(piece, name)
+        buffer += (mono if resampler is None else resampler.resample_chunk(mono)).tobytes()
     if frames == 0:
         raise InputError(name, "holds no samples", "record or copy it again")
     if resampler is not None:
@@ -198,97 +236,20 @@ def _decode(file: soundfile.SoundFile, name: Path, promise: _Promise) -> Samples
     return samples
 
 
-def _pieces(file: soundfile.SoundFile, name: Path) -> Iterator[Samples]:
-    """The file's samples, piece by piece, channels averaged; `InputError` where they are not sound."""
-    import soundfile
-
-    while True:
-        try:
-            piece = file.read(_PIECE, dtype="float32", always_2d=True)
-        except soundfile.SoundFileError as error:
-            raise InputError(name, f"breaks off: it cannot be decoded to its end ({_reason(error)})",
-                             "copy it again from its source") from None
-        if len(piece) == 0:
-            return
-        if not np.isfinite(piece).all():
-            raise InputError(name, "holds samples that are not numbers (NaN or infinite)", "export it again")
-        if np.abs(piece).max() > _FULL_SCALE:
-            raise InputError(name, f"holds samples up to {np.abs(piece).max():.3g}, where full scale is 1",
-                             "export it again, scaled to [-1, 1]")
-        yield np.ascontiguousarray(piece.mean(axis=1, dtype=np.float32))
+def _averaged(piece: np.ndarray, name: object) -> Samples:
+    """The mean [n] of the channels of a piece [n, channels]; `InputError` where they are not sound."""
+    if not np.isfinite(piece).all():
+        raise InputError(name, "holds samples that are not numbers (NaN or infinite)", "export it again")
+    if np.abs(piece).max() > _FULL_SCALE:
+        raise InputError(name, f"holds samples up to {np.abs(piece).max():.3g}, where full scale is 1",
+                         "export it again, scaled to [-1, 1]")
+    return np.ascontiguousarray(piece.mean(axis=1, dtype=np.float32))
 
 
-def _promised(raw: BinaryIO, size: int, name: Path) -> _Promise:
-    """What the header promises. Raises `InputError` for a container that ends before its promise.
-
-    The decoder shortens a WAV silently to what is there, so containers are looked into here.
-    """
-    head = raw.read(12)
-    if head[:4] in (b"RIFF", b"RIFX", b"RF64") and head[8:12] == b"WAVE":
-        return _promised_by_riff(raw, size, name, "big" if head[:4] == b"RIFX" else "little")
-    if head[:4] == b"fLaC":
-        # STREAMINFO comes first: 4 bytes of block header, then 36 bits of sample count from its 108th bit.
-        raw.seek(0)
-        block = raw.read(42)
-        count = int.from_bytes(block[21:26], "big") & ((1 << 36) - 1)
-        return _Promise(count > 0, count)
-    if head[:4] == b"OggS":
-        return _Promise(_ogg_is_closed(raw, size))
-    if head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0):
-        return _promised_by_mpeg(raw, head)
-    return _Promise(False)
+def _too_long(name: object, why: str) -> InputError:
+    return InputError(name, f"lasts longer than {_hours(LONGEST)} ({why})",
+                      "cut it, or say --any-length (any_length=True)")
 
 
-def _promised_by_riff(raw: BinaryIO, size: int, name: Path, order: Literal["little", "big"]) -> _Promise:
-    """Walk the chunks to the sound and compare its length with what is there."""
-    position, long_length = 12, 0
-    while position + 8 <= size:
-        raw.seek(position)
-        chunk = raw.read(8)
-        length = int.from_bytes(chunk[4:], order)
-        if chunk[:4] == b"ds64":
-            raw.seek(position + 16)
-            long_length = int.from_bytes(raw.read(8), "little")
-        if chunk[:4] == b"data":
-            there = size - position - 8
-            if length == 0xFFFFFFFF and long_length:
-                length = long_length
-            elif length == 0 and there > 0:
-                return _Promise(False, patch=position + 4)
-            elif length >= _STREAMED and length > there:
-                return _Promise(False)
-            if length > there:
-                raise InputError(name, f"is cut short: {there} of the {length} bytes of sound that its header promises",
-                                 "copy it again from its source")
-            return _Promise(True)
-        position += 8 + length + (length & 1)
-    raise InputError(name, "holds no sound: its header breaks off", "copy it again from its source")
-
-
-def _ogg_is_closed(raw: BinaryIO, size: int) -> bool:
-    """True when the last page is whole and says that it is the last."""
-    tail = min(size, 1 << 17)  # a page is 65,307 bytes at most
-    raw.seek(size - tail)
-    data = raw.read(tail)
-    start = data.rfind(b"OggS")
-    if start < 0 or start + 27 > len(data):
-        return False
-    segments = data[start + 26]
-    table = data[start + 27:start + 27 + segments]
-    return len(table) == segments and start + 27 + segments + sum(table) <= len(data) and bool(data[start + 5] & 4)
-
-
-def _promised_by_mpeg(raw: BinaryIO, head: bytes) -> _Promise:
-    """Samples per channel that the encoder's own first frame ("Xing" or "Info") counts, less its padding."""
-    start = 0
-    if head[:3] == b"ID3":
-        start = 10 + sum((byte & 0x7F) << shift for byte, shift in zip(head[6:10], (21, 14, 7, 0), strict=True))
-    raw.seek(start)
-    frame = raw.read(4096)
-    mark = max(frame.find(b"Xing"), frame.find(b"Info"))
-    if mark < 0 or mark > 64 or len(frame) < mark + 12 or not frame[mark + 7] & 1:
-        return _Promise(False)
-    version_one = frame[1] >> 3 & 3 == 3
-    frames = int.from_bytes(frame[mark + 8:mark + 12], "big")
-    # Encoder delay and padding, and the decoder's own delay, are trimmed from the ends: allow for all of them.
-    return _Promise(True, max(1, frames - 4) * (1152 if version_one else 576))
+def _hours(seconds: float) -> str:
+    return f"{seconds / 3600:.3g} hour{'' if seconds == 3600 else 's'}"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.speech.silence import FRAME, silent_frames
+from data_module.speech.silence import FRAME, QUIETEST, frame_levels, noise_floor, quietest, silent_frames
 from data_module.types import Array, BeatFlag, Beats, Samples, Speech
 
 RULES = ("bounded", "paper", "even")
@@ -98,6 +98,7 @@ def onset_strength(samples: Samples, sample_rate: int) -> Array:
     padded = np.concatenate([np.zeros(window // 2 + _LAG * hop, np.float32), samples,
                              np.zeros(window // 2 + hop, np.float32)])
     covered = _covered(window, hop)
+    faintest = _faintest(samples, sample_rate, frames)
     strength = np.empty(frames)
     for start in range(0, frames, _PIECE):  # an hour's spectrogram would not fit
         stop = min(start + _PIECE, frames)
@@ -105,12 +106,20 @@ def onset_strength(samples: Samples, sample_rate: int) -> Array:
         spectrum = librosa.stft(piece, n_fft=window, hop_length=hop, center=False)
         power = bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
         power /= covered[np.minimum(np.arange(start - _LAG, stop), len(covered) - 1).clip(0)]
-        decibels = 10.0 * np.log10(np.maximum(power, _FAINTEST))
+        decibels = 10.0 * np.log10(np.maximum(power, faintest[np.arange(start - _LAG, stop).clip(0)]))
         rise = librosa.onset.onset_strength(S=decibels, sr=sample_rate, lag=_LAG, center=False)
         strength[start:stop] = rise[_LAG:_LAG + stop - start]
     strength[:_LAG] = 0.0  # nothing but padding lies before them
     # Single precision leaves ties open; rounding closes them the same way in every piece.
     return np.round(strength, 3)
+
+
+def _faintest(samples: Samples, sample_rate: int, frames: int) -> NDArray[np.float32]:
+    """The mel power [F] that counts as nothing: `_FAINTEST`, and as much less as silence begins lower."""
+    levels = frame_levels(samples, sample_rate)
+    lower = quietest(levels, noise_floor(levels)) - QUIETEST
+    lower = np.concatenate([lower, np.repeat(lower[-1:], max(0, frames - len(lower)))])[:frames]
+    return np.float32(_FAINTEST) * (10.0 ** (lower / 10.0)).astype(np.float32)
 
 
 def _covered(window: int, hop: int) -> Array:

@@ -18,7 +18,15 @@ MEMORY = 10.0
 MARGIN = 6.0
 """Decibels above the floor where sound begins to count: steady noise stays below, quiet speech rises above."""
 QUIETEST = -60.0
-"""dBFS: what is fainter counts as silence whatever the floor."""
+"""dBFS: what is fainter counts as silence whatever the floor, unless all of the recording so far was faint."""
+BELOW_LOUDEST = 35.0
+"""Decibels under the loudest 0.1 s so far where silence begins in a faint recording. Speech reaches -25 dBFS as it is
+usually recorded (of eleven recordings tried the least did -22), and there the limit stays at `QUIETEST`."""
+FAINTEST_SPEECH = -90.0
+"""dBFS: no speech is looked for below it. 16 bits end at -98, and their last bit is noise."""
+FAINT_EVIDENCE = 1.5
+"""Seconds of sound above the noise and below `QUIETEST` before a recording counts as faint: breaths and handling before
+the first word last less (0.7 s at most in the recordings tried)."""
 SHORTEST_PAUSE = 0.35
 """Seconds: a shorter gap belongs to the speech around it (a stop consonant's closure lasts up to 0.2 s)."""
 LOOK_AHEAD = SHORTEST_PAUSE + 0.05
@@ -50,9 +58,8 @@ def noise_floor(levels: Array) -> Array:
     Levels are first averaged over steps of 0.1 s, which makes steady noise steady. In the first second there is
     hardly a past, so a floor above an ordinary room is not believed yet.
     """
-    steps = -(-len(levels) // _STEP)
-    padded = np.concatenate([levels, np.repeat(levels[-1:], steps * _STEP - len(levels))])
-    means = padded.reshape(steps, _STEP).mean(axis=1)
+    means = _step_means(levels)
+    steps = len(means)
     span = round(MEMORY / (FRAME * _STEP))
     past = np.concatenate([np.full(span - 1, np.inf), means])
     ordered = np.sort(np.lib.stride_tricks.sliding_window_view(past, span), axis=1)
@@ -63,10 +70,32 @@ def noise_floor(levels: Array) -> Array:
     return np.repeat(floor, _STEP)[:len(levels)]
 
 
+def _step_means(levels: Array) -> Array:
+    """Levels averaged over steps of 0.1 s, the last one filled up with its last frame, [steps]."""
+    steps = -(-len(levels) // _STEP)
+    padded = np.concatenate([levels, np.repeat(levels[-1:], steps * _STEP - len(levels))])
+    means: Array = padded.reshape(steps, _STEP).mean(axis=1)
+    return means
+
+
+def quietest(levels: Array, floor: Array) -> Array:
+    """dBFS for each frame [F] below which everything is silent, as known by then.
+
+    `QUIETEST`, until a recording has had `FAINT_EVIDENCE` of sound that stands out of its noise and is fainter; from
+    then on at most `BELOW_LOUDEST` under the loudest 0.1 s so far. A recording with the usual level has its loudest
+    sounds first, so that nothing changes for it; one that a microphone took 46 dB too low is heard after a phrase.
+    """
+    faint = (levels > floor + MARGIN) & (levels <= QUIETEST)
+    loudest = np.repeat(np.maximum.accumulate(_step_means(levels)), _STEP)[:len(levels)]
+    follows = np.cumsum(faint) * FRAME >= FAINT_EVIDENCE
+    return np.where(follows, np.clip(loudest - BELOW_LOUDEST, FAINTEST_SPEECH, QUIETEST), QUIETEST)
+
+
 def silent_frames(samples: Samples, sample_rate: int) -> NDArray[np.bool_]:
     """True for each frame of `FRAME` seconds that is no louder than the noise, [F]."""
     levels = frame_levels(samples, sample_rate)
-    return levels <= np.maximum(noise_floor(levels) + MARGIN, QUIETEST)
+    floor = noise_floor(levels)
+    return levels <= np.maximum(floor + MARGIN, quietest(levels, floor))
 
 
 def pauses(silent: NDArray[np.bool_]) -> NDArray[np.bool_]:

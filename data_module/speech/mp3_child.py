@@ -1,0 +1,46 @@
+"""A process of its own that decodes MP3: a file as standard input to pieces of samples on standard output.
+
+mpg123, which decodes MP3 for libsndfile, writes to the process's standard error whatever it dislikes about a file, past
+Python, and libsndfile offers no way to stop it. Pointing that descriptor elsewhere for a while would take it from every
+other thread; in a process of its own nobody else has it.
+
+`main` takes PIECE from the command line, the samples per channel that are sent at a time. What it writes is a line of
+JSON, {"rate", "channels", "frames"}, or {"error"}; then pieces, each a count of samples (int32, little-endian) and so
+many x channels float32; then the count 0, or -1 and a line that says what is wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+
+
+def main() -> None:
+    import numpy as np
+    import soundfile
+
+    class Straight(soundfile.SoundFile):
+        """Only ever read forwards: a seek after each piece is slow in MP3."""
+
+        def seekable(self) -> bool:
+            return False
+
+    out = sys.stdout.buffer
+    try:
+        file = Straight(sys.stdin.buffer)
+    except (soundfile.SoundFileError, TypeError, ValueError) as error:
+        out.write(json.dumps({"error": str(error)}).encode() + b"\n")
+        return
+    with file:
+        head = {"rate": int(file.samplerate), "channels": int(file.channels), "frames": int(file.frames)}
+        out.write(json.dumps(head).encode() + b"\n")
+        while True:
+            try:
+                piece = file.read(int(sys.argv[1]), dtype="float32", always_2d=True)
+            except soundfile.SoundFileError as error:
+                text = getattr(error, "error_string", None) or str(error)
+                out.write(np.int32(-1).astype("<i4").tobytes() + " ".join(str(text).split()).encode() + b"\n")
+                return
+            out.write(np.int32(len(piece)).astype("<i4").tobytes() + piece.astype("<f4").tobytes())
+            if len(piece) == 0:
+                return
