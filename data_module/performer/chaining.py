@@ -112,3 +112,18 @@ def _joined(out: Array, logs: Array, start: int, leave: int, fade: float) -> Arr
         offset = quintic_offset(out[-3:].reshape(3, -1), logs[start - 3:start].reshape(3, -1), times, fade, FPS)
         piece += offset.reshape(piece.shape)
     return np.concatenate([out, piece])
+
+
+def seam_ratio(hands: Array, edges: Array) -> float:
+    """Mean acceleration of the faster hand within two frames of the inner edges (seconds), over that elsewhere.
+
+    hands: [T, 2, 3] metres at 60 fps. 1 where there is no inner edge.
+    """
+    acceleration = np.linalg.norm(np.diff(hands, 2, axis=0), axis=-1).max(axis=1)
+    at = np.round(edges[1:-1] * FPS).astype(int)
+    at = at[(at > 2) & (at < len(acceleration) - 3)]
+    near = np.zeros(len(acceleration), dtype=bool)
+    near[(at[:, None] + np.arange(-2, 2)).ravel()] = True
+    if not near.any() or near.all():
+        return 1.0
+    return float(acceleration[near].mean() / max(acceleration[~near].mean(), 1e-9))

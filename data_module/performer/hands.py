@@ -65,9 +65,9 @@ class PhraseHands:
 
 def draw_manner(rng: np.random.Generator) -> Manner:
     """The manner of a talk."""
-    return Manner(both=rng.uniform(0.4, 0.8), dominant=rng.uniform(0.55, 0.8), switch=rng.uniform(0.35, 0.7),
-                  hanging=rng.uniform(0.2, 0.6), falling=rng.uniform(0.05, 0.3),
-                  gain=float(np.clip(1.15 * np.exp(rng.normal(0.0, 0.07)), 1.0, 1.3)), hold=rng.uniform(1.1, 1.7),
+    return Manner(both=rng.uniform(0.5, 0.85), dominant=rng.uniform(0.55, 0.8), switch=rng.uniform(0.35, 0.7),
+                  hanging=rng.uniform(0.12, 0.45), falling=rng.uniform(0.05, 0.3),
+                  gain=float(np.clip(1.25 * np.exp(rng.normal(0.0, 0.07)), 1.05, 1.4)), hold=rng.uniform(1.1, 1.7),
                   drift=rng.uniform(0.4, 0.9), small_beats=rng.uniform(0.0, 0.6), eagerness=rng.uniform(-0.3, 0.5),
                   trunk=float(np.exp(rng.normal(0.0, 0.15))))
 

@@ -23,7 +23,7 @@ from data_module.performer.inertialisation import quintic_offset
 from data_module.performer.plan import BRAKE, Casting, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet
 from data_module.performer.styles import NEUTRAL, StyleTrack
-from data_module.performer.trunk import Segment, postures, spread, trunk_track
+from data_module.performer.trunk import Segment, idle_arms, kept_ahead, postures, spread, sway, trunk_track
 from data_module.performer.types import Played, Spoken
 from data_module.truth import PlayedStroke
 from data_module.types import Array, Motion
@@ -264,6 +264,10 @@ def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
     speaking = lively.max(axis=0)
     wander = manner.drift if manner else 1.0
     drift = np.stack([_drift(figure, lively[side], wander, frames, rng) for side in (LEFT, RIGHT)])
+    if manner and segments:
+        joints = min(drift.shape[-1], 12)
+        fidgets = idle_arms(segments, frames, rng)
+        drift[..., :joints] += (1.0 - lively)[..., None] * fidgets[..., :joints]
     least = manner.small_beats if manner else _LEAST_SMALL
     micro = np.stack([_micro(side, spoken, planned, least, frames, rng) for side in (LEFT, RIGHT)])
     if manner and segments:
@@ -467,7 +471,9 @@ def _living_trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, 
     out[:, skull] = (head + posture[:, 1] / len(skull))[:, None]
     out[:, skull, 0] += (_NOD_GAIN * _nods(spoken, habits, frames, rng) / len(skull))[:, None]
     out[:, spines[-1], 0] += _breath(frames)
+    out[:, spines] += (sway(frames, rng) * (1.0 - 0.7 * speaking)[:, None] / len(spines))[:, None]
     _add_clips(out, planned)
+    out[..., 1] *= kept_ahead(out[..., 1].sum(axis=1))
     return out
 
 

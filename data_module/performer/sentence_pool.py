@@ -13,7 +13,9 @@ from data_module.performer.syllables import Nucleus, listen
 from data_module.truth import Phrase
 from data_module.types import Array, Samples, Speech, Word
 
-_LEAST_LETTERS = 6
+_LEAST_LETTERS, _LONGEST_LETTERS = 6, 70
+_JOINED = 0.55
+"""Probability that a phrase is said in one breath with the next of its sentence: motion has phrases of up to 6 s."""
 _PAUSE = 0.3
 """Seconds between the phrases while their prominence is measured."""
 NO_VOWEL = np.inf
@@ -41,12 +43,21 @@ class Pool:
 
 
 def phrase_texts(rng: np.random.Generator, count: int, split: str, said: set[str]) -> tuple[str, ...]:
-    """`count` phrases of our own sentences, none of a sentence in `said`, which grows."""
+    """`count` phrases of our own sentences, some of them joined; no phrase and no sentence of `said`, which grows."""
     phrases: list[str] = []
     while len(phrases) < count:
         for utterance in text.compose(rng, 60.0, split, said):
-            phrases += [part.text for part in utterance.parts if len(part.text) >= _LEAST_LETTERS]
-    return tuple(dict.fromkeys(phrases))[:count]
+            waiting = ""
+            for place, part in enumerate(utterance.parts):
+                waiting = f"{waiting} {part.text}".strip()
+                goes_on = len(waiting) < _LONGEST_LETTERS and rng.random() < _JOINED
+                if goes_on and place < len(utterance.parts) - 1:
+                    continue
+                if len(waiting) >= _LEAST_LETTERS and waiting not in said:
+                    phrases.append(waiting)
+                    said.add(waiting)
+                waiting = ""
+    return tuple(phrases[:count])
 
 
 def make_pool(voice: str, texts: Sequence[str], rng: np.random.Generator) -> Pool:

@@ -23,6 +23,8 @@ from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.bvh import read_bvh
 from data_module.motion.motion_beats import ACTING, acting_speed
 from data_module.motion.skeletons import CHARACTER
+from data_module.performer.strokes import arm_joints
+from data_module.store import Split
 from data_module.types import Array
 
 FPS = 60.0
@@ -43,6 +45,7 @@ TEST_SHARE, VALIDATION_SHARE = 0.2, 0.1
 """Shares of the takes of each group."""
 
 ARMS = tuple(j for j, name in enumerate(CHARACTER.names) if name.startswith(("Left", "Right")))
+ARM_SIDES = arm_joints(CHARACTER)
 HIPS = (CHARACTER.index("Hips"),)
 SPINE = tuple(CHARACTER.index(name) for name in ("Spine", "Spine1", "Spine2", "Spine3"))
 SKULL = tuple(CHARACTER.index(name) for name in ("Neck", "Neck1", "Head"))
@@ -126,6 +129,11 @@ class Range:
 
 def load_takes(folder: str | Path) -> Library:
     """Read `manifest.csv` and the takes beside it that somebody gestures or idles in; `InputError` without them."""
+    return library_of([(take, _rotations(file)) for take, file in list_takes(folder)])
+
+
+def list_takes(folder: str | Path) -> list[tuple[Take, Path]]:
+    """The takes that `manifest.csv` names and that are used, without their motion, and their files."""
     manifest = Path(folder) / "manifest.csv"
     if not manifest.is_file():
         raise InputError(manifest, "does not exist", "give the folder that holds manifest.csv")
@@ -134,16 +142,16 @@ def load_takes(folder: str | Path) -> Library:
     lacking = {"file", "person", "licence"} - set(rows[0] if rows else ())
     if lacking:
         raise InputError(manifest, f"lacks columns {', '.join(sorted(lacking))}", "take the manifest of the clips")
-    read: list[tuple[Take, Array]] = []
+    listed: list[tuple[Take, Path]] = []
     for row in rows:
         stem = Path(row["file"]).stem
         group = group_of(stem)
         if group and stem not in _TWINS:
             take = Take(stem, row["person"], group, row["licence"], np.zeros((0, 16, 3)))
-            read.append((take, _rotations(Path(folder) / row["file"])))
-    if not any(any(part in take.name for part in _HANGING) for take, _ in read):
+            listed.append((take, Path(folder) / row["file"]))
+    if not any(any(part in take.name for part in _HANGING) for take, _ in listed):
         raise InputError(manifest, "names no take of somebody standing", "take the manifest of the clips")
-    return library_of(read)
+    return listed
 
 
 def group_of(stem: str) -> str:
@@ -190,7 +198,7 @@ def _mean_rotation(rotations: Array) -> Array:
     return np.linalg.eigh(outer)[1][..., -1]
 
 
-def split_of_takes(takes: Iterable[Take]) -> dict[str, str]:
+def split_of_takes(takes: Iterable[Take]) -> dict[str, Split]:
     """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are kept, the same every time.
 
     Whatever is made of a take stays on its side, so that no motion of the test split was ever trained on.
@@ -198,7 +206,7 @@ def split_of_takes(takes: Iterable[Take]) -> dict[str, str]:
     groups: dict[str, list[str]] = defaultdict(list)
     for take in takes:
         groups[take.group].append(take.name)
-    out: dict[str, str] = {}
+    out: dict[str, Split] = {}
     for names in groups.values():
         order = sorted(names, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
         test, held = round(TEST_SHARE * len(order)), round(VALIDATION_SHARE * len(order))

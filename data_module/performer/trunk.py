@@ -15,7 +15,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.performer.inertialisation import quintic_offset
-from data_module.performer.takes import FPS, GROUPS, HIPS, SKULL, SPINE, Library, soft_limit
+from data_module.performer.takes import ARM_SIDES, FPS, GROUPS, HIPS, SKULL, SPINE, Library, soft_limit
 from data_module.performer.types import Spoken
 from data_module.types import Array
 
@@ -33,20 +33,30 @@ _RECENT = 8
 _STRESSED = 0.4
 """Prominence from which a syllable is one for the head to move on."""
 _FADE = 0.7
-_CALM, _CALMER_SPAN = 0.3, 1.5
+_CALM, _CALMER_SPAN = 0.7, 1.5
 """Share of the trunk's fast motion (against its mean over so many seconds) that is left in a pause."""
 _POSTURE = (9.0, 16.0)
 _SHIFT = 1.6
 """Seconds that a posture lasts, and that the way to the next one takes."""
+_FIDGET, _IDLE_FADE = np.radians(12.0), 1.0
+"""What the fidgets of a hanging arm's joints tend to, and the seconds in which one take passes into another."""
+_SWAY, _SWAY_SECONDS = np.radians(1.3), 3.2
+"""How far a standing body leans as its weight goes round, and how long a round takes."""
+_MOST_YAW = np.radians(22.0)
 _MIRROR = np.array([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A take's trunk. bends: [T, 3, 3]; quiet: from somebody who listens or waits."""
+    """A take's trunk, and what its arms do about their mean.
+
+    bends: [T, 3, 3]; arms: [2, T, 12] log rotations of shoulder, upper arm, forearm and hand, left and right; quiet:
+    from somebody who listens or waits.
+    """
 
     name: str
     bends: Array
+    arms: Array
     quiet: bool
 
 
@@ -60,7 +70,10 @@ def trunk_segments(library: Library, splits: Mapping[str, str], split: str) -> t
         bends = bends - 0.5 * bends.mean(axis=0)
         bends = np.stack([soft_limit(bends[:, k], limit) for k, limit in enumerate(_LIMITS)], axis=1) * _AXES
         quiet = take.group not in GROUPS
-        out += [Segment(take.name, bends, quiet), Segment(take.name, bends * _MIRROR, quiet)]
+        arms = np.stack([take.logs[:, list(side)] - take.logs[:, list(side)].mean(axis=0) for side in ARM_SIDES])
+        arms = soft_limit(arms, _FIDGET)
+        out += [Segment(take.name, bends, arms.reshape(2, len(take), -1), quiet),
+                Segment(take.name, bends * _MIRROR, (arms[::-1] * _MIRROR).reshape(2, len(take), -1), quiet)]
     return tuple(out)
 
 
@@ -82,6 +95,36 @@ def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, 
         effort[round(phrase.start * FPS):round(phrase.end * FPS)] = phrase.effort
     vigour = np.exp(0.35 * gaussian_filter1d(effort, 0.4 * FPS))
     return gain * _GAINS[:, None] * calm(out, speaking, vigour)
+
+
+def idle_arms(segments: tuple[Segment, ...], frames: int, rng: np.random.Generator) -> Array:
+    """[2, T, 12] log rotations about the mean of arms that hang: the fidgets of people who listen or wait, joined."""
+    quiet = [s for s in segments if s.quiet and s.arms.shape[1] > 3 * FPS]
+    out = np.zeros((0, 24))
+    while quiet and len(out) < frames:
+        arms = quiet[int(rng.integers(len(quiet)))].arms
+        piece = np.concatenate([arms[0], arms[1]], axis=1)
+        offset = quintic_offset(out[-3:], piece[:3], np.arange(len(piece) - 3) / FPS, _IDLE_FADE, FPS)
+        out = np.concatenate([out, piece[3:] + offset])
+    if not quiet:
+        return np.zeros((2, frames, 12))
+    return np.stack([out[:frames, :12], out[:frames, 12:]])
+
+
+def sway(frames: int, rng: np.random.Generator) -> Array:
+    """[T, 3] log rotations of the spine of somebody whose weight goes round: lean and roll a quarter turn apart.
+
+    The speed of a circle is never zero, so a body in it never freezes; its pace wanders.
+    """
+    pace = 2.0 * np.pi / _SWAY_SECONDS * np.exp(rng.normal(0.0, 0.2, frames // round(2 * FPS) + 2))
+    turned = np.interp(np.arange(frames) / (2 * FPS), np.arange(len(pace)), pace)
+    angle = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(turned) / FPS * (1.0 if rng.random() < 0.5 else -1.0)
+    return _SWAY * np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=-1)
+
+
+def kept_ahead(yaws: Array) -> float:
+    """What to multiply the yaws [T] (radians, of the head in the room) by, so that 95 % stay within 22 degrees."""
+    return min(1.0, _MOST_YAW / max(float(np.percentile(np.abs(yaws), 95)), 1e-9))
 
 
 def _windows(spoken: Spoken, frames: int) -> list[int]:
