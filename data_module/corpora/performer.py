@@ -153,7 +153,7 @@ class Performer:
         if isinstance(item.content, MotionScript):
             return self._made_for_motion(item)
         from data_module.performer import play, styles
-        from data_module.performer.hands import draw_manner
+        from data_module.performer.hands import STEADY, draw_manner
 
         rng = self._rng(item.index, _STYLE)
         style = styles.NEUTRAL
@@ -166,7 +166,8 @@ class Performer:
                                   self._rng(item.index, _VOICE))
         else:
             spoken = self._heard(item)
-        staging = None if self._tiny else play.Staging(draw_manner(rng), self._segments(item.info.split), style)
+        manner = STEADY if item.info.part == "style" else draw_manner(rng)
+        staging = None if self._tiny else play.Staging(manner, self._segments(item.info.split), style)
         played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
                               staging)
         truth = Truth(played.strokes, spoken.syllables, spoken.phrases)

@@ -72,6 +72,11 @@ def draw_manner(rng: np.random.Generator) -> Manner:
                   trunk=float(np.exp(rng.normal(0.0, 0.15))))
 
 
+STEADY = Manner(both=0.67, dominant=0.67, switch=0.5, hanging=0.28, falling=0.15, gain=1.2, hold=1.3, drift=0.65,
+                small_beats=0.2, eagerness=0.1, trunk=1.0)
+"""The manner of a talk whose style is to be heard: nothing else about it varies."""
+
+
 def hands_of_phrases(phrases: Sequence[Phrase], manner: Manner, preferred: int,
                      rng: np.random.Generator) -> tuple[PhraseHands, ...]:
     """Who plays each phrase, in order of time."""

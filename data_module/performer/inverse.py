@@ -28,7 +28,7 @@ from data_module.types import Array, Speech, Word
 
 SLOWEST, FASTEST = 0.80, 1.25
 """Bounds of the rate at which a phrase is played, against the voice's own."""
-_LEAD, _LOOSENESS, _LOOSEST = 0.038, 0.045, 0.13
+_LEAD, _LOOSENESS, _LOOSEST = 0.038, 0.055, 0.13
 """Seconds: the vowel follows the motion's beat by this much, with this standard deviation, at most this far from it."""
 _RATE_COST, _EDGE_COST, _SKIPPED_BEAT, _SKIPPED_STRESS = 6.0, 1.0, 1.3, 0.12
 """Costs: of log rate squared per second, of a second between a phrase's edge and its window's, of a strong beat without

@@ -31,7 +31,7 @@ _STRETCH = 1.6
 _LONGEST_HOLD = 1.0
 _RECENT = 3
 _RECENT_WEIGHT = 0.1
-_SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.25, 0.15, 0.6
+_SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
 """Log of the gain by the vigour of the syllable and by amplitude; log of the speed, and eagerness, by tempo."""
 _LARGEST = 1.4
 """Gain beyond which elbows fold and hands come near the face."""

@@ -53,6 +53,8 @@ _LEAST_SMALL = -0.3
 _SYMPATHY = 0.4
 _HANGING_LEVEL = 0.1
 _NOD_GAIN = 1.3
+_SMALL_OF_STYLE = np.array([0.5, 0.3])
+"""Log of the size of small movements, by amplitude and tempo."""
 _MIRRORED = np.array([1.0, -1.0, -1.0])
 TORSO_RADIUS = 0.115
 HEAD_RADIUS = 0.105
@@ -268,8 +270,10 @@ def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
         joints = min(drift.shape[-1], 12)
         fidgets = idle_arms(segments, frames, rng)
         drift[..., :joints] += (1.0 - lively)[..., None] * fidgets[..., :joints]
+    size = _style_of(casting, frames)
+    drift *= size[:, None]
     least = manner.small_beats if manner else _LEAST_SMALL
-    micro = np.stack([_micro(side, spoken, planned, least, frames, rng) for side in (LEFT, RIGHT)])
+    micro = size * np.stack([_micro(side, spoken, planned, least, frames, rng) for side in (LEFT, RIGHT)])
     if manner and segments:
         trunk = _living_trunk(figure, planned, spoken, segments, (speaking, manner.trunk, habits), rng)
     else:
@@ -278,6 +282,13 @@ def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
     hanging = sympathy * np.stack([_hanging(arm, frames) for arm in events])
     return _Score(figure, planned, events, micro, drift, trunk, hanging, np.zeros((2, frames)),
                   _carried(figure, trunk), runs, levels, drop, frames)
+
+
+def _style_of(casting: Casting | None, frames: int) -> Array:
+    """[T] what a style multiplies the arms' wandering and small beats by."""
+    if casting is None:
+        return np.ones(frames)
+    return np.exp(casting.style.at(np.arange(frames) / FPS) @ _SMALL_OF_STYLE)
 
 
 def _levels_apart(spoken: Spoken, runs: list[tuple[float, float]], casting: Casting,

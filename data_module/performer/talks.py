@@ -118,7 +118,7 @@ def _slowed(logs: Array, times: float) -> Array:
 def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
     """Logs [T, 16, 3] whose head dips on stresses and is calmer in pauses, in postures that change now and then.
 
-    A head that was laid on other speech is not tied to the voice; real heads are. 95 % of its yaw stays within 22
+    A head that was laid on other speech is not tied to the voice; real heads are. 95 % of its yaw stays within 20
     degrees.
     """
     out, frames = logs.copy(), len(logs)

@@ -42,7 +42,8 @@ _FIDGET, _IDLE_FADE = np.radians(12.0), 1.0
 """What the fidgets of a hanging arm's joints tend to, and the seconds in which one take passes into another."""
 _SWAY, _SWAY_SECONDS = np.radians(1.3), 3.2
 """How far a standing body leans as its weight goes round, and how long a round takes."""
-_MOST_YAW = np.radians(22.0)
+_MOST_YAW = np.radians(20.0)
+"""The yaw of the head in the room that 95 % of the frames stay within, its joints' yaws added up."""
 _MIRROR = np.array([1.0, -1.0, -1.0])
 
 
@@ -123,7 +124,7 @@ def sway(frames: int, rng: np.random.Generator) -> Array:
 
 
 def kept_ahead(yaws: Array) -> float:
-    """What to multiply the yaws [T] (radians, of the head in the room) by, so that 95 % stay within 22 degrees."""
+    """What to multiply the yaws [T] (radians, of the head in the room) by, so that 95 % stay within 20 degrees."""
     return min(1.0, _MOST_YAW / max(float(np.percentile(np.abs(yaws), 95)), 1e-9))
 
 
