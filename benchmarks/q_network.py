@@ -16,9 +16,9 @@ import numpy as np
 import torch
 
 from data_module.layers import freeze
-from eval.results import keep
+from eval.table import Column, Table, publish
 from gesticulator import bundle as bundles
-from interpreters import BlockFeatures, LexemeInterpreter
+from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.cql import QNetwork
 
 
@@ -64,12 +64,14 @@ def main() -> None:
                             network.lexemes, network.speakers))
     rows = {"Q-network, cached": row(network, blocks, window, 5), "Q-network, full": row(full, blocks, window, 5),
             "Q-network of the paper's size, cached": row(paper, blocks, window, 1),
-            "lstm": row(bundle.drawn.interpreter, blocks, window, 5)}
-    table = ["| ms a block, one thread | window filling | past the window |", "|---|---|---|"]
-    table += [f"| {name} | {own['window filling']:.2f} | {own['past the window']:.2f} |" for name, own in rows.items()]
-    if a.out:
-        keep({"decisions": window, "rows": rows}, "\n".join(table) + "\n", a.out)
-    print("\n".join(table))
+            "lstm": row(bundle.block_models.interpreter, blocks, window, 5)}
+    publish([table(rows, window)], a.out)
+
+
+def table(rows: dict[str, dict[str, float]], window: int) -> Table:
+    """What is shown."""
+    return Table("", {key: Column(key, "ms a block") for key in ("window filling", "past the window")}, rows,
+                 "one thread", facts={"decisions": window})
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from data_module.layers import parameter_count
-from eval.results import keep
-from gesticulator import config as configs
+from eval.table import Column, Table, publish
+from gesticulator import presets
 from interpreters.cql import ConservativeQ, QNetwork
 from lexicon.racer import FRAMES, RacerCodec
 
@@ -46,7 +46,7 @@ def main() -> None:
     a = p.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    config = configs.preset("racer-trinity")
+    config = presets.preset("racer-trinity")
     decisions, count, width = config.cql.decisions, a.windows, config.front_end.bands + 2
     codec = RacerCodec(config.racer, 3 * _JOINTS)
     time_axis = torch.linspace(0, 6.0, decisions * FRAMES)[None, :, None]
@@ -64,12 +64,13 @@ def main() -> None:
     assert network.values(batch["previous"][:, :decisions], batch["audio"][:, :decisions], batch["speaker"],
                           batch["silent"][:, :decisions]).shape == (count, decisions, config.racer.size)
     rows["Q-network and target"] = trained(ConservativeQ(network), batch, a.steps, 1e-4)
-    names = list(next(iter(rows.values())))
-    table = "\n".join([f"| one batch of {count} windows | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|",
-                       *(f"| {name} | " + " | ".join(str(row[n]) for n in names) + " |" for name, row in rows.items())])
-    if a.out:
-        keep({"windows": count, "steps": a.steps, "rows": rows}, table + "\n", a.out)
-    print(table)
+    publish([table(rows, count, a.steps)], a.out)
+
+
+def table(rows: dict[str, dict[str, float]], windows: int, steps: int) -> Table:
+    """What is shown."""
+    return Table("", {key: Column(key, digits=3) for key in next(iter(rows.values()))}, rows,
+                 f"one batch of {windows} windows", facts={"windows": windows, "steps": steps})
 
 
 if __name__ == "__main__":

@@ -64,8 +64,14 @@ def read_npz(path: str | os.PathLike[str], names: Collection[str] | None = None,
     with _opened(path) as stream:
         try:
             return _members(stream, names)
-        except _BROKEN as error:
+        except (*_BROKEN, OSError) as error:  # OSError: a place in the file before its beginning
             raise InputError(path, f"is not an .npz of plain arrays ({_reason(error)})", advice) from None
+
+
+def as_floats(array: NDArray[Any]) -> NDArray[np.float64]:
+    """The numbers of a file in double precision; what is none stays none, without a warning on the terminal."""
+    with np.errstate(invalid="ignore", over="ignore"):  # a damaged float may be a NaN that signals when it is copied
+        return array.astype(np.float64)
 
 
 def _members(stream: IO[bytes], names: Collection[str] | None) -> dict[str, NDArray[Any]]:

@@ -136,9 +136,13 @@ def _build(corpus: str, source: Path | None, out: Path, options: Options, worker
 
 
 def _is_done(writer: StoreWriter, folder: Path | None, item: Item) -> bool:
-    """Whether a build that was stopped had finished this recording, in the store, the report and the data set."""
+    """Whether a build that was stopped had finished this recording, whole, in store, report and data set."""
     name = item.info.name
-    return (writer.has(name) and _outcome_file(writer, item).is_file()
+    try:
+        Outcome.from_json(_outcome_file(writer, item).read_text(encoding="utf-8"))
+    except (OSError, ValueError, TypeError, KeyError):
+        return False
+    return (writer.has(name)
             and (folder is None or (folder / f"{name}.json").is_file()))
 
 

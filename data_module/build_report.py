@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
+from data_module.files import read_text
 
 if TYPE_CHECKING:
     from data_module.intervals import Intervals
@@ -39,7 +40,6 @@ class Outcome:
     words: str = ""
     dropped: str = ""
     warnings: tuple[str, ...] = ()
-
 
     def as_json(self) -> str:
         """For the file of a recording in a build that is under way; `from_json` is the inverse."""
@@ -148,9 +148,9 @@ def report_of(store: Store) -> dict[str, Any]:
     if not file.is_file():
         return summary(store.recordings, (), ())
     try:
-        told = json.loads(file.read_text(encoding="utf-8"))
+        told = json.loads(read_text(file, "delete it"))
         if not set(summary((), (), ())) <= set(told):
             raise ValueError("entries are missing")
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, RecursionError):
         raise InputError(file, "is not the report of a build", "delete it") from None
     return dict(told)

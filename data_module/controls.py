@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
+from data_module.files import read_text
 from data_module.motion import skeletons
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Blocks, Motion
@@ -250,13 +251,8 @@ def read_curve(path: str | os.PathLike[str], feature: str) -> Curve:
 
 def _rows(file: Path) -> list[tuple[int, list[str]]]:
     """The lines that say something, with their numbers from 1, cut into cells."""
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(file, "is not text in UTF-8", "export it as a CSV file") from None
-    except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
-    said = [(number, line) for number, line in enumerate(text.splitlines(), 1)
+    text = read_text(file, "export it as a CSV file")
+    said = [(number, line) for number, line in enumerate(text.split("\n"), 1)
             if line.strip() and not line.lstrip().startswith("#")]
     if not said:
         raise InputError(file, "is empty", "give the columns time and value")
@@ -276,7 +272,7 @@ def _columns(where: str, header: list[str], feature: str) -> tuple[int, int]:
     names = [name.lower() for name in header]
     wanted = next((name for name in (feature, "value") if name in names), None)
     if "time" not in names or wanted is None:
-        raise InputError(where, f"names the columns {', '.join(header)}",
+        raise InputError(where, f"names the columns {shown(', '.join(header), 100)}",
                          f"name them time and {feature}, or time and value")
     if names.count("time") > 1 or names.count(wanted) > 1:
         raise InputError(where, "names a column twice", "leave one out")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import reprlib
 import sys
 from collections.abc import Iterator
 
+LONGEST_REASON = 500
+"""Characters of what is wrong: some four lines of a terminal."""
 EXIT_BAD_INPUT = 2
 EXIT_PIPE = 141
 """What a shell reports of a program that SIGPIPE (13) ended: 128 + 13."""
@@ -22,6 +25,8 @@ class InputError(Exception):
     """
 
     def __init__(self, subject: object, wrong: str, advice: str = "") -> None:
+        # What a file says may be part of it, and may be as long as the file.
+        wrong = wrong if len(wrong) <= LONGEST_REASON else wrong[:LONGEST_REASON - 3] + "..."
         self.subject, self.wrong, self.advice = str(subject), wrong, advice
         line = f"{subject}: {wrong}" + (f"; {advice}" if advice else "")
         super().__init__(" ".join(line.split()))
@@ -36,13 +41,27 @@ def shown(value: object, width: int = 40) -> str:
     return (str(value) if isinstance(value, str | float | bool) or value is None else reprlib.repr(value))[:width]
 
 
+def one_line(error: InputError | OSError) -> str:
+    """What is wrong, in a line without the program's name; a failure of the disk says what to check."""
+    if isinstance(error, InputError):
+        return str(error)
+    return f"{error.filename or 'output'}: {error.strerror or error}; check the path, its rights and the free space"
+
+
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
-    """Print an `InputError`, or a failure of the disk, as one line and leave with exit code 2."""
+    """Print an `InputError`, or a failure of the disk, as one line and leave with exit code 2.
+
+    What is printed within it never fails for the sake of a character: one that the terminal's encoding lacks, or a byte
+    of a file's name that is no text, is written as a \\x escape.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         yield
     except InputError as error:
-        complain(f"{program}: {error}")
+        complain(f"{program}: {one_line(error)}")
         raise SystemExit(EXIT_BAD_INPUT) from None
     except BrokenPipeError:
         # Whoever read the output has seen enough (`| head`); what is still to be flushed has nowhere to go.
@@ -50,8 +69,7 @@ def one_line_errors(program: str) -> Iterator[None]:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(EXIT_PIPE) from None
     except OSError as error:
-        where = error.filename or "output"
-        complain(f"{program}: {where}: {error.strerror or error}; check the path, its rights and the free space")
+        complain(f"{program}: {one_line(error)}")
         raise SystemExit(EXIT_BAD_INPUT) from None
     except KeyboardInterrupt:
         complain(f"{program}: stopped")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import contextlib
+import csv
 import errno
 import os
 import secrets
@@ -109,6 +110,20 @@ def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_
         raise InputError(path, f"line {text.count(chr(10), 0, text.index(chr(0))) + 1}: is not text in UTF-8 "
                          "(it has a zero byte)", advice)
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def read_table(path: str | os.PathLike[str], advice: str) -> list[tuple[int, dict[str, str | None]]]:
+    """The rows of a table with a head and commas, each with its last line: a cell that a short row lacks is None.
+
+    InputError as of `read_text`, and with the line for what is no row (a cell of more than 131,072 characters).
+    """
+    table = csv.DictReader(read_text(path, advice).split("\n"))
+    rows: list[tuple[int, dict[str, str | None]]] = []
+    try:
+        rows += [(table.line_num, dict(row)) for row in table]
+    except csv.Error as error:
+        raise InputError(path, f"line {table.line_num + 1}: is no row of a table ({error})", advice) from None
+    return rows
 
 
 # ---------------------------------------------------------------------------------------------------- locks

@@ -22,7 +22,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.arrays import read_npz
+from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError, shown
 from data_module.files import read_text, rename, write_bytes, write_text
 from data_module.motion import rotation
@@ -251,10 +251,10 @@ def _why_not_a_store(folder: Path) -> tuple[str, str]:
     if not folder.exists():
         if folder.with_name(folder.name + ".partial").is_dir():
             return "is half-written", "run the same build again to finish it"
-        return "does not exist", "build it with python -m data_module.build"
+        return "does not exist", "build it with gesticulator build"
     if (folder / _BEGUN).is_file():
         return "is half-written", "run the same build again to finish it"
-    return "is not a store (no store.json)", "give a folder made by python -m data_module.build"
+    return "is not a store (no store.json)", "give a folder made by gesticulator build"
 
 
 def _difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
@@ -338,8 +338,8 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
     try:
         if arrays["joints"].tolist() != list(JOINTS):
             raise ValueError("other joints")
-        motion = Motion(CHARACTER, rotation.normalise(arrays["rotations"].astype(np.float64)),
-                        arrays["root_positions"].astype(np.float64), float(arrays["fps"].item()),
+        motion = Motion(CHARACTER, rotation.normalise(as_floats(arrays["rotations"])),
+                        as_floats(arrays["root_positions"]), float(arrays["fps"].item()),
                         tuple(_typed(name, str) for name in arrays["absent"].tolist()))
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
         truth = None

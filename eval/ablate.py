@@ -1,21 +1,23 @@
 """Every table and figure of both papers, run again on any data set.
 
-    python -m eval.ablate --data STORE --work DIR [--only NAME ...] [--preset ablation|tiny] [--seeds 3]
-                          [--budget SECONDS] [--bundle DIR] [--system NAME=DIR ...] [--out docs/results/ablation]
-                          [--list]
+    gesticulator ablate --data STORE --work DIR [--only NAME ...] [--preset ablation|tiny] [--seeds 3]
+                        [--budget SECONDS] [--bundle DIR] [--system NAME=DIR ...] [--out docs/results/ablation]
+    gesticulator ablate --list                          every row, table and figure
+    gesticulator ablate --tables [--out DIR]            the tables and claims again, from the cells that are there
 
 What there is (`--list`): the rows of Rhythmic Gesticulator's tables, each a few settings on top of a preset
-(`eval.ablations`); RACER's rows (`racer-NAME`, `eval.racer_ablation`), which share a lexicon and two reward models,
-those of a bundle or else trained here; and the figures (`figure-N`, `eval.ablation_figures`), drawn from what the rows
-left. Without --only all of it is run, in that order. A finished (row, seed) is written at once as ROW-SEED.json and a
-stage is kept in the work folder under the hash of its settings, so a command that was stopped goes on, rows share what
-they have in common, and two commands may divide the rows between them. Other systems' motion for the test speech
-becomes a row of every table by --system; SG, Ges, GTC, S2AG and Bailando have lines of their own.
+(`eval.rows.rg`); RACER's rows (`racer-NAME`, `eval.rows.racer`), which share a lexicon and two reward models, those of
+a bundle or else trained here; and the figures (`figure-N`, `eval.draw.paper`), drawn from what the rows left. Without
+--only all of it is run, in that order. A finished (row, seed) is appended at once to OUT/cells.jsonl and a stage is
+kept in the work folder under the hash of its settings, so a command that was stopped goes on, rows share what they have
+in common, and two commands may divide the rows between them. When a long run is done its cells may go: table.json and
+claims.json have all that was found. Other systems' motion for the test speech becomes a row of every table by --system;
+SG, Ges, GTC, S2AG and Bailando have lines of their own.
 
-What fools it: a row trained as long as the others may need longer; MAJE and MAD praise stillness (see joint_error.py);
-PMB at 0.2 s is what the papers print and near its chance level, so read the share above chance at 0.1 s; and a few
-seeds of the same lexicon do not show what another lexicon would do. The paper's figures stand beside ours for their
-order alone: other data, other skeleton, another network for FGD.
+What fools it: a row trained as long as the others may need longer; MAJE and MAD praise stillness; PMB at 0.2 s is what
+the papers print and near its chance level, so read the share above chance at 0.1 s; and a few seeds of the same lexicon
+do not show what another lexicon would do. The paper's figures stand beside ours for their order alone: other data,
+other skeleton, another network for FGD.
 """
 
 from __future__ import annotations
@@ -24,128 +26,164 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import torch
-from tqdm import tqdm
+from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, one_line_errors
-from data_module.store import Store
-from eval import policies, racer_ablation
-from eval.ablation_bench import Bench, counted
-from eval.ablation_cells import bundle_of, cell, reference, row_key, system
-from eval.ablation_figures import FIGURES, draw
-from eval.ablation_tables import file_of, finished, markdown, read_cells, tabled
-from eval.ablations import CONTROLS, PRESETS, RACER, RACER_PRESETS, REFERENCES, ROWS, listing
-from eval.metrics import gesture_features
-from eval.results import keep
-from eval.score import named
-from gesticulator import bundle as bundles
-from gesticulator import config as configs
-from gesticulator.racer import train_reward
+from eval.rows import CONTROLS, REFERENCES, ROWS, TABLES, rg
+
+if TYPE_CHECKING:
+    from eval.cells import Cells
+    from eval.runner import AblationContext
 
 SEEDS = 3
-RACER_FOLDER = "racer"
-"""Where RACER's cells are, beside the folder of the others."""
+FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-10", "figure-11",
+           "figure-14", "figure-15", "figure-16", "figure-17", "figure-18")
+"""Those of `eval.draw.paper`, which is imported when one is drawn."""
+ELSEWHERE: dict[str, str] = {
+    "RG Fig. 6, as a contact sheet with words": "draw lexicon", "RG Fig. 9, of any motion": "draw strip",
+    "RG Fig. 10, of a bundle": "probe style-editing", "RG Fig. 12, RACER Fig. 4 (people)": "study",
+    "RG Fig. 13 (other languages)": "probe languages", "RG Fig. 14, of a bundle": "probe speech-levels",
+    "RG Table 6, as policies": "probe policies", "RACER 4.2 (the reward)": "probe rewards",
+    "all metrics, of any motion": "score"}
+"""What has a verb of its own."""
 
 
 def everything() -> list[str]:
     """All that --only can name, in the order in which it is run."""
-    return [*ROWS, *RACER, *FIGURES]
+    return [*ROWS, *FIGURES]
 
 
+def listing() -> str:
+    """What there is to run, and where the rest is."""
+    lines = []
+    for name, row in ROWS.items():
+        changes = [*(f"--set {setting}" for setting in row.settings),
+                   *([f"--interpreter {row.interpreter}"] if row.interpreter != "lstm" else []),
+                   *([f"{row.style} style codes"] if row.style != "interpreted" else []),
+                   *([f"on {row.split}"] if row.split != "test" else []),
+                   *([row.training] if row.training not in ("stages", "offline") else [])]
+        stands = dict.fromkeys(title.split(",")[0] for title, table in TABLES.items()
+                               if any(line.row == name for line in table.lines))
+        lines.append(f"{name:20} {row.question}\n{'':20} {' '.join(changes) or '(the preset as it is)'}\n{'':20} "
+                     f"{', '.join(stands)}")
+    lines += [f"{name:20} {about} (stands in every table)" for name, about in {**REFERENCES, **CONTROLS}.items()]
+    lines += [f"{name:20} RG Fig. {name.split('-')[1]}" for name in FIGURES]
+    lines += [f"tables: {', '.join(TABLES)}"]
+    lines += [f"elsewhere: {what}: gesticulator {verb}" for what, verb in ELSEWHERE.items()]
+    return "\n".join(lines)
 
-def over(bench: Bench, name: str, seed: int, budget: float) -> str:
+
+# ------------------------------------------------------------------------------------------------------------- running
+
+def over(context: AblationContext, name: str, seed: int, budget: float) -> str:
     """Why a row is refused: what its training would cost at a seed, where that is over the budget in seconds."""
-    cost = counted(bench, name, seed)
+    cost = context.counted(name, seed)
     if sum(cost.values()) <= budget:
         return ""
     return (f"{sum(cost.values()):.0f} s of training counted at seed {seed}, {budget:g} s allowed "
             f"({', '.join(f'{stage} {s:.0f}' for stage, s in cost.items() if s)})")
 
 
-def run_rows(bench: Bench, out: Path, names: Sequence[str], seeds: int, budget: float | None) -> dict[str, str]:
+def run_rows(context: AblationContext, names: Sequence[str], seeds: int, budget: float | None) -> dict[str, str]:
     """Run the rows that are not finished, all of them at one seed before the next; those refused, with the reason."""
+    from tqdm import tqdm
+
+    from eval.runner import cell
+
     refused: dict[str, str] = {}
-    jobs = [(name, seed) for seed in range(1, seeds + 1) for name in names]
-    bar = tqdm(jobs, desc="rows", disable=not bench.first.progress)
+    bar = tqdm([(name, seed) for seed in range(1, seeds + 1) for name in names], desc="rows",
+               disable=not context.first.progress)
     for name, seed in bar:
         bar.set_postfix_str(f"{name}, seed {seed}")
         if name in refused:
             continue
-        if budget is not None and finished(file_of(out, name, seed), row_key(bench, name, seed)) is None:
-            why = over(bench, name, seed, budget)
+        if budget is not None and name in rg.ROWS:
+            known = context.cells.finished(name, seed, context.key(name, seed))
+            why = "" if known else over(context, name, seed, budget)
             if why:
                 refused[name] = why
                 continue
-        cell(bench, name, seed, out)
+        cell(context, name, seed)
     return refused
 
 
-def ablate(bench: Bench, out: Path, *, only: Sequence[str] = (), seeds: int = SEEDS, budget: float | None = None,
+def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = SEEDS, budget: float | None = None,
            systems: Mapping[str, Path] | None = None) -> dict[str, Any]:
-    """Run the rows and figures that are asked for (all) and not finished; all rows that are finished, as plain values.
+    """Run the rows and figures that are asked for (all) and not finished; write the tables of all that is finished.
 
     budget: seconds of training that a row may take at one seed; one that would take more is refused, not shortened,
     since a row trained for fewer steps than the others would be compared with them. systems: folders of other systems'
-    motion for the test speech.
+    motion for the test speech. Gives the facts of the first table.
     """
-    out.mkdir(parents=True, exist_ok=True)
+    from eval.cells import family, summaries
+    from eval.runner import reference, system
+
     names = [name for name in ROWS if name in (only or ROWS)]
-    refused = run_rows(bench, out, names, seeds, budget)
-    for split in dict.fromkeys(["test", *(ROWS[name].split for name in names)]):
-        for name in (*REFERENCES, *CONTROLS):
-            reference(bench, name, split, out)
+    refused = run_rows(context, names, seeds, budget)
+    shared = {group: context.shared(group) for group in dict.fromkeys(map(family, names))}
+    if shared.keys() != {"racer"}:
+        shared["rg"] = context.shared("rg")
+        for split in dict.fromkeys(["test", *(ROWS[name].split for name in names if name in rg.ROWS)]):
+            for name in (*REFERENCES, *CONTROLS):
+                reference(context, name, split)
     for name, folder in (systems or {}).items():
-        system(bench, name, folder, out)
-    cells = {name: {seed: own for seed, own in by_seed.items()
-                    if name not in ROWS or own["key"] == row_key(bench, name, seed)}
-             for name, by_seed in read_cells(out, bench.shared).items()}
-    rows = tabled({name: own for name, own in cells.items() if own})
-    for name in FIGURES:
-        if name in (only or FIGURES):
-            why = draw(bench, name, rows, out)
-            if why:
-                refused[name] = why
-    return {"preset": bench.first.config.name, "shared": bench.shared, "refused": refused,
-            "store": {"name": bench.first.store.corpus, "fingerprint": bench.first.store.fingerprint,
-                      "test_recordings": len(bench.recordings("test"))}, "rows": rows}
+        system(context, name, folder)
+    cells = current(context, context.cells.read(shared))
+    facts: dict[str, Any] = {
+        "preset": context.first.config.name, "shared": shared, "refused": refused, "rows": summaries(cells),
+        "store": {"name": context.store.corpus, "fingerprint": context.store.fingerprint,
+                  "test_recordings": len(context.names("test"))}}
+    drawn = [name for name in FIGURES if name in (only or FIGURES)]
+    if drawn:
+        from eval.draw import paper
+
+        refused |= {name: why for name in drawn if (why := paper.draw(context, name, facts["rows"]))}
+    write(cells, facts, context.out)
+    return facts
 
 
-def racer_ground(bench: Bench) -> bundles.Bundle:
-    """What RACER's rows stand on where no bundle is given: the row "q-network" and a reward model to judge by."""
-    bundle, run, labelled = bundle_of(bench, "q-network", 1)
-    judge, _ = train_reward(run, bundle.drawn.lexicon, labelled, judge=True)
-    return replace(bundle, reward_judge=judge)
+def current(context: AblationContext, cells: Cells) -> Cells:
+    """Without the cells of rows whose settings have changed since."""
+    fresh = {name: {seed: own for seed, own in by_seed.items()
+                    if name not in rg.ROWS or own["key"] == context.key(name, seed)}
+             for name, by_seed in cells.items()}
+    return {name: by_seed for name, by_seed in fresh.items() if by_seed}
 
 
-def run_racer(bench: Bench, folder: Path, only: Sequence[str], seeds: int, given: str | None) -> None:
-    """RACER's rows that are asked for, over the lexicon and rewards of a bundle, with their tables."""
-    first = bench.first
-    bundle = bundles.load(given) if given else racer_ground(bench)
-    result = racer_ablation.ablation(
-        first.store, bundle, first.work, folder, only=[RACER[name] for name in only], seeds=seeds,
-        preset=RACER_PRESETS[first.config.name], limit=bench.limit, by=bench.by, progress=first.progress)
-    keep(result, racer_ablation.markdown(result), folder / "table.json")
+def write(cells: Cells, facts: Mapping[str, Any], out: Path) -> None:
+    """Table.json and claims.json with their Markdown; the claims read the probes' results beside the folder."""
+    from eval.rows.claims import claims_table
+    from eval.rows.tables import all_tables
+    from eval.table import save
+
+    save(all_tables(cells, facts), out / "table.json")
+    save([claims_table(cells, out.parent)], out.parent / "claims.json")
 
 
-def networks(store: Store, work: Path, preset: str) -> Sequence[gesture_features.Features]:
-    """What FGD is measured in: our own networks and the papers' where it is; for a first look, raw directions."""
-    if preset == "tiny":
-        return [gesture_features.RawFeatures(34, count=1)]
-    return policies.networks(store, work)
+def redraw(out: Path) -> None:
+    """The tables and claims from the cells that are there; what they are of is read from table.json.
+
+    InputError without either.
+    """
+    from eval.cells import CellStore, summaries
+    from eval.table import load
+
+    cells = CellStore(out).read()
+    if not cells:
+        raise InputError(out, "holds no cells", "run the rows first")
+    write(cells, {**load(out / "table.json")[0].facts, "rows": summaries(cells)}, out)
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = argparse.ArgumentParser("eval.ablate", description="The ablations of the papers.")
-    p.add_argument("--data", metavar="STORE", help="needed, except with --list")
+# ------------------------------------------------------------------------------------------------------------- command
+
+def arguments(p: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    p.add_argument("--data", metavar="STORE", help="needed, except with --list and --tables")
     p.add_argument("--work", metavar="DIR", help="where stages are kept (needed likewise)")
     p.add_argument("--only", nargs="+", default=[], metavar="NAME",
                    help="rows and figures to run (all); tables have all finished ones")
-    p.add_argument("--preset", default="ablation", choices=tuple(PRESETS))
+    p.add_argument("--preset", default="ablation", choices=tuple(rg.PRESETS))
     p.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="settings",
                    help="change a setting of the preset, for every row alike")
     p.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=f"seeds 1 to N ({SEEDS})")
@@ -154,16 +192,19 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes that cut and hear")
     p.add_argument("--speech", action="append", default=[], metavar="DIR",
                    help="a folder of more sound, where the speech encoder was trained with it")
-    p.add_argument("--bundle", metavar="DIR", help="what RACER's rows stand on (default: trained here)")
+    p.add_argument("--bundle", metavar="DIR", help="what RACER's rows stand on ('shipped'; default: trained here)")
     p.add_argument("--system", action="append", default=[], metavar="NAME=DIR", dest="systems",
-                   help="another system's motion for the test recordings, files named as they are (see eval.score)")
-    p.add_argument("--out", default="docs/results/ablation", metavar="DIR", help="for ROW-SEED.json, table.json, .md")
-    p.add_argument("--list", action="store_true", help="show the rows and stop")
+                   help="another system's motion for the test recordings, files named as they are")
+    p.add_argument("--out", default="docs/results/ablation", metavar="DIR", help="for cells.jsonl, table.json, .md")
+    p.add_argument("--list", action="store_true", help="show every row, table and figure, and stop")
+    p.add_argument("--tables", action="store_true", help="write the tables again from OUT/cells.jsonl, and stop")
     p.add_argument("--quiet", action="store_true", help="no progress bars")
-    return p
 
 
-def _checked(arguments: argparse.Namespace) -> None:
+def _checked(arguments: argparse.Namespace) -> dict[str, Path]:
+    """The folders of other systems; InputError for what cannot be asked."""
+    from eval.score import named
+
     for name in ("seeds", "budget", "limit", "workers"):
         value = getattr(arguments, name)
         if value is not None and value <= 0:
@@ -171,36 +212,59 @@ def _checked(arguments: argparse.Namespace) -> None:
     unknown = [name for name in arguments.only if name not in everything()]
     if unknown:
         raise InputError(f"--only {' '.join(unknown)}", "is nothing to run", f"choose among {', '.join(everything())}")
-    taken = [name for name in named(arguments.systems, "--system") if name in (*everything(), *REFERENCES, *CONTROLS)]
+    systems = named(arguments.systems, "--system")
+    taken = [name for name in systems if name in (*everything(), *REFERENCES, *CONTROLS)]
     if taken:
         raise InputError(f"--system {taken[0]}", "is the name of a row", "choose another")
     if arguments.data is None or arguments.work is None:
         raise InputError("--data and --work", "are needed", "give a store and a folder to keep things in")
+    return {name: Path(folder) for name, folder in systems.items()}
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The whole command."""
+    if arguments.list:
+        print(listing())
+        return 0
+    if arguments.tables:
+        redraw(Path(arguments.out))
+        return 0
+    systems = _checked(arguments)
+    import torch
+
+    from data_module.store import Store
+    from eval.metrics import gesture_features
+    from eval.runner import AblationContext
+    from eval.table import load
+    from gesticulator import bundle as bundles
+    from gesticulator import config as configs
+    from gesticulator.stages import Run
+
+    torch.set_num_threads(1)
+    store, work, out = Store.open(arguments.data), Path(arguments.work), Path(arguments.out)
+    if not any(info.split == "test" for info in store.recordings):
+        raise InputError(store.path, "has no test split", "build the store again")
+    work.mkdir(parents=True, exist_ok=True)
+    base = configs.with_settings(rg.PRESETS[arguments.preset](), arguments.settings)
+    first = Run(base, store, work, progress=not arguments.quiet, workers=arguments.workers,
+                speech=tuple(Path(folder) for folder in arguments.speech))
+    # For a first look raw directions are enough: networks take minutes to train.
+    by = ([gesture_features.RawFeatures(34, count=1)] if arguments.preset == "tiny"
+          else gesture_features.networks(store, work, first.progress))
+    bundle = str(bundles.SHIPPED) if arguments.bundle == "shipped" else arguments.bundle
+    ablate(AblationContext(first, by, out, arguments.limit, bundle), only=arguments.only, seeds=arguments.seeds,
+           budget=arguments.budget, systems=systems)
+    print("\n".join(table.terminal() for table in load(out / "table.json")), end="")
+    return 0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point."""
-    arguments = parser().parse_args(argv)
-    if arguments.list:
-        print(listing({name: f"{own.title} ({own.paper})" for name, own in FIGURES.items()}))
-        return 0
+    p = argparse.ArgumentParser("eval.ablate", description="Every table and figure of both papers.")
+    arguments(p)
+    chosen = p.parse_args(argv)
     with one_line_errors("eval.ablate"):
-        _checked(arguments)
-        torch.set_num_threads(1)
-        store, work, out = Store.open(arguments.data), Path(arguments.work), Path(arguments.out)
-        work.mkdir(parents=True, exist_ok=True)
-        base = configs.with_settings(PRESETS[arguments.preset](), arguments.settings)
-        bench = Bench.of(store, base, work, networks(store, work, arguments.preset), limit=arguments.limit,
-                         speech=[Path(folder) for folder in arguments.speech], workers=arguments.workers,
-                         progress=not arguments.quiet)
-        result = ablate(bench, out, only=arguments.only, seeds=arguments.seeds, budget=arguments.budget,
-                        systems={name: Path(folder) for name, folder in named(arguments.systems, "--system").items()})
-        keep(result, markdown(result), out / "table.json")
-        racer = [name for name in RACER if name in (arguments.only or RACER)]
-        if racer:
-            run_racer(bench, out.parent / RACER_FOLDER, racer, arguments.seeds, arguments.bundle)
-        print(markdown(result))
-    return 0
+        return run(chosen)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from data_module.errors import InputError
+from data_module.files import read_text
 from data_module.types import Array
+from eval.stats import Interval, crossed_means
+from eval.table import Cell, Column, Table
 
 DRAWS = 2000
 LEVEL = 0.95
@@ -94,7 +97,7 @@ def read_answers(paths: Sequence[Path], key: Key) -> list[Answer]:
 def _rows(path: Path) -> list[dict[str, Any]]:
     if path.suffix.lower() == ".csv":
         try:
-            rows = list(csv.DictReader(io.StringIO(_text(path))))
+            rows = list(csv.DictReader(io.StringIO(read_text(path, "give the file that was saved"))))
         except csv.Error as error:
             raise InputError(path, f"is not a table ({error})", "give the file that was saved") from None
         if rows and not set(COLUMNS) <= set(rows[0]):
@@ -127,16 +130,9 @@ def _answer(row: dict[str, Any], key: Key, path: Path) -> Answer:
     return Answer(rater, row["item"], row["aspect"], int(rating), str(path))
 
 
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(path, "is not text", "give the file that was saved") from None
-
-
 def _json(path: Path) -> Any:
     try:
-        return json.loads(_text(path))
+        return json.loads(read_text(path, "give the file that was saved"))
     except json.JSONDecodeError as error:
         raise InputError(path, f"is not JSON (line {error.lineno})", "give the file that was saved") from None
 
@@ -189,21 +185,6 @@ def _remarks(raters: Sequence[str], values: Array, key: Key) -> list[str]:
 
 
 # ---------------------------------------------------------------- statistics
-
-def bootstrap_means(values: Array, seed: int = 0, draws: int = DRAWS) -> Array:
-    """[draws, K] means of each system of values [R, C, K] when raters and clips are both drawn anew; NaN: missing.
-
-    A draw of R raters and C clips with replacement weighs the answer of rater r on clip c by how often each was drawn.
-    Systems are averaged over the same draw, so their differences are paired.
-    """
-    rng = np.random.default_rng(seed)
-    raters, clips, _ = values.shape
-    weights = [rng.multinomial(n, np.full(n, 1 / n), size=draws).astype(np.float64) for n in (raters, clips)]
-    there = np.isfinite(values)
-    total, count = (np.einsum("dr,rck,dc->dk", weights[0], part, weights[1], optimize=True)
-                    for part in (np.where(there, values, 0.0), there.astype(np.float64)))
-    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-
 
 def one_way(groups: Sequence[Array]) -> dict[str, Any]:
     """One-way ANOVA of one array of ratings per system: F, p, both degrees of freedom, eta squared.
@@ -259,16 +240,16 @@ def analyse(ratings: Ratings, seed: int = 0, draws: int = DRAWS) -> dict[str, An
     for number, aspect in enumerate(key.aspects):
         values = ratings.values[..., number]
         groups = [own[np.isfinite(own)] for own in np.moveaxis(values, 2, 0)]
-        drawn = bootstrap_means(values, seed, draws)
+        means = crossed_means(values, seed, draws)
         places = rank_counts(values)
         scores = np.arange(key.scale[0], key.scale[1] + 1)
         aspects[aspect] = {
             "systems": {name: {"ratings": len(own), "mean": _mean(own), "t": _t_interval(own),
-                               "bootstrap": _limits(drawn[:, k]), "total": int(own.sum()),
+                               "bootstrap": _limits(means[:, k]), "total": int(own.sum()),
                                "scores": [int((own == score).sum()) for score in scores],
                                "places": places[k].tolist()}
                         for k, (name, own) in enumerate(zip(key.systems, groups, strict=True))},
-            "comparisons": int(places[0].sum()), "anova": one_way(groups), "pairs": pairs(groups, drawn, key.systems)}
+            "comparisons": int(places[0].sum()), "anova": one_way(groups), "pairs": pairs(groups, means, key.systems)}
     return {"study": key.study, "raters": len(ratings.raters), "clips": key.clips, "systems": list(key.systems),
             "scale": list(key.scale), "notes": list(ratings.notes), "aspects": aspects}
 
@@ -296,32 +277,43 @@ def _limits(drawn: Array) -> list[float] | None:
     return [float(low), float(high)]
 
 
-# ---------------------------------------------------------------- report
+# ---------------------------------------------------------------- tables
 
-def markdown(result: dict[str, Any]) -> str:
-    """The tables of `analyse` for a reader."""
+def tables(ratings: Ratings, seed: int = 0, draws: int = DRAWS) -> list[Table]:
+    """For each aspect its systems and their pairs; the raw figures of `analyse` are facts of the first."""
+    result = analyse(ratings, seed, draws)
     low, high = result["scale"]
-    lines = [f"Study {result['study']}: {result['raters']} raters, {result['clips']} clips, {len(result['systems'])} "
+    about = (f"Study {result['study']}: {result['raters']} raters, {result['clips']} clips, {len(result['systems'])} "
              f"systems, ratings from {low} (worst) to {high} (best). Intervals are of 95 %: t takes every rating as "
-             "independent, the bootstrap draws raters and clips anew."]
-    if result["notes"]:
-        lines += ["", "To be looked at:", "", *(f"- {note}" for note in result["notes"])]
+             "independent, the bootstrap draws raters and clips anew.")
+    out: list[Table] = []
     for aspect, own in result["aspects"].items():
-        lines += ["", f"## {aspect.replace('_', ' ')}", "", *_systems_table(own, low, high), "",
-                  _anova_line(own["anova"]), "",
-                  "| pair | difference | Tukey | p | bootstrap |", "|---|---|---|---|---|"]
-        lines += [f"| {' - '.join(map(_cell, row['pair']))} | {_number(row['difference'])} | {_range(row['tukey'])} | "
-                  f"{_p(row['p'])} | {_range(row['bootstrap'])} |" for row in own["pairs"]]
-    return "\n".join(lines) + "\n"
+        title = aspect.replace("_", " ")
+        scores = {f"rated {score}": Column(f"rated {score}") for score in range(low, high + 1)}
+        places = {f"place {place + 1}": Column(f"place {place + 1}") for place in range(len(own["systems"]))}
+        columns = {"ratings": Column("ratings"), "t": Column("mean, t"), "bootstrap": Column("mean, bootstrap"),
+                   **scores, "total": Column("total"), **places}
+        rows: dict[str, dict[str, Cell]] = {
+            name: {"ratings": s["ratings"], "total": s["total"],
+                   **{key: _interval(s["mean"], s[key], s["ratings"]) for key in ("t", "bootstrap")},
+                   **dict(zip(scores, s["scores"], strict=True)), **dict(zip(places, s["places"], strict=True))}
+            for name, s in own["systems"].items()}
+        out.append(Table(title, columns, rows, "system", [
+            *([] if out else [about, *(f"To be looked at: {note}." for note in result["notes"])]),
+            _anova_line(own["anova"])], {} if out else result))
+        pair_columns = {"tukey": Column("difference, Tukey"), "p": Column("p"),
+                        "bootstrap": Column("difference, bootstrap")}
+        compared: dict[str, dict[str, Cell]] = {
+            " - ".join(row["pair"]): {"p": _p(row["p"]), **{
+                key: _interval(row["difference"], row[key], result["raters"]) for key in ("tukey", "bootstrap")}}
+            for row in own["pairs"]}
+        out.append(Table(f"{title}, pairs", pair_columns, compared, "pair"))
+    return out
 
 
-def _systems_table(own: dict[str, Any], low: int, high: int) -> list[str]:
-    places = range(1, len(own["systems"]) + 1)
-    heads = ["system", "ratings", "mean", "t", "bootstrap", *(f"rated {score}" for score in range(low, high + 1)),
-             "total", *(f"place {place}" for place in places)]
-    rows = [[_cell(name), str(s["ratings"]), _number(s["mean"]), _range(s["t"]), _range(s["bootstrap"]),
-             *map(str, s["scores"]), str(s["total"]), *map(str, s["places"])] for name, s in own["systems"].items()]
-    return [f"| {' | '.join(row)} |" for row in (heads, ["---"] * len(heads), *rows)]
+def _interval(mean: float | None, bounds: Sequence[float] | None, n: int) -> Interval:
+    low, high = bounds if bounds is not None else (math.nan, math.nan)
+    return Interval(math.nan if mean is None else mean, low, high, n)
 
 
 def _anova_line(own: dict[str, Any]) -> str:
@@ -331,21 +323,9 @@ def _anova_line(own: dict[str, Any]) -> str:
             f"eta squared {own['eta_squared']:.3f}.")
 
 
-def _cell(name: str) -> str:
-    return name.replace("|", "\\|")
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def _range(value: Sequence[float] | None) -> str:
-    return "-" if value is None else f"[{value[0]:.2f}, {value[1]:.2f}]"
-
-
 def _p(value: float | None, sign: str = "") -> str:
     """p with the asterisks of RG Figure 12: one below 0.05, two below 0.01, three below 0.001."""
     if value is None:
         return "-"
     stars = sum(value < limit for limit in (0.05, 0.01, 0.001))
-    return ("< 0.0001" if value < 1e-4 else f"{sign}{value:.4f}") + (" " + "\\*" * stars if stars else "")
+    return ("< 0.0001" if value < 1e-4 else f"{sign}{value:.4f}") + (" " + "*" * stars if stars else "")

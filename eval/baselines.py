@@ -42,8 +42,9 @@ from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
-    from gesticulator.prepare import Corpus
-    from interpreters import BlockFeatures
+    from gesticulator.speech_features import SpeechFeatures
+    from gesticulator.stages import Corpus
+    from interpreters.base import BlockFeatures
 
 JITTER = 0.02
 """Metres: the standard deviation along each axis."""
@@ -182,7 +183,7 @@ def bobbing(clips: Clips, onsets: Sequence[Array]) -> list[Motion]:
 
 
 CONTROLS: Mapping[str, Callable[[Clips, int], list[Motion]]] = {
-    "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered,
+    "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered, "mirrored": mirrored,
 }
 """Those that make one set of clips of another, by the name they have in a table."""
 
@@ -234,6 +235,28 @@ def _groups(clips: Clips, groups: Sequence[str] | None) -> NDArray[np.str_]:
     if len(groups) != len(clips):
         raise ValueError(f"{len(clips)} clips have {len(groups)} groups")
     return np.array(groups, dtype=np.str_)
+
+
+ROLLED = 60
+"""Blocks, some 20 s: by then no word, phrase or loudness is what it was."""
+
+
+def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
+    """What is heard comes `by` blocks late (half the recording where that is less), and wraps around; the grid stays.
+
+    A system that follows the voice loses its timing by that; one that only moves on its grid keeps it. Durations
+    belong to the grid, so the tempo in the last column of the features stays, too.
+    """
+    by = min(by, len(encoded.blocks) // 2)
+    blocks = replace(encoded.blocks, silent=np.roll(encoded.blocks.silent, by))
+
+    def late(features: NDArray[np.float32]) -> NDArray[np.float32]:
+        moved = np.roll(features, by, axis=0)
+        moved[..., -1] = features[..., -1]
+        return moved
+
+    text = None if encoded.text is None else np.roll(encoded.text, by, axis=0)
+    return replace(encoded, blocks=blocks, low=late(encoded.low), high=late(encoded.high), text=text)
 
 
 # -------------------------------------------------------------------------------------------------------- interpreters

@@ -76,13 +76,13 @@ class CellStore:
     def read(self, shared: Mapping[str, str] | None = None) -> Cells:
         """The latest cell of every row and seed; InputError when rows that are compared do not stand on the same.
 
-        shared: hash of what rows stand on, by family (see `family`); cells with another are left out.
+        shared: hash of what rows stand on, by family (see `family`); cells of that family with another are left out.
         """
         cells: Cells = {}
         stands: dict[str, set[str]] = {}
         for cell in self.lines():
             group = family(cell["row"])
-            if shared is not None and cell.get("shared") != shared.get(group):
+            if shared is not None and cell.get("shared") != shared.get(group, cell.get("shared")):
                 continue
             stands.setdefault(group, set()).add(cell.get("shared", ""))
             cells.setdefault(cell["row"], {})[int(cell["seed"])] = cell

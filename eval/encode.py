@@ -17,8 +17,8 @@ from data_module import blocks as block_module
 from data_module.types import Blocks, Motion, Speech
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
-from gesticulator.prepare import Statistics, representation_of
 from gesticulator.speech_features import encode_speech, front_end_for
+from gesticulator.statistics import Statistics, representation_of
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def normalised_blocks(config: Config, statistics: Statistics, motion: Motion, bl
 def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
     """The latents E(M) and nearest lexemes of a motion in given blocks (RG Eq. 4)."""
     own = normalised_blocks(bundle.config, bundle.statistics, motion, blocks, speaker)
-    latents = bundle.drawn.lexicon.latents(own)
+    latents = bundle.block_models.lexicon.latents(own)
     return EncodedMotion(blocks, own, latents, bundle.lexicon.quantizer.labels(latents).numpy())
 
 

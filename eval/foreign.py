@@ -25,7 +25,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from data_module.arrays import read_npy
+from data_module.arrays import as_floats, read_npy
 from data_module.errors import InputError, shown
 from data_module.files import read_text
 from data_module.motion import rotation
@@ -200,7 +200,7 @@ def read_positions(path: Path, fps: float | None = None) -> Motion:
     if points.dtype.kind not in "fiu" or points.shape[1:] != (len(names), 3) or len(points) == 0:
         raise InputError(path, f"has {points.dtype} of shape {points.shape}, and its sidecar names {len(names)} joints",
                          f"it should be numbers, [T, {len(names)}, 3]")
-    points = points.astype(np.float64)
+    points = as_floats(points)
     if not (np.abs(points) < _FARTHEST).all():
         raise InputError(path, "has positions that are not numbers, or far too large", "fill or cut them")
     apart = np.ptp(points, axis=1).max(axis=-1)

@@ -26,7 +26,7 @@ from eval.metrics import fgd, gesture_features, pmb
 from eval.metrics.diversity import diversity, motion_variance
 from eval.rows.row import COLUMNS, PAPERS_DELTA
 from gesticulator.config import Config
-from gesticulator.prepare import Statistics
+from gesticulator.statistics import Statistics
 from lexicon.autoencoder import Lexicon
 
 Lexemes = NDArray[np.int64]
@@ -72,7 +72,7 @@ class JudgedClip:
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedClip:
     """A motion to be judged. truth: the performer's, None where there is none; speaker: "" for a stranger; values: what
     is known of it already; lexemes, edges: those that it was made of and in, where they are the judge's."""
 
@@ -86,6 +86,11 @@ class Played:
     edges: Array | None = None
 
 
+def features_of(motion: Motion, by: Sequence[gesture_features.Features]) -> list[Array]:
+    """[n, E] of a motion, for each network."""
+    return [gesture_features.pooled([motion], one)[0] for one in by]
+
+
 @dataclass(frozen=True)
 class Judge:
     """The lexicon of the preset with its settings and statistics, and the networks of FGD, the first of which the
@@ -96,12 +101,8 @@ class Judge:
     lexicon: Lexicon
     by: Sequence[gesture_features.Features]
 
-    def features(self, motion: Motion) -> list[Array]:
-        """[n, E] of a motion, for each network."""
-        return [gesture_features.pooled([motion], one)[0] for one in self.by]
-
     @torch.no_grad()
-    def clip(self, played: Played, place: int) -> JudgedClip:
+    def clip(self, played: PlayedClip, place: int) -> JudgedClip:
         """Everything that is measured on a clip; place: seed of the shifts that give the chance level of PMB."""
         motion, speech, truth = played.motion, played.speech, played.truth
         clip = measure(motion, speech.speech, played.edges, speech.onsets)
@@ -117,7 +118,7 @@ class Judge:
         values |= {"pmb": pmb.pmb(clip.beats, clip.onsets, PAPERS_DELTA), "conditioned": float(conditioned)}
         return JudgedClip(
             played.name, {**dict.fromkeys(COLUMNS, float("nan")), **values, **(played.values or {})},
-            latents.double().numpy(), lexemes, self.features(motion),
+            latents.double().numpy(), lexemes, features_of(motion, self.by),
             pmb.delta_curve(clip.beats, clip.onsets).percent, clip.beats, clip.onsets,
             speech.blocks.edges if played.edges is None else played.edges)
 
@@ -143,33 +144,34 @@ class Judge:
         every, count = list(range(len(clips))), len(clips)
         features = [clip.features for clip in clips]
         added = {"diversity": stats.jackknife(variety, count), "variance": stats.jackknife(variance, count),
-                 "fgd": self.distances(features, real, paired)}
+                 "fgd": distances(self.by, features, real, paired)}
         return {
             "clips": [{"name": clip.name, **clip.values, **{key: float(values[k]) for key, values in added.items()}}
                       for k, clip in enumerate(clips)],
             "sets": {"diversity": variety(every), "variance": variance(every),
-                     "fgd": self.set_distances(features, real, paired),
+                     "fgd": set_distances(self.by, features, real, paired),
                      "pmb_curve": {"deltas": list(pmb.DELTAS),
                                    "percent": np.mean([clip.pmb_curve for clip in clips], axis=0).tolist()}}}
 
-    def distances(self, features: Sequence[Sequence[Array]], real: Sequence[Sequence[Array]], paired: bool = True
-                  ) -> Array:
-        """[clips] FGD in the first network by the jackknife, of features by clip and network."""
-        if not self.by:
-            return np.full(len(features), np.nan)
 
-        def distance(chosen: list[int]) -> float:
-            beside = [real[k] for k in chosen] if paired else real
-            ours, theirs = ([one[0] for one in clips if len(one[0])]
-                            for clips in ([features[k] for k in chosen], beside))
-            if min(sum(map(len, ours)), sum(map(len, theirs))) < 2:
-                return float("nan")
-            return fgd.distance(np.concatenate(ours), np.concatenate(theirs))
+def distances(by: Sequence[gesture_features.Features], features: Sequence[Sequence[Array]],
+              real: Sequence[Sequence[Array]], paired: bool = True) -> Array:
+    """[clips] FGD in the first network by the jackknife, of features by clip and network; NaN without a network."""
+    if not by:
+        return np.full(len(features), np.nan)
 
-        return stats.jackknife(distance, len(features))
+    def distance(chosen: list[int]) -> float:
+        beside = [real[k] for k in chosen] if paired else real
+        ours, theirs = ([one[0] for one in clips if len(one[0])] for clips in ([features[k] for k in chosen], beside))
+        if min(sum(map(len, ours)), sum(map(len, theirs))) < 2:
+            return float("nan")
+        return fgd.distance(np.concatenate(ours), np.concatenate(theirs))
 
-    def set_distances(self, features: Sequence[Sequence[Array]], real: Sequence[Sequence[Array]], paired: bool = True
-                      ) -> list[dict[str, Any]]:
-        """FGD of the whole set in every network, with all that it depends on."""
-        return [fgd.measure([clip[w] for clip in features], [clip[w] for clip in real], network, paired=paired
-                            ).to_dict() for w, network in enumerate(self.by)]
+    return stats.jackknife(distance, len(features))
+
+
+def set_distances(by: Sequence[gesture_features.Features], features: Sequence[Sequence[Array]],
+                  real: Sequence[Sequence[Array]], paired: bool = True) -> list[dict[str, Any]]:
+    """FGD of the whole set in every network, with all that it depends on."""
+    return [fgd.measure([clip[w] for clip in features], [clip[w] for clip in real], network, paired=paired).to_dict()
+            for w, network in enumerate(by)]

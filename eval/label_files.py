@@ -65,7 +65,7 @@ class Labels:
 
 
 @dataclass(frozen=True)
-class Choice:
+class LabelChoice:
     """What to take of a file that holds more than moments.
 
     at: of a mark that lasts its "start", "middle" or "end". tier: of a TextGrid. column: of a table. rate: marks a
@@ -84,9 +84,9 @@ class Choice:
             raise InputError("--label-fps", f"is {self.rate:g}", "give a positive number of frames a second")
 
 
-def read_labels(path: Path, choice: Choice | None = None) -> Labels:
+def read_labels(path: Path, choice: LabelChoice | None = None) -> Labels:
     """The moments of one recording. InputError for a file of another kind, one without marks, or marks before 0."""
-    choice = choice or Choice()
+    choice = choice or LabelChoice()
     text = read_text(path, _ADVICE)
     if text.lstrip()[:1] in ("[", "{"):
         return _labels(path, _of_json(path, text), choice, "JSON")
@@ -115,9 +115,9 @@ def is_table_of_recordings(path: Path) -> bool:
     return bool(head) and any(cell.strip().lower() in FILES for cell in re.split(r"[,;\t]", head[0]))
 
 
-def read_table(path: Path, choice: Choice | None = None) -> dict[str, Labels]:
+def read_table(path: Path, choice: LabelChoice | None = None) -> dict[str, Labels]:
     """The moments of many recordings, by what the table calls each: a column of `FILES`, one mark a row."""
-    choice = choice or Choice()
+    choice = choice or LabelChoice()
     marks: dict[str, list[Mark]] = {}
     for name, mark in _of_table(path, read_text(path, _ADVICE), choice.column):
         marks.setdefault(name, []).append(mark)
@@ -146,7 +146,7 @@ def _number(cell: str) -> float | None:
     return value if value is not None and np.isfinite(value) else None
 
 
-def _labels(path: Path, marks: Sequence[Mark], choice: Choice, layout: str) -> Labels:
+def _labels(path: Path, marks: Sequence[Mark], choice: LabelChoice, layout: str) -> Labels:
     if not marks:
         raise InputError(path, "holds no labels", _ADVICE)
     start, end = np.array(marks, dtype=np.float64).T

@@ -20,11 +20,11 @@ DIRECTIONS = 32
 PARTS, LEAST_TOKENS = 3, 5
 """Parts that a spoken word is cut in; a word of the training voices that is rarer than `LEAST_TOKENS` is no class."""
 _RIDGE = 1.0
-Target = Callable[["Spoken"], Array]
+Target = Callable[["LevelFeatures"], Array]
 
 
 @dataclass(frozen=True)
-class Spoken:
+class LevelFeatures:
     """One recording as the levels hear it, frame by frame. N blocks, K frames.
 
     features: [N, K, C] by name of the row; energy: [N, K] log power; pitch: [N, K] log2 Hz, NaN where unvoiced;
@@ -57,7 +57,7 @@ class Tokens:
         return Tokens(self.vectors[kept], self.words[kept], self.voices[kept], self.recording[kept])
 
 
-def tokens_of(spoken: Sequence[Spoken], row: str) -> Tokens:
+def tokens_of(spoken: Sequence[LevelFeatures], row: str) -> Tokens:
     """Every word of `PARTS` frames or more."""
     vectors, words, voices, recording = [], [], [], []
     for number, own in enumerate(spoken):
@@ -76,18 +76,18 @@ def tokens_of(spoken: Sequence[Spoken], row: str) -> Tokens:
 
 
 @dataclass(frozen=True)
-class Judged:
+class ProbeScore:
     """A figure for each test recording [R], NaN where it has none, and its weight [R]."""
 
     values: Array
     weights: Array
 
 
-def probe_words(train: Tokens, test: Tokens, recordings: int) -> dict[str, Judged]:
+def probe_words(train: Tokens, test: Tokens, recordings: int) -> dict[str, ProbeScore]:
     """The tasks "new_words" and "known_words" of one row; see the module."""
     from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
-    nothing = Judged(np.full(recordings, np.nan), np.zeros(recordings))
+    nothing = ProbeScore(np.full(recordings, np.nan), np.zeros(recordings))
     counts = Counter(train.words.tolist())
     classes = sorted(word for word, count in counts.items() if count >= LEAST_TOKENS)
     if len(classes) < 2:
@@ -111,13 +111,13 @@ def probe_words(train: Tokens, test: Tokens, recordings: int) -> dict[str, Judge
     return out
 
 
-def _per_recording(values: Array, weights: Array, recording: NDArray[np.int64], count: int) -> Judged:
+def _per_recording(values: Array, weights: Array, recording: NDArray[np.int64], count: int) -> ProbeScore:
     total = np.bincount(recording, weights, minlength=count)
     summed = np.bincount(recording, weights * values, minlength=count)
-    return Judged(np.where(total > 0, summed / np.where(total > 0, total, 1.0), np.nan), total.astype(np.float64))
+    return ProbeScore(np.where(total > 0, summed / np.where(total > 0, total, 1.0), np.nan), total.astype(np.float64))
 
 
-def same_word(embedded: Array, tokens: Tokens, recordings: int) -> Judged:
+def same_word(embedded: Array, tokens: Tokens, recordings: int) -> ProbeScore:
     """AUC of the cosine of [n, d] for "the same word", over the pairs of each recording's words with other voices'.
 
     Weighted by how many pairs of the same word a recording has.
@@ -133,10 +133,10 @@ def same_word(embedded: Array, tokens: Tokens, recordings: int) -> Judged:
         if same.any() and not same.all():
             values[number] = roc_auc_score(same.ravel(), (unit[own] @ unit[others].T).ravel())
             weights[number] = same.sum()
-    return Judged(values, weights)
+    return ProbeScore(values, weights)
 
 
-def probe_frames(train: Sequence[Spoken], test: Sequence[Spoken], row: str, target: Target) -> Judged:
+def probe_frames(train: Sequence[LevelFeatures], test: Sequence[LevelFeatures], row: str, target: Target) -> ProbeScore:
     """R2 of a ridge regression from a frame's features to its target [N, K], both less their mean in the recording.
 
     NaN frames and silent blocks are left out. The mean goes because it tells whose voice it is, which no probe can
@@ -146,7 +146,7 @@ def probe_frames(train: Sequence[Spoken], test: Sequence[Spoken], row: str, targ
     x, y, _ = _frames(train, row, target)
     tx, ty, recording = _frames(test, row, target)
     if len(y) < 2 or len(ty) < 2:
-        return Judged(np.full(len(test), np.nan), np.zeros(len(test)))
+        return ProbeScore(np.full(len(test), np.nan), np.zeros(len(test)))
     spread = np.maximum(x.std(axis=0), 1e-6)
     x = x / spread
     slope = np.linalg.solve(x.T @ x + _RIDGE * np.eye(x.shape[1]), x.T @ y)
@@ -155,7 +155,7 @@ def probe_frames(train: Sequence[Spoken], test: Sequence[Spoken], row: str, targ
     return _per_recording(1.0 - error / variance, np.ones(len(error)), recording, len(test))
 
 
-def _frames(spoken: Sequence[Spoken], row: str, target: Target) -> tuple[Array, Array, NDArray[np.int64]]:
+def _frames(spoken: Sequence[LevelFeatures], row: str, target: Target) -> tuple[Array, Array, NDArray[np.int64]]:
     """Features [n, C] and targets [n] of every frame that counts, less the recording's means; the recording [n]."""
     features, targets, recording = [], [], []
     for number, own in enumerate(spoken):
@@ -171,7 +171,7 @@ def _frames(spoken: Sequence[Spoken], row: str, target: Target) -> tuple[Array, 
     return np.concatenate(features), np.concatenate(targets), np.concatenate(recording)
 
 
-def grouped(judged: Judged, groups: Sequence[str]) -> Judged:
+def grouped(judged: ProbeScore, groups: Sequence[str]) -> ProbeScore:
     """One figure per group: recordings of one group share their speech and count once in an interval."""
     names = sorted(set(groups))
     number = np.array([names.index(group) for group in groups])

@@ -29,11 +29,12 @@ from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bi
 from eval.rows.row import EPISODE
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Corpus
-from gesticulator.racer import takes_of
 from gesticulator.speech_features import SpeechFeatures
-from interpreters import BlockFeatures, LexemeInterpreter, LstmInterpreter, select
-from interpreters.episodes import Take
+from gesticulator.stages import Corpus
+from gesticulator.stages.q_network import takes_of
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
+from interpreters.episodes import Demonstration
+from interpreters.lstm import LstmInterpreter
 
 Lexemes = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -108,7 +109,7 @@ class Decisions:
     chosen in silence. size: S."""
 
     corpus: Corpus
-    takes: list[Take]
+    takes: list[Demonstration]
     silent: Lexemes
     masked: bool
     size: int
@@ -117,9 +118,9 @@ class Decisions:
     def of(cls, bundle: bundles.Bundle, corpus: Corpus, labels: Lexemes, limit: int | None = None) -> Decisions:
         """The first `limit` test recordings that hold a decision, with lexemes from labels [N]."""
         takes = [take for take in takes_of(corpus, labels, "test") if len(take.blocks) > 1]
-        return cls(corpus, takes[:limit], bundle.silent, bundle.config.silence.mask, len(bundle.lexicon.vectors))
+        return cls(corpus, takes[:limit], bundle.silent, bundle.config.silence.mask, len(bundle.vectors))
 
-    def allowed(self, take: Take) -> Mask:
+    def allowed(self, take: Demonstration) -> Mask:
         """[M, S] which lexemes may be chosen on each block."""
         return allowed_lexemes(take.silent & self.masked, self.silent, self.size)
 
@@ -163,7 +164,7 @@ class Rewards(Protocol):
 
 
 @torch.inference_mode()
-def walk(policy: Policy, decisions: Decisions, take: Take, teacher: bool = False) -> tuple[Lexemes, Array]:
+def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: bool = False) -> tuple[Lexemes, Array]:
     """The lexemes [M] that a policy takes and its scores [M - 1, S] for them; the first lexeme is given.
 
     teacher: its past is the performer's lexemes. Draws depend on the seed and the recording alone.
@@ -181,12 +182,12 @@ def walk(policy: Policy, decisions: Decisions, take: Take, teacher: bool = False
     return lexemes, scores
 
 
-def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Take, teacher: bool) -> float:
+def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstration, teacher: bool) -> float:
     """Percent of a take's blocks, but the first, on which the best score is the performer's lexeme (RG Table 6)."""
     return lexeme_accuracy(walk(Policy(interpreter), decisions, take, teacher)[0][1:], take.lexemes[1:]).percent
 
 
-def greedy(rewards: Rewards, decisions: Decisions, take: Take, teacher: bool = False) -> Lexemes:
+def greedy(rewards: Rewards, decisions: Decisions, take: Demonstration, teacher: bool = False) -> Lexemes:
     """The lexemes [M] of the highest reward at each block, found by trying every one after those before.
 
     No other choice has a higher reward at that block; over many blocks a patient one may do better still.
@@ -202,7 +203,7 @@ def greedy(rewards: Rewards, decisions: Decisions, take: Take, teacher: bool = F
 
 
 @torch.inference_mode()
-def behaviour(model: LstmInterpreter, decisions: Decisions, take: Take, lexemes: Lexemes) -> Array:
+def behaviour(model: LstmInterpreter, decisions: Decisions, take: Demonstration, lexemes: Lexemes) -> Array:
     """[M - 1] pi_beta: what the lstm, among those allowed, gives each of `lexemes` [M] after the ones before it."""
     audio = decisions.corpus.high[torch.as_tensor(take.blocks[1:])].float()[None]
     speaker = torch.nn.functional.one_hot(torch.tensor([take.speaker]), model.speakers).float()
@@ -212,7 +213,7 @@ def behaviour(model: LstmInterpreter, decisions: Decisions, take: Take, lexemes:
     return taken(share, lexemes[1:])
 
 
-def every_reward(rewards: Rewards, take: Take, lexemes: Lexemes) -> Array:
+def every_reward(rewards: Rewards, take: Demonstration, lexemes: Lexemes) -> Array:
     """[M - 1, S] the reward that each lexeme would have had at each decision."""
     each: Array = rewards.sequence_every(torch.as_tensor(lexemes), torch.as_tensor(take.blocks))[1:].double().numpy()
     return each
@@ -230,7 +231,7 @@ class PolicyJudge:
     lstm: LstmInterpreter
     training: Sequence[Lexemes]
 
-    def lexeme_values(self, take: Take, free: Lexemes, forced: Lexemes) -> dict[str, float]:
+    def lexeme_values(self, take: Demonstration, free: Lexemes, forced: Lexemes) -> dict[str, float]:
         """What the lexemes [M] of one take tell: chosen on the policy's own past, and on the performer's."""
         own, right, allowed = free[1:], take.lexemes[1:], self.decisions.allowed(take)[1:]
         values = dict[str, float]()
@@ -248,7 +249,8 @@ class PolicyJudge:
             "unseen_bigrams": 100.0 * unseen_bigrams([free], self.training),
             "silent": silent_share(own, take.silent[1:], self.decisions.silent)}
 
-    def score_values(self, policy: Policy, take: Take, valued: Rewards | None, gamma: float) -> dict[str, float]:
+    def score_values(self, policy: Policy, take: Demonstration, valued: Rewards | None, gamma: float
+                     ) -> dict[str, float]:
         """What scores tell as Q values: the gaps on the performer's lexemes, by how much Q overrates the first decision
         and Spearman's rho of Q with the return-to-go on the policy's own. valued: the reward whose discounted sum they
         estimate; None where they are no values."""
@@ -267,7 +269,7 @@ def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequ
             progress: bool, encoded: Sequence[SpeechFeatures] | None = None) -> list[Motion]:
     """What the generator makes of these lexemes [M] for the speech of these recordings, the gate open. encoded: the
     recordings' speech, where it was encoded before."""
-    replay = ReplayInterpreter(lexemes, len(system.bundle.lexicon.vectors))
+    replay = ReplayInterpreter(lexemes, len(system.bundle.vectors))
     return [system(replace(recording.speech, words=None), speaker=recording.info.speaker, interpreter=replay,
                    temperature=0.0, activity=1.0, encoded=encoded[place] if encoded else None).motion
             for place, recording in enumerate(tqdm(recordings, desc=label, disable=not progress))]

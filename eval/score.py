@@ -1,7 +1,8 @@
 """`gesticulator score`: real, generated and foreign motion side by side, on the same clips, with the controls.
 
     gesticulator score --truth DIR --system NAME=DIR ... [--speech DIR] [--fgd FOLDER] [--work DIR] [--bundle DIR]
-                       [--split test] [--piece SECONDS] [--rate FPS] [--fps NAME=RATE] [--out results/score.json]
+                       [--units STORE] [--split test] [--piece SECONDS] [--rate FPS] [--fps NAME=RATE]
+                       [--out results/score.json]
 
 Every DIR holds motion by clip (see `eval.foreign` for what can be read), or is a store, of which one split counts;
 clips are matched by their names, only those that all have are read, and what does not match is named. All motion is
@@ -10,7 +11,8 @@ length. Each figure is a mean over clips with its bootstrap 95 % interval, or of
 bootstrap's; systems are compared in pairs over the same clips. `eval.metrics.METRICS` lists the figures.
 
 Beside the systems stand rows of motion known to be wrong (`eval.baselines`), made of the truth: shuffled among the
-speeches, played backwards, with 2 cm of jitter, and the mean pose of each clip, held still. One half of the truth
+speeches, played backwards, with 2 cm of jitter, with the right arm's motion on both arms, the mean pose of each clip,
+held still, and that pose bobbing at the onsets. One half of the truth
 against the other is the floor of distances between sets. A metric that a control beats is marked, and by whom said: it
 cannot tell good from bad in that respect, and a good value of it proves nothing.
 
@@ -37,7 +39,7 @@ from eval import baselines, stats
 from eval.clip_set import TRUTH, ClipSet, common_clips, listed, shared_names
 from eval.encode import EncodedMotion, SpeechBlocks, encode_motion, judged_reward
 from eval.foreign import Clip, names_in, read_folder
-from eval.metrics import CLIP_METRICS, METRICS, SET_METRICS, Metric, fgd, pmb
+from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd, pmb
 from eval.metrics.diversity import entropy, lexeme_moments, variance_of_moments
 from eval.metrics.evaluate import (
     LEXEME_METRICS,
@@ -48,6 +50,7 @@ from eval.metrics.evaluate import (
     Values,
     clip_values,
     delta_curve,
+    eye_values,
     lexeme_values,
     synchrony,
 )
@@ -55,9 +58,10 @@ from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_feature
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.stats import Indices, Interval
-from eval.table import Cell, Column, Marked, Table, shown_cell
+from eval.table import Cell, Column, Marked, Table, publish, shown_cell
 
-FLOOR, STILL = "truth, half against half", "still"
+UNITS = "unit selection"
+FLOOR, STILL, BOBBING = "truth, half against half", "still", "bobbing"
 NO_FLOOR = "a floor is of distances between sets"
 RAW_FRAMES = (34, 60)
 """Windows of the raw directions, at 15 fps, where networks of two lengths are not to be had."""
@@ -75,7 +79,7 @@ Figures = dict[str, dict[str, Marked]]
 # ------------------------------------------------------------------------------------------------------------ rows
 
 @dataclass
-class Row:
+class ScoreRow:
     """A set of motions and what was measured. kind: "truth", "system" or "control".
 
     values: metric -> [clips]; sets: metric -> a figure of the clips with these numbers; features: network -> [n, E] by
@@ -131,15 +135,19 @@ class ScoreContext:
     networks: Mapping[str, Features]
     encoder: ClipEncoder | None
     seed: int
+    voices: list[eye.Voice | None]
+    space: eye.ReferenceSpace | None
 
-    def row(self, name: str, kind: str, motions: list[Motion]) -> Row:
+    def row(self, name: str, kind: str, motions: list[Motion]) -> ScoreRow:
         """Everything about one set of motions."""
-        row = Row(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
+        row = ScoreRow(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
         own = self.clips.motions[TRUTH]
         truth = baselines.to_common_length(motions, own)[1]
         _put(row, MOTION_METRICS, [
             clip_values(motion, theirs, beats, track, self.seed + k) for k, (motion, theirs, beats, track)
             in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
+        _put(row, tuple(EYE_METRICS), [eye_values(motion, voice, edges, self.space) for motion, voice, edges
+                                       in zip(motions, self.voices, self.edges, strict=True)])
         for mode in ("A", "B"):
             row.curves[mode] = np.array([delta_curve(beats, track, mode) for beats, track
                                          in zip(row.beats, self.tracks, strict=True) if track is not None]
@@ -151,7 +159,13 @@ class ScoreContext:
         self._lexemes(row)
         return row
 
-    def _lexemes(self, row: Row) -> None:
+    @property
+    def edges(self) -> list[Array | None]:
+        """Of each clip, [N + 1] seconds of the blocks that the bundle cuts; None without a bundle or a speech."""
+        speeches = [None] * len(self.clips.names) if self.encoder is None else self.encoder.speeches
+        return [None if speech is None else speech.blocks.edges for speech in speeches]
+
+    def _lexemes(self, row: ScoreRow) -> None:
         """What the lexemes nearest to a row's blocks say, where there is a lexicon."""
         of_sets = ("diversity", "motion_variance")
         if self.encoder is None:
@@ -171,7 +185,7 @@ class ScoreContext:
             *(part[chosen].sum(axis=0) for part in moments))
 
 
-def _put(row: Row, metrics: Sequence[str], every: Sequence[Values]) -> None:
+def _put(row: ScoreRow, metrics: Sequence[str], every: Sequence[Values]) -> None:
     """The values of all clips into a row, and why some have none."""
     for metric in metrics:
         row.values[metric] = np.array([values.numbers[metric] for values in every])
@@ -181,8 +195,10 @@ def _put(row: Row, metrics: Sequence[str], every: Sequence[Values]) -> None:
             row.reasons[metric] = f"{lacking} of {len(every)} clips: {'; '.join(why)}"
 
 
-def control_rows(clips: ClipSet, seed: int) -> tuple[dict[str, list[Motion]], list[str]]:
-    """Each control's motions, and why one could not be made."""
+def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.Voice | None] = ()
+                 ) -> tuple[dict[str, list[Motion]], list[str]]:
+    """Each control's motions, and why one could not be made. voices: of each clip, None where its speech is
+    not known; without any nothing bobs."""
     truth, notes = clips.motions[TRUTH], []
     made = {STILL: baselines.mean_pose(truth)}
     groups: list[str] | None = clips.groups
@@ -196,12 +212,16 @@ def control_rows(clips: ClipSet, seed: int) -> tuple[dict[str, list[Motion]], li
             made[name] = (baselines.shuffled(truth, seed, groups) if name == "shuffled" else make(truth, seed))
         except ValueError as error:
             notes.append(f"no row {name}: {error}")
+    if any(voices):
+        made[BOBBING] = baselines.bobbing(truth, [np.zeros(0) if voice is None else voice.onsets[0]
+                                                  for voice in voices])
     return made, notes
 
 
 # --------------------------------------------------------------------------------------------------------- figures
 
-def row_figures(row: Row, truth: Row, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
+def row_figures(row: ScoreRow, truth: ScoreRow, context: ScoreContext
+                ) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
     """Every metric of a row, and the distances by network."""
     out: dict[str, Interval] = {name: stats.mean_interval(values, seed=context.seed)
                                 for name, values in row.values.items()}
@@ -246,9 +266,9 @@ def fgd_verdict(figure: fgd.Figure) -> str:
     return f"roughly: chance is {100 * figure.bias / figure.distance:.0f} % of it, and a tenth from {wanted} windows on"
 
 
-def floor_figures(truth: Row, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
+def floor_figures(truth: ScoreRow, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
     """Distances between two halves of the truth; what is no distance between sets has none."""
-    out = {name: Marked(Interval.undefined(), reason=NO_FLOOR) for name in (*CLIP_METRICS, *SET_METRICS)}
+    out = {name: Marked(Interval.undefined(), reason=NO_FLOOR) for name in (*CLIP_METRICS, *EYE_METRICS, *SET_METRICS)}
     place = {id(motion): k for k, motion in enumerate(truth.motions)}
     halves: list[list[int]] = []
     for groups in (context.clips.groups, None):
@@ -270,9 +290,10 @@ def floor_figures(truth: Row, context: ScoreContext) -> tuple[dict[str, Marked],
     return out | {key: fgd_cell(figure) for key, figure in distances.items()}, distances
 
 
-def differences(first: Row, second: Row, truth: Row, context: ScoreContext) -> dict[str, Marked]:
+def differences(first: ScoreRow, second: ScoreRow, truth: ScoreRow, context: ScoreContext) -> dict[str, Marked]:
     """First less second, paired over clips, with intervals."""
-    out = {name: stats.paired(first.values[name], second.values[name], seed=context.seed) for name in CLIP_METRICS}
+    out = {name: stats.paired(first.values[name], second.values[name], seed=context.seed)
+           for name in (*CLIP_METRICS, *EYE_METRICS)}
     for name in SET_METRICS:
         if name in first.sets and name in second.sets:
             out[name] = stats.of_set(_less(first.sets[name], second.sets[name]), len(first.motions), seed=context.seed)
@@ -286,7 +307,7 @@ def _less(first: Callable[[Indices], float], second: Callable[[Indices], float])
     return lambda chosen: first(chosen) - second(chosen)
 
 
-def mismatches(rows: Sequence[Row], context: ScoreContext) -> dict[str, dict[str, Mismatch]]:
+def mismatches(rows: Sequence[ScoreRow], context: ScoreContext) -> dict[str, dict[str, Mismatch]]:
     """The mismatch test of each row by each metric of synchrony."""
     known = [k for k, track in enumerate(context.tracks) if track is not None]
     few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
@@ -310,7 +331,7 @@ class Flag:
     says: str
 
 
-def flags(rows: Mapping[str, Row], figures: Figures, metrics: Mapping[str, Metric], seed: int) -> list[Flag]:
+def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, Metric], seed: int) -> list[Flag]:
     """Which control beats what, by which metric.
 
     A control beats a system when its value is the better one, by more than rounding; the truth when it is as good or
@@ -352,7 +373,8 @@ def _badness(metric: Metric, figures: Figures, name: str, row: str) -> float:
     return -value if metric.good == "high" else value
 
 
-def _against_truth(name: str, metric: Metric, control: Row, truth: Row, figures: Figures, seed: int) -> list[str]:
+def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow, figures: Figures, seed: int
+                   ) -> list[str]:
     own, theirs = mean_of(figures, control.name, name), mean_of(figures, TRUTH, name)
     if not (math.isfinite(own) and math.isfinite(theirs)):
         return []
@@ -394,8 +416,10 @@ def score(clips: ClipSet, networks: Mapping[str, Features], bundle: Any = None, 
           seed: int = 0) -> Scores:
     """Measure all rows on the same clips."""
     tracks = [OnsetTrack.of(speech) if speech is not None else None for speech in clips.speeches]
-    context = ScoreContext(clips, tracks, networks, None if bundle is None else ClipEncoder.of(bundle, clips), seed)
-    made, notes = control_rows(clips, seed) if with_controls else ({}, [])
+    voices = [None if speech is None else eye.hear(speech) for speech in clips.speeches]
+    context = ScoreContext(clips, tracks, networks, None if bundle is None else ClipEncoder.of(bundle, clips), seed,
+                           voices, eye.ReferenceSpace.found())
+    made, notes = control_rows(clips, seed, voices) if with_controls else ({}, [])
     rows = {name: context.row(name, TRUTH if name == TRUTH else "system", motions)
             for name, motions in clips.motions.items()}
     rows |= {name: context.row(name, "control", motions) for name, motions in made.items()}
@@ -404,7 +428,8 @@ def score(clips: ClipSet, networks: Mapping[str, Features], bundle: Any = None, 
         both[FLOOR] = floor_figures(rows[TRUTH], context)
     figures = {name: pair[0] for name, pair in both.items()}
     distances = {name: pair[1] for name, pair in both.items()}
-    metrics = {**CLIP_METRICS, **SET_METRICS, **{key: replace(METRICS["fgd"], title=f"FGD, {key}") for key in networks}}
+    metrics = {**CLIP_METRICS, **EYE_METRICS, **SET_METRICS,
+               **{key: replace(METRICS["fgd"], title=f"FGD, {key}") for key in networks}}
     systems = [row for row in rows.values() if row.kind == "system"]
     return Scores(
         clips.names, round(clips.seconds, 2), clips.fps, metrics,
@@ -427,10 +452,15 @@ def _mean(curves: Array) -> list[float]:
 _GOOD = {"low": "less is better", "high": "more is better", "near": "near the truth's is good", "": "no judgement"}
 _PARTS = {"joints": "Joints against the speaker's own", "beats": "Motion beats and onsets",
           "consistency": "Beat consistency", "vigour": "Vigour and smoothness", "lexemes": "As the bundle reads it",
-          "sets": "Sets of motion", "fgd": "Sets of motion, by a network's features"}
+          "eye hands": "What the eye sees: two hands", "eye trunk": "What the eye sees: trunk and life",
+          "eye strokes": "What the eye sees: strokes", "eye voice": "What the eye sees: in time with the voice",
+          "eye frechet": "What the eye sees: everything at once", "sets": "Sets of motion",
+          "fgd": "Sets of motion, by a network's features"}
 _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
          "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
-         "jitter": "the truth with every joint 2 cm off, anew in each frame"}
+         "jitter": "the truth with every joint 2 cm off, anew in each frame",
+         "mirrored": "the truth with the right arm's motion on both arms",
+         BOBBING: "the truth's mean pose whose forearms stop at every onset"}
 _LEGEND = (
     "[low, high]: 95 % interval over clips. -: undefined, the reason is told below. (!): a metric that a control "
     "beats, see below. (?): a distance of a set too small for it, see \"FGD of\".",
@@ -585,7 +615,7 @@ def named(entries: Sequence[str], what: str) -> dict[str, str]:
 def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]], list[str]]:
     """The clips of truth and systems, and what was left out of their folders."""
     systems = named(arguments.system, "--system")
-    for name in (TRUTH, FLOOR, STILL, *baselines.CONTROLS):
+    for name in (TRUTH, FLOOR, STILL, BOBBING, UNITS, *baselines.CONTROLS):
         if name in systems:
             raise InputError(f"--system {name}", "is the name of a row of its own", "choose another")
     rates = {name: _positive(f"--fps {name}", value) for name, value in named(arguments.fps, "--fps").items()}
@@ -603,6 +633,19 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
         raise InputError(arguments.speech, f"has no sound for {listed(silent, 3)}",
                          "put a sound of that name there, or leave --speech out")
     return folders, notes
+
+
+def unit_selection_row(truth: Mapping[str, Clip], store: Store, work: Path | None, seed: int) -> dict[str, Clip]:
+    """What unit selection makes of the truth's speech; InputError for a clip without speech."""
+    from eval.unit_selection import UnitDatabase, UnitSelection
+
+    units = UnitSelection(UnitDatabase.of(store, work=work))
+    row = {}
+    for name, clip in truth.items():
+        if clip.speech is None:
+            raise InputError(name, "has no sound to select units by", "give --speech, or leave --units out")
+        row[name] = replace(clip, motion=units(clip.speech, seed=seed).motion)
+    return row
 
 
 def _positive(what: str, value: str) -> float:
@@ -630,12 +673,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--rate", metavar="FPS", help="frame rate to compare at (default: the lowest of all)")
     add("--fps", action="append", default=[], metavar="NAME=RATE",
         help="frame rate of a system's files, or truth=RATE, where they have none or a wrong one")
+    add("--units", metavar="STORE", help="adds a row of unit selection over this store's training split, the baseline "
+        "that a system has to beat")
     add("--no-controls", action="store_true", help="leave out the rows of motion that is known to be wrong")
     add("--seed", type=int, default=0)
     add("--out", type=Path, metavar="FILE.json", help="a .md is written beside it")
 
 
-def run(arguments: argparse.Namespace) -> Scores:
+def scored(arguments: argparse.Namespace) -> Scores:
     """What the command measures; InputError for what the user gave and cannot be used."""
     rate, piece = (None if value is None else _positive(name, value)
                    for name, value in (("--rate", arguments.rate), ("--piece", arguments.piece)))
@@ -645,9 +690,17 @@ def run(arguments: argparse.Namespace) -> Scores:
 
         bundle = bundles.load(bundles.SHIPPED if arguments.bundle == "shipped" else arguments.bundle)
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
-        _ = bundle.drawn
+        _ = bundle.block_models
     folders, left_out = read_all(arguments)
+    if arguments.units:
+        folders[UNITS] = unit_selection_row(folders[TRUTH], Store.open(arguments.units), arguments.work, arguments.seed)
     networks = networks_of(arguments.fgd, arguments.work, arguments.truth)
     clips = common_clips(folders, rate, piece)
     clips.notes[:0] = left_out
     return score(clips, networks, bundle, with_controls=not arguments.no_controls, seed=arguments.seed)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, write and show."""
+    publish(tables(scored(arguments)), arguments.out)
+    return 0

@@ -1,8 +1,8 @@
 """A user study: the page that raters see, and what their answers say (RG 7.3.3, Figure 12; RACER 5.4, Figure 4).
 
-    python -m eval.study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
+    gesticulator study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
                               [--videos mp4|webm]
-    python -m eval.study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
+    gesticulator study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
 
 `make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
 that works from a disk without a server or a network (FOLDER/page/index.html), and FOLDER/key.json, which raters must
@@ -25,7 +25,6 @@ import base64
 import hashlib
 import json
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -35,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
 from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
@@ -44,9 +43,9 @@ from data_module.types import Motion, Speech
 from eval import anova
 from eval.draw import video
 from eval.draw.strips import figure_points
-from eval.results import keep
+from eval.table import publish
 from gesticulator.export import sound
-from gesticulator.sounds import SUFFIXES
+from gesticulator.stages.sounds import SUFFIXES
 
 ASPECTS = {
     "human_likeness": "How human-like does the figure move? Please leave the speech aside for this question.",
@@ -70,7 +69,7 @@ _SLOT = re.compile(r"\{\{([a-z_]+)\}\}")
 
 
 @dataclass(frozen=True)
-class Take:
+class StudyTake:
     """One recording by every system: the speech and one motion per system, `seconds` of which all of them cover."""
 
     name: str
@@ -84,7 +83,7 @@ class Take:
 
 
 @dataclass(frozen=True)
-class Clip:
+class StudyClip:
     """A stretch of a take: its start in seconds, and the share of it that is speech."""
 
     take: int
@@ -92,12 +91,26 @@ class Clip:
     speech: float
 
 
+@dataclass(frozen=True)
+class StudyOptions:
+    """clips: how many stretches, `seconds` long each. seed: which stretches, and the order. raters: how many orders the
+    page holds; rater raters + 1 gets that of rater 1. videos: "mp4" or "webm" writes each item as a video beside the
+    page, which then draws nothing."""
+
+    clips: int = 10
+    seconds: float = 30.0
+    seed: int = 0
+    raters: int = 30
+    aspects: Sequence[str] = DEFAULT_ASPECTS
+    videos: str | None = None
+
+
 # ---------------------------------------------------------------- the material
 
-def parse_systems(told: Sequence[str]) -> dict[str, Path]:
+def parse_systems(entries: Sequence[str]) -> dict[str, Path]:
     """NAME=DIR as a mapping, in the given order; InputError for what is not two or more different names."""
     systems: dict[str, Path] = {}
-    for word in told:
+    for word in entries:
         name, equals, folder = word.partition("=")
         if not (equals and name.strip() and folder):
             raise InputError(word, "is not NAME=DIR", "write --systems ours=folder truth=folder")
@@ -121,7 +134,7 @@ def _pairs(folder: Path) -> dict[str, tuple[Path, Path]]:
     return both
 
 
-def read_takes(systems: dict[str, Path]) -> list[Take]:
+def read_takes(systems: dict[str, Path]) -> list[StudyTake]:
     """The recordings that every system has; InputError when there is none, or when the sound of one differs."""
     found = {name: _pairs(folder) for name, folder in systems.items()}
     common = sorted(set.intersection(*(set(pairs) for pairs in found.values())))
@@ -134,7 +147,7 @@ def read_takes(systems: dict[str, Path]) -> list[Take]:
         for _, other in files[1:]:
             if not _same_sound(first, load_speech(other)):
                 raise InputError(other, f"is not the sound of {files[0][1]}", "compare systems on the same speech")
-        takes.append(Take(stem, first, tuple(read_bvh(motion) for motion, _ in files)))
+        takes.append(StudyTake(stem, first, tuple(read_bvh(motion) for motion, _ in files)))
     return takes
 
 
@@ -147,18 +160,19 @@ def _same_sound(a: Speech, b: Speech) -> bool:
     return float(x @ y) >= _ALIKE * float(np.sqrt((x @ x) * (y @ y)))
 
 
-def choose_clips(takes: Sequence[Take], count: int, seconds: float, seed: int) -> list[Clip]:
+def choose_clips(takes: Sequence[StudyTake], count: int, seconds: float, seed: int) -> list[StudyClip]:
     """`count` stretches that do not overlap, spread over the takes, each with enough speech; InputError for fewer."""
     if count < 1 or not (np.isfinite(seconds) and seconds >= 1):
         raise InputError("--clips, --seconds", f"cannot be {count} and {seconds:g}", "ask for one clip of 1 s at least")
     rng = np.random.default_rng(seed)
-    offered: list[list[Clip]] = []
+    offered: list[list[StudyClip]] = []
     for number, take in enumerate(takes):
         slots = int((take.seconds + 1e-6) // seconds)
         shift = rng.uniform(0.0, max(take.seconds - slots * seconds, 0.0))
         loud = ~pauses(silent_frames(take.speech.samples, take.speech.sample_rate))
         starts = shift + seconds * np.arange(slots)
-        clips = [Clip(number, round(start, 3), round(_share(loud, start, seconds), 3)) for start in starts.tolist()]
+        clips = [StudyClip(number, round(start, 3), round(_share(loud, start, seconds), 3))
+                 for start in starts.tolist()]
         clips = [clip for clip in clips if clip.speech >= ENOUGH_SPEECH]
         offered.append([clips[k] for k in rng.permutation(len(clips))])
     # One of each take before a second one of any.
@@ -200,13 +214,10 @@ def orders(systems: int, clips: int, raters: int, seed: int) -> list[list[tuple[
 
 # ---------------------------------------------------------------- the page
 
-def make(systems: dict[str, Path], out: Path, *, clips: int = 10, seconds: float = 30.0, seed: int = 0,
-         raters: int = 30, aspects: Sequence[str] = DEFAULT_ASPECTS, videos: str | None = None) -> Path:
-    """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same page and key.
-
-    raters: how many orders the page holds; rater raters + 1 gets that of rater 1. videos: "mp4" or "webm" writes each
-    item as a video beside the page, which then draws nothing.
-    """
+def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
+    """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same page and key."""
+    clips, seconds, seed, raters = options.clips, options.seconds, options.seed, options.raters
+    aspects, videos = options.aspects, options.videos
     if raters < 1:
         raise InputError("--raters", f"must be 1 or more, not {raters}")
     if videos is not None:
@@ -259,7 +270,7 @@ def _opaque(source: str, what: str) -> str:
     return hashlib.sha256(f"{source} {what}".encode()).hexdigest()[:10]
 
 
-def _digest(takes: Sequence[Take], seed: int) -> str:
+def _digest(takes: Sequence[StudyTake], seed: int) -> str:
     digest = hashlib.sha256(str(seed).encode())
     for take in takes:
         digest.update(take.name.encode() + take.speech.samples.tobytes())
@@ -303,9 +314,9 @@ def _base64(data: bytes) -> str:
 
 # ---------------------------------------------------------------- the command
 
-def _parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser("eval.study", description="A user study: its page, and what the answers say.")
-    commands = p.add_subparsers(dest="command", required=True)
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator study` takes: make, or analyse."""
+    commands = parser.add_subparsers(dest="command", required=True)
     m = commands.add_parser("make", help="the page that raters see, and the key that they must not")
     m.add_argument("--systems", nargs="+", required=True, metavar="NAME=DIR", help="motion (BVH) and sound of each")
     m.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="page/index.html and key.json go there")
@@ -322,27 +333,18 @@ def _parser() -> argparse.ArgumentParser:
     a.add_argument("--without", nargs="+", default=[], metavar="RATER", help="leave these raters out")
     a.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
     a.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
-    return p
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; bad input is one line and exit code 2."""
-    told = _parser().parse_args(argv)
-    with one_line_errors("eval.study"):
-        if told.command == "make":
-            page = make(parse_systems(told.systems), told.out, clips=told.clips, seconds=told.seconds, seed=told.seed,
-                        raters=told.raters, aspects=list(dict.fromkeys(told.aspects)), videos=told.videos)
-            print(f"{page} is for the raters (1 to {told.raters}: page?rater=7 fills in the number); "
-                  f"keep {told.out / 'key.json'} to yourself")
-            return 0
-        key = anova.read_key(told.key)
-        ratings = anova.gather(anova.read_answers(told.ratings, key), key, without=told.without)
-        result = anova.analyse(ratings, seed=told.seed)
-        if told.out:
-            keep(result, anova.markdown(result), told.out)
-        print(anova.markdown(result))
+def run(arguments: argparse.Namespace) -> int:
+    """Make the page, or analyse what was saved; InputError for input that cannot be used."""
+    if arguments.command == "analyse":
+        key = anova.read_key(arguments.key)
+        ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
+        publish(anova.tables(ratings, arguments.seed), arguments.out)
+        return 0
+    page = make(parse_systems(arguments.systems), arguments.out, StudyOptions(
+        arguments.clips, arguments.seconds, arguments.seed, arguments.raters, list(dict.fromkeys(arguments.aspects)),
+        arguments.videos))
+    print(f"{page} is for the raters (1 to {arguments.raters}: page?rater=7 fills in the number); "
+          f"keep {arguments.out / 'key.json'} to yourself")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

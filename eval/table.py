@@ -14,6 +14,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from data_module.errors import InputError
 from data_module.files import write_text
 from eval.stats import Interval
@@ -133,7 +135,9 @@ def _unpacked(cell: Any) -> Cell:
 # ---------------------------------------------------------------------------------------------------------------- JSON
 
 def plain(value: Any) -> Any:
-    """Null for what is no finite number, however deep it lies."""
+    """Null for what is no finite number, however deep it lies; numbers of numpy as those of Python."""
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -4,71 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
-from generator import losses
-from generator.losses import Encoder
 from generator.position import positional_block
+from generator.settings import GeneratorConfig
+
+if TYPE_CHECKING:
+    from generator.losses import Encoder
 
 State = tuple[Tensor, Tensor]
 """Hidden and cell state of the decoder, [layers, B, width] each."""
 
 
 @dataclass(frozen=True)
-class GeneratorConfig:
-    """Sizes and weights of the generator; the defaults are the paper's where it gives them."""
+class GeneratorWidths:
+    """What shapes a generator besides its settings.
 
-    motion_features: int = 128
-    """d_m~, width of E_M."""
-    audio_features: int = 128
-    """d_a~, width of E_A."""
-    audio_bottleneck: int = 0
-    """Width that each row of audio is brought to before E_A; 0 for none (the paper)."""
-    style_width: int = 32
-    """d_z."""
-    position_width: int = 32
-    """d_P; 0 leaves the positional block out (Table 7)."""
-    position_direction: str = "forward"
-    hidden: int = 512
-    """Width of the MLP encoder."""
-    groups: int = 64
-    """H."""
-    classes: int = 128
-    """C."""
-    group_width: int = 8
-    """Width of the vector behind each class of each group."""
-    lstm_width: int = 1024
-    lstm_layers: int = 2
-    temperature_start: float = 2.0
-    temperature_end: float = 0.5
-    """The Gumbel temperature falls geometrically from one to the other over the run."""
-    residual: bool = True
-    """Add the last pose of the block before, fading linearly to nothing at the block's end. It closes the seams, and
-    unlike a sum of differences it cannot drift: every block ends on what the network itself says."""
-    own_past_from: float = 0.0
-    own_past_until: float = 0.5
-    """Between these shares of the run the probability of being fed its own past block rises from 0 to 1."""
-    reconstruction: float = 1.0
-    perceptual: float = 0.5
-    lexeme: float = 0.2
-    style: float = 1.0
-    use_control: bool = False
-    """Hear what is asked of the style (C_i of RG 7.2.1)."""
-    velocity: float = 0.0
-    """Weight of the squared error of frame differences; off in the paper."""
-    style_dropout: float = 0.0
-    """Share of training windows that get the zero code instead of their own. A learned code tells what only hindsight
-    knows; without it the generator must take its timing from the sound. Off in the paper."""
-    swaps: int = 1
-    """N_J, permutations of the other inputs for the lexeme loss."""
-    swap_share: float = 1.0
-    """Share of the batch's blocks that each permutation takes."""
-    style_rate: float = 1e-2
-    """Learning rate of the style codes: each gets one gradient per epoch, so the common rate would leave them put."""
+    frames: K; motion: D_m; audio: d + 1; lexeme: D_s; control: 2 F of a control's rows, read only where the settings
+    ask for it.
+    """
+
+    frames: int
+    motion: int
+    audio: int
+    lexeme: int
+    control: int = 0
+
+
+@dataclass(frozen=True)
+class BlockInputs:
+    """What N blocks are made from: audio windows [B, N, 3K, d], lexemes [B, N, D_s], style codes [B, N, d_z], and what
+    is asked of the style [B, N, K, 2 F], None when nothing is."""
+
+    audio: Tensor
+    lexeme: Tensor
+    style: Tensor
+    control: Tensor | None = None
 
 
 class StyleCodes(nn.Module):
@@ -115,29 +91,29 @@ class Generator(nn.Module):
     fade: Tensor
     present: Tensor
 
-    def __init__(self, config: GeneratorConfig, frames: int, motion_width: int, audio_width: int, lexeme_width: int,
-                 style_blocks: int = 0, control_width: int = 0, present: Tensor | None = None) -> None:
-        """control_width: 2 F, of a control's rows; read only where the settings ask for it. present: [D_m] 1 where the
-        data have the dimension; elsewhere no loss would hold it, so it is 0."""
+    def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, style_blocks: int = 0,
+                 present: Tensor | None = None) -> None:
+        """style_blocks: how many style codes are learned, 0 for none (inference). present: [D_m] 1 where the data have
+        the dimension; elsewhere no loss would hold it, so it is 0."""
         super().__init__()
-        self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
-        c = self.config = config
-        self.frames = frames
-        self.encode_motion = convolutions((motion_width, *[c.motion_features] * 3), norm=False)
-        self.encode_audio = BlockLinear(frames, audio_width, c.audio_features, bottleneck=c.audio_bottleneck)
+        self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
+        c, frames = config, widths.frames
+        self.config, self.frames = config, frames
+        self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
+        self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)
         position = positional_block(frames, c.position_width, direction=c.position_direction) \
             if c.position_width else torch.zeros(frames, 0)
         self.register_buffer("position", position, persistent=False)
         self.register_buffer("fade", torch.arange(frames - 1, -1, -1.0)[:, None] / frames, persistent=False)
-        self.control_width = control_width if c.use_control else 0
-        width = c.motion_features + c.audio_features + lexeme_width + c.style_width + c.position_width
+        self.control_width = widths.control if c.use_control else 0
+        width = c.motion_features + c.audio_features + widths.lexeme + c.style_width + c.position_width
         width += self.control_width
         self.mlp = nn.Sequential(nn.Linear(width, c.hidden), nn.LeakyReLU(SLOPE),
                                  nn.Linear(c.hidden, c.hidden), nn.LeakyReLU(SLOPE))
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
         self.lstm = nn.LSTM(c.groups * c.group_width, c.lstm_width, c.lstm_layers, batch_first=True)
-        self.to_motion = nn.Linear(c.lstm_width, motion_width)
-        self.start = nn.Sequential(nn.Linear(motion_width + lexeme_width, c.hidden), nn.LeakyReLU(SLOPE),
+        self.to_motion = nn.Linear(c.lstm_width, widths.motion)
+        self.start = nn.Sequential(nn.Linear(widths.motion + widths.lexeme, c.hidden), nn.LeakyReLU(SLOPE),
                                    nn.Linear(c.hidden, 2 * c.lstm_layers * c.lstm_width))
         self.styles = StyleCodes(style_blocks, c.style_width) if style_blocks else None
 
@@ -185,22 +161,21 @@ class Generator(nn.Module):
             motion = motion + self.fade * past[:, -1:]
         return motion * self.present, state, choice
 
-    def roll_out(self, seed: Tensor, motion: Tensor | None, audio: Tensor, lexeme: Tensor, style: Tensor,
-                 own_past: float = 1.0, temperature: float = 1.0, control: Tensor | None = None
-                 ) -> tuple[Tensor, Tensor]:
+    def roll_out(self, seed: Tensor, given: BlockInputs, motion: Tensor | None = None, own_past: float = 1.0,
+                 temperature: float = 1.0) -> tuple[Tensor, Tensor]:
         """Blocks 1..N one after the other, the decoder's state carried across.
 
-        seed: [B, K, D_m] the block before the first; motion: [B, N, K, D_m] the truth (needed when own_past < 1);
-        audio: [B, N, 3K, d] windows; lexeme: [B, N, D_s]; style: [B, N, d_z]; control: [B, N, K, 2 F] or None.
-        With probability `own_past` a block sees what was generated, else the truth. Gives [B, N, K, D_m] and the
-        code choices [B, N, K, H, C].
+        seed: [B, K, D_m] the block before the first; motion: [B, N, K, D_m] the truth (needed when own_past < 1). With
+        probability `own_past` a block sees what was generated, else the truth. Gives [B, N, K, D_m] and the code
+        choices [B, N, K, H, C].
         """
-        heard = self.encode_audio(audio)
-        state = self.first_state(seed[:, -1], lexeme[:, 0])
+        heard = self.encode_audio(given.audio)
+        state = self.first_state(seed[:, -1], given.lexeme[:, 0])
         past, made, choices = seed, [], []
-        for i in range(lexeme.shape[1]):
-            asked = None if control is None else control[:, i]
-            block, state, choice = self.step(past, heard[:, i], lexeme[:, i], style[:, i], state, temperature, asked)
+        for i in range(given.lexeme.shape[1]):
+            asked = None if given.control is None else given.control[:, i]
+            block, state, choice = self.step(past, heard[:, i], given.lexeme[:, i], given.style[:, i], state,
+                                             temperature, asked)
             made.append(block)
             choices.append(choice)
             past = block
@@ -227,6 +202,8 @@ class Generator(nn.Module):
         numbers (0 for inserted silence), mask [B, D_m] present joints, valid [B, N + 1] (0 where a short recording was
         filled up), control [B, N + 1, K, 2 F] where it is heard. encoder: the lexicon's frozen E.
         """
+        from generator import losses  # only training asks for them
+
         if self.styles is None:
             raise ValueError("a generator without style codes cannot be trained")
         motion, audio, lexemes = batch["motion"], batch["audio"][:, 1:], batch["lexeme"][:, 1:]
@@ -237,8 +214,8 @@ class Generator(nn.Module):
         worn = style
         if self.training and self.config.style_dropout > 0:
             worn = style * (torch.rand(len(style), 1, 1, device=style.device) >= self.config.style_dropout)
-        made, _ = self.roll_out(motion[:, 0], motion[:, 1:], audio, lexemes, worn,
-                                self.own_past_probability(progress), temperature, control)
+        made, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, worn, control), motion[:, 1:],
+                                self.own_past_probability(progress), temperature)
         valid = batch["valid"][:, 1:]
         mask = batch["mask"][:, None, None] * valid[:, :, None, None]
         kept = valid > 0
@@ -257,6 +234,8 @@ class Generator(nn.Module):
     def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,
                      encoder: Encoder, control: Tensor | None) -> Tensor:
         """RG Eq. 12 and 13: past, audio, style (and control) of random blocks j of the batch, lexemes of blocks i."""
+        from generator.losses import lexeme as lexeme_loss
+
         past, heard = motion[:, :-1].flatten(0, 1), audio.flatten(0, 1)
         wanted, styles = lexemes.flatten(0, 1), style.flatten(0, 1)
         count = max(1, round(len(past) * self.config.swap_share))
@@ -268,5 +247,5 @@ class Generator(nn.Module):
             asked = None if control is None else control.flatten(0, 1)[j]
             made, _, _ = self.step(past[j], self.encode_audio(heard[j]), wanted[i], styles[j], state, temperature,
                                    asked)
-            total = total + losses.lexeme(made, wanted[i], encoder)
+            total = total + lexeme_loss(made, wanted[i], encoder)
         return total / max(self.config.swaps, 1)

@@ -1,26 +1,40 @@
-"""Speech in, gesture out. `Gesticulator.from_pretrained()` loads the shipped bundle; see `gesticulator.pipeline`."""
+"""Speech in, gesture out.
+
+>>> from gesticulator import Gesticulator
+>>> Gesticulator.from_pretrained()("speech.wav").save("gesture.bvh")
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from gesticulator.version import __version__
 
 if TYPE_CHECKING:
+    from data_module.controls import Controls, Curve
+    from data_module.errors import InputError
+    from data_module.speech.audio import load_speech
+    from data_module.types import Motion, Speech, Word
+    from gesticulator.options import InferenceOptions
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
 
-__all__ = ["Gesticulator", "Performance", "__version__"]
+__all__ = ["Controls", "Curve", "Gesticulator", "InferenceOptions", "InputError", "Motion", "Performance", "Speech",
+           "Word", "__version__", "load_speech"]
+
+_HOMES = {"Controls": "data_module.controls", "Curve": "data_module.controls", "InputError": "data_module.errors",
+          "Motion": "data_module.types", "Speech": "data_module.types", "Word": "data_module.types",
+          "InferenceOptions": "gesticulator.options", "Performance": "gesticulator.performance",
+          "Gesticulator": "gesticulator.pipeline", "load_speech": "data_module.speech.audio"}
+"""Name -> the module that has it, imported when the name is first used: torch takes seconds."""
 
 
 def __getattr__(name: str) -> Any:
-    # torch takes seconds to import: only when it is asked for.
-    if name == "Gesticulator":
-        from gesticulator.pipeline import Gesticulator
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
 
-        return Gesticulator
-    if name == "Performance":
-        from gesticulator.performance import Performance
 
-        return Performance
-    raise AttributeError(name)
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,26 +1,31 @@
 """A bundle: one folder that holds everything inference needs.
 
 `bundle.json` (format, versions, settings, skeleton, data fingerprint and licence, figures, SHA-256 of every file),
-`MODEL_CARD.md` and `*.safetensors` in half precision. It is written to a temporary folder and renamed. An unknown
-format, a foreign skeleton or a file that is not what its hash says is refused by name.
+`MODEL_CARD.md` and `*.safetensors` in half precision. It is written to a temporary folder, synced and renamed. An
+unknown format, a foreign skeleton, a file that is not what its hash says and a file of weights that nobody listed are
+refused by name. A model is opened when it is asked for, so that drawing one gesture reads no reward model; its shapes
+are compared with the settings before memory is taken for it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import shutil
 import tempfile
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from data_module.controls import Levels
@@ -28,31 +33,50 @@ from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER
 from data_module.speech.features import Normaliser
-from data_module.speech.speech_encoder import SpeechEncoder
-from generator.model import Generator
-from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
-from gesticulator.prepare import CONTROL_WIDTH, Statistics, representation_of
-from interpreters.cql import QNetwork
-from interpreters.gate import ActivityGate
-from interpreters.lstm import LstmInterpreter
-from interpreters.reward import RewardModel
-from interpreters.statistical import StatisticalInterpreter
-from interpreters.style import StyleInterpreter
-from lexicon.autoencoder import Lexicon
-from lexicon.inventory import Inventory
-from lexicon.racer import RacerCodec
+from gesticulator.models import BUILDERS, Sizes, codebook_shape, shapes
+from gesticulator.statistics import Statistics, representation_of
+from gesticulator.version import __version__
+from interpreters import INTERPRETERS
 
-FORMAT = 3
-_READABLE = (1, 2, 3)
-"""Format 1 had no text, speech levels, gate or style editing, format 2 no Q-network; what they hold means the same."""
-_INDEX = "bundle.json"
-_TIED = "lexicon_hash"
+if TYPE_CHECKING:
+    from data_module.speech.speech_encoder import SpeechEncoder
+    from generator.model import Generator
+    from interpreters.base import LexemeInterpreter
+    from interpreters.cql import QNetwork
+    from interpreters.gate import ActivityGate
+    from interpreters.lstm import LstmInterpreter
+    from interpreters.reward import RewardModel
+    from interpreters.statistical import StatisticalInterpreter
+    from interpreters.style import StyleInterpreter
+    from lexicon.autoencoder import Lexicon
+    from lexicon.inventory import Inventory
+    from lexicon.racer import RacerCodec
+
+FORMAT = 4
+"""Format 3 knew other names of settings and tensors and no resting distances (see `gesticulator.upgrade`)."""
+INDEX = "bundle.json"
 CARD = "MODEL_CARD.md"
-_LONG = 65
-"""Codes of a stillness whose middle no longer sees where it begins and ends."""
 SHIPPED = Path(__file__).parent / "assets" / "bundle"
 """The bundle that comes with the package."""
+FILES = {"lexicon": "lexicon", "generator": "generator", "interpreter": "lexeme_interpreter",
+         "style": "style_interpreter", "interpreter_text": "lexeme_interpreter_text",
+         "style_text": "style_interpreter_text", "encoder": "speech_encoder", "gate": "gate", "q_network": "q_network",
+         "reward": "reward", "reward_judge": "reward_judge"}
+"""Part of a bundle -> its file, without the ending; only the lexicon is never absent."""
+_NO_BLOCKS = "holds RACER's own codec, without lexicon, generator and style"
+_TIED = "lexicon_hash"
+_STATISTICS = "statistics"
+_ENDING = ".safetensors"
+_LONG = 65
+"""Codes of a stillness whose middle no longer sees where it begins and ends."""
+_LARGEST_INDEX = 16 * 2**20
+"""Bytes: a list of files, settings and figures is a thousand times smaller."""
+_HEADER = 2**20
+"""Bytes that the header of a file of weights may take beside its tensors."""
+_LARGEST_STATISTICS = 256 * 2**20
+"""Bytes: the transition matrix of 8,192 lexemes."""
+_MOST_SPEAKERS = 10_000
 
 
 @dataclass(frozen=True)
@@ -69,7 +93,7 @@ class TextSource:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class BlockModels:
     """What a bundle of blocks at the beat cannot do without."""
 
     lexicon: Lexicon
@@ -82,43 +106,125 @@ class Drawn:
 class Bundle:
     """Trained models and all that goes with them.
 
-    interpreter, style: the audio-only ones; interpreter_text, style_text: those that read the words too, where there
-    are any. encoder: the speech levels. gate: whether to gesture at all. text: where the word vectors come from.
-    provenance: what the weights were trained on, in plain values.
+    parts: the models by name (see `FILES`); of a bundle that was read, each is opened when it is asked for. vectors:
+    [S, D_s] the codebook; rest_distances: [speakers, S] how far each lexeme is from standing still in the speaker's
+    resting pose, in the codebook's own (squared) distance. silent: the silent lexemes. inventory: counts of the
+    training split. text: where the word vectors come from. provenance: what the weights were trained on, in plain
+    values; figures: stage -> its figures on the validation split.
     """
 
     config: Config
     statistics: Statistics
-    lexicon: Lexicon | RacerCodec
-    generator: Generator | None
-    interpreter: LstmInterpreter | None
-    style: StyleInterpreter | None
-    inventory: Inventory
     silent: NDArray[np.int64]
+    inventory: Inventory
+    vectors: Tensor
+    rest_distances: NDArray[np.float32]
+    parts: Mapping[str, nn.Module]
     provenance: dict[str, Any]
     figures: dict[str, Any]
-    encoder: SpeechEncoder | None = None
-    gate: ActivityGate | None = None
-    interpreter_text: LstmInterpreter | None = None
-    style_text: StyleInterpreter | None = None
     text: TextSource | None = None
-    q_network: QNetwork | None = None
-    reward: RewardModel | None = None
-    reward_judge: RewardModel | None = None
+
+    def _part(self, name: str) -> nn.Module | None:
+        """A part, opened; not `Mapping.get`, to which a KeyError on the way would look like absence."""
+        return self.parts[name] if name in self.parts else None  # noqa: SIM401
+
+    # The parts, by attribute: those that every bundle of blocks has, and those that may be absent.
+    @property
+    def lexicon(self) -> Lexicon | RacerCodec:
+        """What names gestures."""
+        return cast("Lexicon | RacerCodec", self.parts["lexicon"])
 
     @property
-    def drawn(self) -> Drawn:
+    def generator(self) -> Generator | None:
+        """What draws blocks at the beat; None in a bundle of RACER's own."""
+        return cast("Generator | None", self._part("generator"))
+
+    @property
+    def interpreter(self) -> LstmInterpreter | None:
+        """The lexeme interpreter that hears alone."""
+        return cast("LstmInterpreter | None", self._part("interpreter"))
+
+    @property
+    def interpreter_text(self) -> LstmInterpreter | None:
+        """The lexeme interpreter that reads the words too."""
+        return cast("LstmInterpreter | None", self._part("interpreter_text"))
+
+    @property
+    def style(self) -> StyleInterpreter | None:
+        """The style interpreter that hears alone."""
+        return cast("StyleInterpreter | None", self._part("style"))
+
+    @property
+    def style_text(self) -> StyleInterpreter | None:
+        """The style interpreter that reads the words too."""
+        return cast("StyleInterpreter | None", self._part("style_text"))
+
+    @property
+    def encoder(self) -> SpeechEncoder | None:
+        """The speech levels."""
+        return cast("SpeechEncoder | None", self._part("encoder"))
+
+    @property
+    def gate(self) -> ActivityGate | None:
+        """Whether to gesture at all."""
+        return cast("ActivityGate | None", self._part("gate"))
+
+    @property
+    def q_network(self) -> QNetwork | None:
+        """RACER's Q-network."""
+        return cast("QNetwork | None", self._part("q_network"))
+
+    @property
+    def reward(self) -> RewardModel | None:
+        """The reward model that taught the Q-network."""
+        return cast("RewardModel | None", self._part("reward"))
+
+    @property
+    def reward_judge(self) -> RewardModel | None:
+        """The reward model that judges it."""
+        return cast("RewardModel | None", self._part("reward_judge"))
+
+    def with_parts(self, **changes: nn.Module | None) -> Bundle:
+        """A copy with other parts; None takes one out. A part that is not opened yet stays so."""
+        return replace(self, parts=_Changed(self.parts, changes))
+
+    @property
+    def block_models(self) -> BlockModels:
         """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's own."""
-        if not isinstance(self.lexicon, Lexicon) or not (self.generator and self.interpreter and self.style):
-            raise InputError("the bundle", "holds RACER's own codec, without lexicon, generator and style",
-                             "use one of blocks at the beat (--preset default)")
-        return Drawn(self.lexicon, self.generator, self.interpreter, self.style)
+        if self.config.tokens == "racer" or not (self.generator and self.interpreter and self.style):
+            raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
+        return BlockModels(cast("Lexicon", self.lexicon), self.generator, self.interpreter, self.style)
+
+    def generator_and_style(self, text: bool) -> tuple[Generator, StyleInterpreter]:
+        """What makes a block; with `text`, the style interpreter that reads the words where there is one."""
+        style = (self.style_text if text else None) or self.style
+        if self.generator is None or style is None:
+            raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
+        return self.generator, style
+
+    @property
+    def frames(self) -> int:
+        """K, frames per block."""
+        return self.config.rhythm.frames
 
     @property
     def interpreters(self) -> tuple[str, ...]:
         """Names of the interpreters that it holds; the first is taken when none is named."""
-        there = {"lstm": self.interpreter is not None, "cql": self.q_network is not None, "statistical": True}
-        return tuple(name for name, own in there.items() if own)
+        return tuple(name for name, entry in INTERPRETERS.items() if not entry.part or entry.part in self.parts)
+
+    def interpreter_named(self, name: str, text: bool = False) -> LexemeInterpreter:
+        """The lexeme interpreter of that name; with `text`, the one that reads the words where there is one.
+
+        InputError lists those that the bundle has.
+        """
+        if name not in self.interpreters:
+            raise InputError(f"interpreter {name}", "is not in the bundle",
+                             f"choose among {', '.join(self.interpreters)}")
+        entry = INTERPRETERS[name]
+        if not entry.part:
+            return cast("LexemeInterpreter", self.statistical())
+        reads = text and entry.text_part in self.parts
+        return cast("LexemeInterpreter", self.parts[entry.text_part if reads else entry.part])
 
     @property
     def levels(self) -> Levels | None:
@@ -132,36 +238,79 @@ class Bundle:
 
     def statistical(self) -> StatisticalInterpreter:
         """The speech-blind interpreter over the same lexicon."""
+        from interpreters.statistical import StatisticalInterpreter
+
         frequencies = np.stack([self.inventory.frequencies[name] for name in self.speakers])
         return StatisticalInterpreter(frequencies, self.inventory.transitions, self.config.statistical)
 
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose as the models see it."""
-        rest = self.statistics.normalise(self.statistics.rest_pose[speaker], speaker)
-        return torch.as_tensor(rest, dtype=torch.float32)
+        return rest_feature(self.statistics, speaker, self.vectors.device)
 
     def rest_lexeme(self, speaker: int) -> int:
-        """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); of RACER's codec, which has no
-        silence, its code in the middle of a long stillness."""
-        rest = self.rest_feature(speaker)
-        if isinstance(self.lexicon, RacerCodec):
-            codes = self.lexicon.label(rest.expand(1, _LONG * self.lexicon.frames, -1))[0]
-            return int(codes[_LONG // 2])
-        distances = self.lexicon.quantizer.distances(self.lexicon.latents(rest.expand(1, self.lexicon.frames, -1)))[0]
-        return int(self.silent[int(distances[torch.as_tensor(self.silent)].argmin())])
+        """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); any lexeme where none is
+        silent, as in RACER's codec."""
+        allowed = self.silent if len(self.silent) else np.arange(len(self.vectors))
+        return int(allowed[int(self.rest_distances[speaker][allowed].argmin())])
 
 
-def lexicon_hash(lexicon: Lexicon | RacerCodec) -> str:
-    """SHA-256 of the codebook, which ties an interpreter to its lexicon."""
-    return hashlib.sha256(lexicon.vectors.detach().half().cpu().numpy().tobytes()).hexdigest()
+class _Changed(Mapping[str, nn.Module]):
+    """Parts with some of them replaced or taken out; the others are asked for only when they are wanted."""
+
+    def __init__(self, parts: Mapping[str, nn.Module], changes: Mapping[str, nn.Module | None]) -> None:
+        unknown = sorted(set(changes) - set(FILES))
+        if unknown:
+            raise ValueError(f"no parts of a bundle: {', '.join(unknown)}")
+        self._parts, self._changes = parts, dict(changes)
+
+    def __getitem__(self, name: str) -> nn.Module:
+        if name not in self._changes:
+            return self._parts[name]
+        changed = self._changes[name]
+        if changed is None:
+            raise KeyError(name)
+        return changed
+
+    def __iter__(self) -> Iterator[str]:
+        names = [*self._parts, *(name for name in self._changes if name not in self._parts)]
+        return (name for name in names if self._changes.get(name, self) is not None)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
-def _statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
+def rest_feature(statistics: Statistics, speaker: int, device: torch.device | None = None) -> Tensor:
+    """[D_m] a speaker's resting pose as the models see it."""
+    rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
+    return torch.as_tensor(rest, dtype=torch.float32, device=device)
+
+
+@torch.no_grad()
+def rest_distances(tokens: Lexicon | RacerCodec, statistics: Statistics) -> NDArray[np.float32]:
+    """[speakers, S] squared distances of the codebook from a block of standing still in each speaker's resting pose;
+    of RACER's codec, which codes recordings whole, from the code in the middle of a long stillness."""
+    out = []
+    for speaker in range(len(statistics.speakers)):
+        rest = rest_feature(statistics, speaker)
+        blocks = 1 if tokens.one_by_one else _LONG
+        latent = tokens.eval().encode(rest.expand(1, blocks * tokens.frames, -1)).reshape(blocks, -1)[[blocks // 2]]
+        out.append(tokens.quantizer.distances(latent)[0].numpy())
+    return np.stack(out).astype(np.float32)
+
+
+def lexicon_hash(vectors: Tensor) -> str:
+    """SHA-256 of a codebook [S, D_s], which ties an interpreter to its lexicon."""
+    return hashlib.sha256(vectors.detach().half().cpu().numpy().tobytes()).hexdigest()
+
+
+# ------------------------------------------------------------------------------------------------------------ writing
+
+def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
+    """What `statistics.safetensors` holds."""
     s = bundle.statistics
-    arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation,
-              "bounds": s.bounds,
+    arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation, "bounds": s.bounds,
               "frequencies": np.stack([bundle.inventory.frequencies[name] for name in s.speakers]),
-              "transitions": bundle.inventory.transitions}
+              "transitions": bundle.inventory.transitions, "rest_distances": bundle.rest_distances}
     for name, normaliser in (("low", s.low), ("high", s.high)):
         arrays.update({f"{name}_{key}": value for key, value in normaliser.to_dict().items()})
     if s.quiet_low is not None and s.quiet_high is not None:
@@ -171,60 +320,61 @@ def _statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
     return {key: torch.as_tensor(np.ascontiguousarray(value), dtype=torch.float32) for key, value in arrays.items()}
 
 
-def _check_lexicon(file: Path, lexicon: Lexicon | RacerCodec) -> None:
-    """InputError unless the weights were trained over this very lexicon: their actions are its lexemes."""
-    with safe_open(file, framework="pt") as opened:
-        if (opened.metadata() or {}).get(_TIED) != lexicon_hash(lexicon):
-            raise InputError(file, "was trained over another lexicon than the bundle's",
-                             "train the Q-network again (gesticulator.train --redo cql)")
-
-
-def _half(module: nn.Module, leave_out: str = " ") -> dict[str, Tensor]:
+def _half(module: nn.Module) -> dict[str, Tensor]:
+    # The table of style codes belongs to the training blocks; nothing at inference looks into it ("styles.").
     return {key: (value.half() if value.is_floating_point() else value).contiguous().cpu()
-            for key, value in module.state_dict().items() if not key.startswith(leave_out)}
-
-
-_OPTIONAL = {"generator": "generator", "lexeme_interpreter": "interpreter", "style_interpreter": "style",
-             "lexeme_interpreter_text": "interpreter_text", "style_interpreter_text": "style_text",
-             "speech_encoder": "encoder", "gate": "gate", "q_network": "q_network", "reward": "reward",
-             "reward_judge": "reward_judge"}
-"""File of a bundle -> field of `Bundle`; any may be absent."""
+            for key, value in module.state_dict().items() if not key.startswith("styles.")}
 
 
 def save(bundle: Bundle, path: str | Path, card: str) -> None:
     """Write a bundle whole or not at all; a bundle that is already there is replaced, anything else is left alone."""
-    target = Path(path)
-    if target.exists() and not (target / _INDEX).is_file() and not (target.is_dir() and not any(target.iterdir())):
+    def write(folder: Path) -> None:
+        for name, module in bundle.parts.items():
+            tied = {_TIED: lexicon_hash(bundle.vectors)} if name == "q_network" else None
+            save_file(_half(module), folder / f"{FILES[name]}{_ENDING}", tied)
+        save_file(statistics_tensors(bundle), folder / f"{_STATISTICS}{_ENDING}")
+        (folder / CARD).write_text(card, encoding="utf-8")
+        write_index(folder, {
+            "config": to_dict(bundle.config), "speakers": list(bundle.speakers),
+            "silent_lexemes": bundle.silent.tolist(), "lexicon_hash": lexicon_hash(bundle.vectors),
+            "text": {"encoder": bundle.text.encoder, "width": bundle.text.width} if bundle.text else None,
+            "audio_levels": 2 if _two_levels(bundle) else 1,
+            "provenance": bundle.provenance, "figures": bundle.figures})
+
+    replace_folder(Path(path), write)
+
+
+def _two_levels(bundle: Bundle) -> bool:
+    low, high = bundle.statistics.low, bundle.statistics.high
+    return len(low.mean) != len(high.mean) or not np.array_equal(low.mean, high.mean)
+
+
+def write_index(folder: Path, index: dict[str, Any]) -> None:
+    """Write `bundle.json` with the hashes of all files that are there."""
+    index = {"format": FORMAT,
+             "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
+                         "python": platform.python_version()},
+             "skeleton": {"names": list(CHARACTER.names), "parents": list(CHARACTER.parents),
+                          "offsets": CHARACTER.offsets.tolist()},
+             **index, "files": {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
+                                for file in sorted(folder.iterdir()) if file.name != INDEX}}
+    (folder / INDEX).write_text(json.dumps(index, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def replace_folder(target: Path, write: Any) -> None:
+    """Put what `write(folder)` writes in the place of a bundle, whole or not at all; InputError for anything else that
+    is there."""
+    if target.exists() and not (target / INDEX).is_file() and not (target.is_dir() and not any(target.iterdir())):
         raise InputError(target, "exists and is not a bundle", "choose another path")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
     try:
-        save_file(_half(bundle.lexicon), temporary / "lexicon.safetensors")
-        # The table of style codes belongs to the training blocks; nothing at inference looks into it ("styles.").
-        for name, module in _OPTIONAL.items():
-            own = getattr(bundle, module)
-            if own is not None:
-                tied = {_TIED: lexicon_hash(bundle.lexicon)} if name == "q_network" else None
-                save_file(_half(own, "styles."), temporary / f"{name}.safetensors", tied)
-        save_file(_statistics_tensors(bundle), temporary / "statistics.safetensors")
-        (temporary / CARD).write_text(card, encoding="utf-8")
-        files = {file.name: _sha(file) for file in sorted(temporary.iterdir())}
-        index = {
-            "format": FORMAT, "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
-                                          "python": platform.python_version()},
-            "config": to_dict(bundle.config),
-            "skeleton": {"names": list(CHARACTER.names), "parents": list(CHARACTER.parents),
-                         "offsets": CHARACTER.offsets.tolist()},
-            "speakers": list(bundle.speakers), "silent_lexemes": bundle.silent.tolist(),
-            "lexicon_hash": lexicon_hash(bundle.lexicon),
-            "text": {"encoder": bundle.text.encoder, "width": bundle.text.width} if bundle.text else None,
-            "provenance": bundle.provenance, "figures": bundle.figures,
-            "files": files,
-        }
-        (temporary / _INDEX).write_text(json.dumps(index, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        write(temporary)
         temporary.chmod(0o755)  # mkdtemp and safetensors keep others out; a bundle is there to be shared
         for file in temporary.iterdir():
             file.chmod(0o644)
+            _sync(file)
+        _sync(temporary)
         if target.exists():
             old = temporary.with_name(temporary.name + ".old")
             target.rename(old)
@@ -237,123 +387,276 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
         raise
 
 
-def _sha(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def _sync(path: Path) -> None:
+    """Have the disk hold a file (or a folder's list of files) before it is relied on."""
+    if path.is_dir() and os.name == "nt":
+        return  # Windows opens no folders
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+# ------------------------------------------------------------------------------------------------------------ reading
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object from a file; InputError for anything else, however it is broken."""
+    try:
+        if path.stat().st_size > _LARGEST_INDEX:
+            raise InputError(path, "is too large to be the list of a bundle", "copy the bundle again")
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        raise InputError(path, "is broken", "copy the bundle again") from None
+    if not isinstance(found, dict):
+        raise InputError(path, "is broken", "copy the bundle again")
+    return found
+
+
+_KINDS: dict[str, Any] = {"config": dict, "skeleton": dict, "speakers": list, "silent_lexemes": list, "files": dict,
+                          "provenance": dict, "figures": dict, "audio_levels": int, "text": (dict, type(None))}
+"""What `bundle.json` must hold."""
 
 
 def read_index(path: str | Path) -> dict[str, Any]:
-    """`bundle.json`, after the checks that need no weights."""
+    """`bundle.json`, after the checks that need no weights; InputError for one that is broken or foreign."""
     folder = Path(path)
-    index_path = folder / _INDEX
+    file = folder / INDEX
     if not folder.exists():
         raise InputError(folder, "does not exist", "give the folder of a bundle, or leave --bundle out")
-    if not index_path.is_file():
-        raise InputError(folder, f"is not a bundle (no {_INDEX})", "give a folder that gesticulator.train made")
-    try:
-        index = json.loads(index_path.read_text(encoding="utf-8"))
-        version = index["format"]
-    except (ValueError, KeyError, TypeError):
-        raise InputError(index_path, "is broken", "copy the bundle again") from None
-    if version not in _READABLE:
-        raise InputError(index_path, f"has format {version}, and this version reads format {FORMAT}",
-                         "train it again or use the matching version")
-    lacking = [key for key in ("config", "skeleton", "speakers", "silent_lexemes", "files", "provenance", "figures")
-               if key not in index]
+    if not file.is_file():
+        raise InputError(folder, f"is not a bundle (no {INDEX})", "give a folder that gesticulator train made")
+    index = read_json(file)
+    version = index.get("format")
+    if version != FORMAT or isinstance(version, bool):
+        advice = (f"run gesticulator bundle upgrade {folder} NEW" if version in (1, 2, 3)
+                  else "train it again or use the matching version")
+        raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}", advice)
+    lacking = [key for key in _KINDS if key not in index]
     if lacking:
-        raise InputError(index_path, f"lacks {', '.join(lacking)}", "copy the bundle again")
-    if tuple(index["skeleton"]["names"]) != CHARACTER.names:
-        raise InputError(index_path, "was trained on another skeleton", "train it again")
-    return dict(index)
+        raise InputError(file, f"lacks {', '.join(lacking)}", "copy the bundle again")
+    wrong = [key for key, kind in _KINDS.items() if not isinstance(index[key], kind)]
+    if not wrong:
+        wrong = [name for name, fine in (
+            ("speakers", _strings(index["speakers"]) and 0 < len(index["speakers"]) <= _MOST_SPEAKERS),
+            ("silent_lexemes", all(type(n) is int and 0 <= n < 2**31 for n in index["silent_lexemes"])),
+            ("audio_levels", index["audio_levels"] in (1, 2)),
+            ("files", _strings(index["files"].values())),
+            ("figures", all(isinstance(own, dict) for own in index["figures"].values()))) if not fine]
+    if wrong:
+        raise InputError(file, f"holds something else than it should under {', '.join(wrong)}",
+                         "copy the bundle again")
+    if index["skeleton"].get("names") != list(CHARACTER.names):
+        raise InputError(file, "was trained on another skeleton", "train it again")
+    return index
+
+
+def _strings(values: Any) -> bool:
+    return all(isinstance(value, str) for value in values)
+
+
+class Weights:
+    """The files of a bundle, each checked when it is read: listed, of the listed hash, of the right shapes, finite."""
+
+    def __init__(self, folder: Path, listed: Mapping[str, str]) -> None:
+        """InputError when a listed file is missing, or when there are weights that the list leaves out."""
+        self.folder, self.listed = folder, listed
+        for name in listed:
+            if Path(name).name != name or not (folder / name).is_file():
+                raise InputError(folder / name[:200], "is missing from the bundle", "copy the bundle again")
+        for file in sorted(folder.glob(f"*{_ENDING}")):
+            if file.name not in listed:
+                raise InputError(file, f"is not in the list of {INDEX}", "delete it, or copy the bundle again")
+
+    def __contains__(self, name: str) -> bool:
+        return f"{name}{_ENDING}" in self.listed
+
+    def tensor(self, name: str, key: str, shape: tuple[int, ...]) -> Tensor:
+        """One tensor of a file, which must have this shape, in single precision."""
+        file = self._listed(name)
+        digest = hashlib.sha256()
+        with file.open("rb") as stream:
+            while part := stream.read(_HEADER):
+                digest.update(part)
+        self._check_hash(file, digest.hexdigest())
+        try:
+            with safe_open(file, framework="pt") as opened:
+                found = tuple(opened.get_slice(key).get_shape()) if key in opened.keys() else ()  # noqa: SIM118
+                if found != shape:
+                    raise InputError(file, f"does not fit the settings ({_difference({key: found}, {key: shape})})",
+                                     "train it again")
+                return _finite(file, {key: opened.get_tensor(key)})[key]
+        except _BROKEN as error:
+            raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
+
+    def _listed(self, name: str) -> Path:
+        file = self.folder / f"{name}{_ENDING}"
+        if file.name not in self.listed:
+            raise InputError(file, "is missing from the bundle", "copy the bundle again")
+        return file
+
+    def _check_hash(self, file: Path, found: str) -> None:
+        if found != self.listed[file.name]:
+            raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
+                             "copy the bundle again")
+
+    def read(self, name: str, shapes: Mapping[str, tuple[int, ...]] | None, tied: str | None = None
+             ) -> dict[str, Tensor]:
+        """The tensors of a file in single precision.
+
+        shapes: what they must be; None for a file whose shapes are checked by its reader. tied: the hash of the
+        codebook that the file must have been trained over.
+        """
+        file = self._listed(name)
+        largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * _size(s) for s in shapes.values())
+        if file.stat().st_size > largest:
+            raise InputError(file, "is larger than the settings say", "train it again")
+        data = file.read_bytes()
+        self._check_hash(file, hashlib.sha256(data).hexdigest())
+        header = _header(file, data)
+        if shapes is not None and _shapes_of(header) != dict(shapes):
+            raise InputError(file, f"does not fit the settings ({_difference(_shapes_of(header), shapes)})",
+                             "train it again")
+        if tied is not None and header.get("__metadata__", {}).get(_TIED) != tied:
+            raise InputError(file, "was trained over another lexicon than the bundle's",
+                             "train the Q-network again (gesticulator train --redo q_network)")
+        try:
+            return _finite(file, load_tensors(data))
+        except _BROKEN as error:
+            raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
+
+
+_BROKEN = (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError)
+"""What reading a file of tensors may end in."""
+
+
+def _finite(file: Path, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors in single precision; InputError where one holds NaN or infinity."""
+    broken = next((key for key, value in tensors.items() if not bool(torch.isfinite(value).all())), None)
+    if broken is not None:
+        raise InputError(file, f"holds values that are no numbers ({broken})", "train it again")
+    return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
+
+
+def _header(file: Path, data: bytes) -> dict[str, Any]:
+    try:
+        header = json.loads(data[8:8 + int.from_bytes(data[:8], "little")])
+        if isinstance(header, dict) and isinstance(header.get("__metadata__", {}), dict):
+            return header
+    except (ValueError, RecursionError, OverflowError):
+        pass
+    raise InputError(file, "is broken (no header of tensors)", "copy the bundle again")
+
+
+def _shapes_of(header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    return {key: tuple(value["shape"]) if isinstance(value, dict) and isinstance(value.get("shape"), list) else ()
+            for key, value in header.items() if key != "__metadata__"}
+
+
+def _size(shape: tuple[int, ...]) -> int:
+    size = 1
+    for length in shape:
+        size *= length
+    return size
+
+
+def _difference(found: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> str:
+    name = next(key for key in sorted({*found, *wanted}) if found.get(key) != wanted.get(key))
+    return f"{name[:80]}: {found.get(name, 'absent')} instead of {wanted.get(name, 'absent')}"
+
+
+class StoredParts(Mapping[str, nn.Module]):
+    """The models of a bundle on disk, each opened when it is asked for first."""
+
+    def __init__(self, weights: Weights, sizes: Sizes) -> None:
+        self._weights, self._sizes = weights, sizes
+        self._opened: dict[str, nn.Module] = {}
+
+    def __getitem__(self, name: str) -> nn.Module:
+        if name not in self._opened:
+            if FILES.get(name, "") not in self._weights:
+                raise KeyError(name)
+            tied = lexicon_hash(self._sizes.lexemes) if name == "q_network" else None
+            tensors = self._weights.read(FILES[name], shapes(name, self._sizes), tied)
+            model = BUILDERS[name](self._sizes)
+            model.load_state_dict(tensors)
+            self._opened[name] = freeze(model)
+        return self._opened[name]
+
+    def __contains__(self, name: object) -> bool:
+        return FILES.get(str(name), "") in self._weights
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name in FILES if name in self)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+_REQUIRED = {"lexicon": ("lexicon", "generator", "interpreter", "style"), "racer": ("lexicon", "q_network")}
+"""Parts that a bundle of either kind of token cannot do without."""
 
 
 def load(path: str | Path) -> Bundle:
-    """Read a bundle; InputError for one that is broken, foreign or not what its hashes say."""
+    """Open a bundle; InputError for one that is broken, foreign or not what its hashes say.
+
+    The settings, the statistics and the codebook are read at once; a model when it is asked for, which may raise
+    InputError in its turn.
+    """
     folder = Path(path)
     index = read_index(folder)
-    for name, expected in index["files"].items():
-        file = folder / name
-        if Path(name).name != name or not file.is_file():
-            raise InputError(file, "is missing from the bundle", "copy the bundle again")
-        if _sha(file) != expected:
-            raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
-                             "copy the bundle again")
     config = from_dict(Config, index["config"])
+    weights = Weights(folder, index["files"])
+    lacking = [name for name in _REQUIRED[config.tokens] if FILES[name] not in weights]
+    if lacking:
+        raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
+    text = _text_source(folder, index["text"])
+    speakers, silent = tuple(index["speakers"]), np.array(index["silent_lexemes"], dtype=np.int64)
+    statistics, inventory, distances = _statistics(folder, weights, config, speakers)
+    sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
+                  index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
+                  silent=tuple(silent.tolist()))
+    vectors = weights.tensor(FILES["lexicon"], "quantizer.vectors", codebook_shape(config))
+    if len(silent) and silent.max() >= len(vectors):
+        raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
+                         "copy the bundle again")
+    return Bundle(config, statistics, silent, inventory, vectors, distances,
+                  StoredParts(weights, replace(sizes, vectors=vectors)), index["provenance"], index["figures"], text)
+
+
+def _text_source(folder: Path, found: dict[str, Any] | None) -> TextSource | None:
+    if found is None:
+        return None
+    encoder, width = found.get("encoder"), found.get("width")
+    if set(found) != {"encoder", "width"} or not isinstance(encoder, str) or type(width) is not int \
+            or not 0 < width <= 2**16:
+        raise InputError(folder / INDEX, "holds something else than it should under text", "copy the bundle again")
+    return TextSource(encoder, width)
+
+
+def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[str, ...]
+                ) -> tuple[Statistics, Inventory, NDArray[np.float32]]:
+    from lexicon.inventory import Inventory
+
+    tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
+    motion, count, size = representation_of(config).width, len(speakers), codebook_shape(config)[0]
+    wanted = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
+              "bounds": (2, motion), "frequencies": (count, size), "transitions": (size, size),
+              "rest_distances": (count, size)}
+    for name, shape in wanted.items():
+        if name not in tensors or tensors[name].shape != shape:
+            raise InputError(folder / f"{_STATISTICS}{_ENDING}", f"does not fit the settings ({name})",
+                             "train it again")
+    groups = {name: {key.partition("_")[2]: value for key, value in tensors.items() if key.startswith(f"{name}_")}
+              for name in ("low", "high", "levels")}
     try:
-        return _assemble(folder, index, config)
-    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(folder, f"does not fit together ({str(error).splitlines()[0]})", "train it again") from None
-
-
-def _read(folder: Path, name: str) -> dict[str, Tensor]:
-    return {key: value.float() if value.is_floating_point() else value
-            for key, value in load_file(folder / f"{name}.safetensors").items()}
-
-
-def _assemble(folder: Path, index: dict[str, Any], config: Config) -> Bundle:
-    tensors = {key: value.double().numpy() for key, value in _read(folder, "statistics").items()}
-    speakers = tuple(index["speakers"])
-    low, high, levels = ({key.partition("_")[2]: value for key, value in tensors.items() if key.startswith(f"{name}_")}
-                         for name in ("low", "high", "levels"))
-    statistics = Statistics(speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"],
-                            tensors["bounds"], Normaliser.from_dict(low), Normaliser.from_dict(high),
-                            tensors.get("quiet_low"), tensors.get("quiet_high"),
-                            Levels.from_dict(levels) if levels else None)
+        low, high = Normaliser.from_dict(groups["low"]), Normaliser.from_dict(groups["high"])
+        levels = Levels.from_dict(groups["levels"]) if groups["levels"] else None
+        statistics = Statistics(speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"],
+                                tensors["bounds"], low, high, tensors.get("quiet_low"), tensors.get("quiet_high"),
+                                levels)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(folder / f"{_STATISTICS}{_ENDING}", f"does not fit together ({str(error)[:100]})",
+                         "train it again") from None
     inventory = Inventory(dict(zip(speakers, tensors["frequencies"], strict=True)), tensors["transitions"])
-    width = representation_of(config).width
-    frames = config.rhythm.frames
-    lexicon: Lexicon | RacerCodec = (
-        RacerCodec(config.racer, width, statistics.present) if config.tokens == "racer"
-        else Lexicon(config.lexicon, frames, width, statistics.present))
-    lexicon.load_state_dict(_read(folder, "lexicon"))
-    text = TextSource(**index["text"]) if index.get("text") else None
-    silent = np.array(index["silent_lexemes"], dtype=np.int64)
-    there = {name.removesuffix(".safetensors") for name in index["files"]}
-    parts = _optional_models(folder, there, config, lexicon, text, (len(low["mean"]), len(high["mean"])),
-                             len(speakers), silent)
-    if lacking := [name for name in _REQUIRED[config.tokens] if name not in parts]:
-        raise KeyError(f"lacks {', '.join(lacking)}")
-    for module in (lexicon, *parts.values()):
-        freeze(module)
-    return Bundle(config, statistics, lexicon, inventory=inventory, silent=silent, provenance=index["provenance"],
-                  figures=index["figures"], text=text, **{name: parts.pop(name, None) for name in _DRAWN}, **parts)
-
-
-_DRAWN = ("generator", "interpreter", "style")
-_REQUIRED = {"lexicon": _DRAWN, "racer": ("q_network",)}
-"""Fields that a bundle of either kind of token cannot do without."""
-
-
-def _optional_models(folder: Path, there: set[str], config: Config, lexicon: Lexicon | RacerCodec,
-                     text: TextSource | None, widths: tuple[int, int], speakers: int, silent: NDArray[np.int64]
-                     ) -> dict[str, Any]:
-    """The models of `_OPTIONAL` that are there, by field. widths: of the low and the high level."""
-    frames, words, (low, high) = config.rhythm.frames, text.width if text else 0, widths
-    motion = lexicon.motion_width
-    made: dict[str, Any] = {}
-    for file, name in _OPTIONAL.items():
-        if file not in there:
-            continue
-        reads = name.endswith("_text")
-        if name == "generator":
-            model: nn.Module = Generator(config.generator, frames, motion, low, config.lexicon.code_width,
-                                         control_width=CONTROL_WIDTH, present=lexicon.present)
-        elif name == "q_network":
-            _check_lexicon(folder / f"{file}.safetensors", lexicon)
-            model = QNetwork(config.cql, frames, high, len(lexicon.vectors), speakers, silent.tolist())
-        elif name.startswith("reward"):
-            # One level of audio or both, as the front end has it: the weights know.
-            heard = _read(folder, file)["read_audio.weight"].shape[1] // frames
-            model = RewardModel(config.reward, frames, motion, heard)
-        elif name.startswith("interpreter"):
-            sized = config.interpreter if reads else config.interpreter.without_text()
-            model = LstmInterpreter(sized, frames, high, lexicon.vectors, speakers, words, CONTROL_WIDTH)
-        elif name.startswith("style"):
-            style = config.style if reads else replace(config.style, text_features=0)
-            model = StyleInterpreter(style, frames, low, lexicon.vectors, config.generator.style_width, speakers, words)
-        elif name == "encoder":
-            model = SpeechEncoder(config.encoder)
-        else:
-            model = ActivityGate(config.gate, frames, low, speakers)
-        model.load_state_dict(_read(folder, file))
-        made[name] = model
-    return made
+    return statistics, inventory, tensors["rest_distances"].astype(np.float32)

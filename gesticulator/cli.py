@@ -7,17 +7,30 @@ add verbs. It names a `Command`, which must be cheap to import: what is heavy (t
 from __future__ import annotations
 
 import argparse
+import difflib
+import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import NoReturn
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError, complain, one_line_errors
 
 PROGRAM = "gesticulator"
 GROUP = "gesticulator.commands"
 DEFAULT = "infer"
 """What is meant when the first word is no verb: `gesticulator speech.wav -o gesture.bvh`."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that says what is wrong in one line, like every other error of a user."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise the message as an `InputError` (instead of printing the whole usage)."""
+        subject, found, wrong = message.partition(": ")
+        raise InputError(subject if found else "arguments", wrong or message, f"see {self.prog} --help")
 
 
 @dataclass(frozen=True)
@@ -36,48 +49,115 @@ class Command:
     def parser(self, program: str) -> argparse.ArgumentParser:
         """The command's own parser; program: how it was called, such as "gesticulator infer"."""
         epilog = "examples:\n" + "\n".join(f"  {PROGRAM} {line}" for line in self.examples) if self.examples else None
-        parser = argparse.ArgumentParser(program, description=self.summary, epilog=epilog,
-                                         formatter_class=argparse.RawDescriptionHelpFormatter)
+        # Without abbreviations: one that works today would break a script when an option that begins alike is added.
+        parser = Parser(program, description=self.summary, epilog=epilog, allow_abbrev=False,
+                        formatter_class=argparse.RawDescriptionHelpFormatter)
         self.arguments(parser)
         return parser
 
     def main(self, program: str, argv: Sequence[str] | None = None) -> int:
         """Parse and run; exit code 2 with one line for bad input."""
-        arguments = self.parser(program).parse_args(argv)
-        with one_line_errors(program):
-            return self.run(arguments)
+        steady_streams()
+        with one_line_errors(PROGRAM):
+            code = self.run(self.parser(program).parse_args(argv))
+            sys.stdout.flush()  # so that a full disk or a closed pipe is met here
+            return code
 
 
-def commands() -> dict[str, Command]:
-    """Every verb that is installed, in alphabetical order."""
-    return {point.name: point.load() for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
+def steady_streams() -> None:
+    """See to it that printing never fails.
+
+    A character that the terminal's encoding lacks is printed as an escape, and so are bytes of a file's name that are
+    no text. A standard stream that is closed becomes the null device; else the next file that is opened would take
+    its number, and what libraries print would land in it.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            nowhere = Path(os.devnull).open("w", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115
+            setattr(sys, name, nowhere)
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
-def usage(known: dict[str, Command]) -> str:
-    """The verbs, one a line."""
+def installed() -> dict[str, EntryPoint]:
+    """The verbs' entry points, `DEFAULT` first, then by name; where two packages add one, this package's own counts."""
+    points = sorted(entry_points(group=GROUP), key=lambda point: point.dist is not None and point.dist.name == PROGRAM)
+    by_name = {point.name: point for point in points}
+    return {name: by_name[name] for name in sorted(by_name, key=lambda name: (name != DEFAULT, name))}
+
+
+def load(point: EntryPoint) -> Command:
+    """The command that an entry point names; `InputError` where it cannot be loaded or is none."""
+    owner = f" of {point.dist.name}" if point.dist is not None else ""
+    try:
+        command = point.load()
+    except Exception as error:  # noqa: BLE001 - somebody else's module may fail with anything while it is imported
+        raise InputError(f"{point.name} ({point.value}{owner})", f"cannot be loaded ({type(error).__name__}: {error})",
+                         "repair or remove the package that adds it") from None
+    if not isinstance(command, Command):
+        raise InputError(f"{point.name} ({point.value}{owner})", "is no gesticulator.cli.Command",
+                         "repair or remove the package that adds it")
+    return command
+
+
+def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
+    """The verbs of a program, one a line."""
     width = max(map(len, known), default=0)
     lines = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
-    return (f"usage: {PROGRAM} VERB ...      ({PROGRAM} VERB --help tells of each)\n"
-            f"       {PROGRAM} SPEECH -o FILE  is short for  {PROGRAM} {DEFAULT} SPEECH -o FILE\n\n{lines}\n")
+    text = f"usage: {program} VERB ...      ({program} VERB --help tells of each)\n"
+    if DEFAULT in known:
+        text += f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n"
+        lines += f"\n\nA recording that is called like a verb is written with its folder: ./{DEFAULT}"
+    return f"{text}\n{lines}\n"
+
+
+def _usable(points: Mapping[str, EntryPoint]) -> dict[str, Command]:
+    """The commands that can be loaded; what is wrong with the others is told."""
+    known = {}
+    for name, point in points.items():
+        try:
+            known[name] = load(point)
+        except InputError as error:
+            complain(f"{PROGRAM}: {error}")
+    return known
+
+
+def _check_is_no_verb(word: str, verbs: Sequence[str]) -> None:
+    """`InputError` where the first word is neither an option nor anything that could be a recording."""
+    plain = word and not word.startswith("-") and not set(word) & set("./\\*?[")
+    if plain and not os.path.lexists(word):
+        near = difflib.get_close_matches(word, verbs, 1)
+        raise InputError(word, "is no verb and no file", (f"did you mean {near[0]}? " if near else "")
+                         + f"verbs are {', '.join(verbs)}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Hand the arguments to the verb that is named first."""
+    steady_streams()
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["--version"]:
-        from gesticulator import __version__
+        from gesticulator.version import __version__
 
         print(f"{PROGRAM} {__version__}")
         return 0
-    points = {point.name: point for point in entry_points(group=GROUP)}
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(usage(commands()), end="")
-        return 0 if arguments else 2
-    if arguments[0] in points:
-        command: Command = points[arguments[0]].load()
-        return command.main(f"{PROGRAM} {arguments[0]}", arguments[1:])
     with one_line_errors(PROGRAM):
-        if DEFAULT not in points:
+        if not arguments or arguments[0] in ("-h", "--help"):
+            print(usage(_usable(installed())), end="", flush=True)
+            return 0 if arguments else 2
+        points = installed()
+        verb, program = DEFAULT, PROGRAM
+        if arguments[0] in points:
+            verb = arguments.pop(0)
+            program = f"{PROGRAM} {verb}"
+        elif DEFAULT not in points:
             raise InputError(PROGRAM, "is not installed with its commands", "install it with pip install .")
-    fallback: Command = points[DEFAULT].load()
-    return fallback.main(PROGRAM, arguments)
+        else:
+            _check_is_no_verb(arguments[0], list(points))
+        command = load(points[verb])
+    return command.main(program, arguments)

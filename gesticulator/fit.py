@@ -7,9 +7,11 @@ seeded with both. So a run that was stopped and resumed gives the same weights a
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import os
+import pickle
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,25 +23,13 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from data_module.files import rename
+from gesticulator.config import FitSettings
+
 Batch = dict[str, Tensor]
 MakeBatch = Callable[[np.random.Generator], Batch]
 Losses = Callable[[Batch, float], dict[str, Tensor]]
 Validate = Callable[[], dict[str, float]]
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """How long and how a stage is trained."""
-
-    steps: int
-    batch: int
-    rate: float = 3e-4
-    betas: tuple[float, float] = (0.9, 0.999)
-    schedule: str = "constant"
-    """"constant", or "cosine": a warm-up of 2 % of the steps, then a fall to 1 % of the rate."""
-    clip: float = 1.0
-    """Largest gradient norm; 0 leaves gradients alone."""
-    weight_decay: float = 0.0
 
 
 class Trained(Protocol):
@@ -88,19 +78,30 @@ class Checkpoint:
     def save(self, step: int, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer]) -> None:
         """Write everything that the next step depends on."""
         temporary = self.path.with_suffix(".tmp")
-        torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers]},
-                   temporary)
-        os.replace(temporary, self.path)
+        with temporary.open("wb") as stream:
+            torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers]},
+                       stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        rename(temporary, self.path)
 
     def load(self, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer]) -> int:
-        """Put the saved state back; the step to go on from, 0 when there is none."""
+        """Put the saved state back; the step to go on from. 0 when there is none, or one that a crash or a full disk
+        left damaged: the model and the optimisers are then as they were given."""
         if not self.path.exists():
             return 0
-        state = torch.load(self.path, weights_only=True, map_location="cpu")
-        model.load_state_dict(state["model"])
-        for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
-            optimiser.load_state_dict(saved)
-        return int(state["step"])
+        everything: list[Any] = [model, *optimisers]
+        before = [copy.deepcopy(part.state_dict()) for part in everything]
+        try:
+            state = torch.load(self.path, weights_only=True, map_location="cpu")
+            for part, saved in zip(everything, [state["model"], *state["optimisers"]], strict=True):
+                part.load_state_dict(saved)
+            return int(state["step"])
+        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError, EOFError, OSError,
+                pickle.UnpicklingError):
+            for part, was in zip(everything, before, strict=True):
+                part.load_state_dict(was)
+            return 0
 
 
 class StepLog:
@@ -129,78 +130,120 @@ def _step_of(line: str) -> int:
         return 2**62  # a line cut short by a kill
 
 
-def fit(stage: str, model: nn.Module, make_batch: MakeBatch, losses: Losses, settings: FitSettings, folder: Path, *,
-        seed: int, validate: Validate | None = None, validations: int = 10, device: str = "cpu",
-        before_step: Callable[[int], None] | None = None, checkpoint_seconds: float = 60.0, progress: bool = True,
-        stop_after: int | None = None) -> dict[str, float]:
+@dataclass(frozen=True)
+class Task:
+    """What a stage is taught: batches, their losses, and what is done beside them.
+
+    make_batch(rng): a batch from random numbers alone. losses(batch, progress): the terms, keyed like the model's
+    `weights`; the model's own where None. validate(): figures on the validation split. before_step(step): what must
+    happen at a certain step; it must depend on the step alone.
+    """
+
+    make_batch: MakeBatch
+    losses: Losses | None = None
+    validate: Validate | None = None
+    before_step: Callable[[int], None] | None = None
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How the loop runs. stop_after ends it early, as a kill would."""
+
+    seed: int
+    device: str = "cpu"
+    validations: int = 10
+    """How often the stage is validated along the way."""
+    checkpoint_seconds: float = 60.0
+    """Between two checkpoints: a minute is what a kill may cost."""
+    progress: bool = True
+    stop_after: int | None = None
+
+
+def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder: Path, options: FitOptions
+        ) -> dict[str, float]:
     """Train `model` for `settings.steps` steps and give the last validation figures.
 
-    folder receives `STAGE.ckpt` (resumed from when there) and `STAGE.jsonl` (a line a step). before_step(step) is
-    called before each step, for what must happen at a certain one; it must depend on the step alone. stop_after ends
-    the run early, as a kill would (the tests use it).
+    folder receives `STAGE.ckpt` (resumed from when it is there and whole) and `STAGE.jsonl` (a line a step).
+    FloatingPointError when the loss is no longer a number.
     """
-    weights: dict[str, float] = model.weights  # type: ignore[assignment]
-    model.to(device).train()
-    optimisers = _optimisers(model, settings)
-    plain = [optimiser for optimiser, _ in optimisers]
+    model.to(options.device).train()
+    learner = _Learner(model, task, settings, options)
+    plain = [optimiser for optimiser, _ in learner.optimisers]
     checkpoint = Checkpoint(folder / f"{stage}.ckpt")
     first = checkpoint.load(model, plain)
     log = StepLog(folder / f"{stage}.jsonl", first)
-    every = max(1, settings.steps // max(validations, 1))
+    every = max(1, settings.steps // max(options.validations, 1))
     figures: dict[str, float] = {}
     saved_at = time.monotonic()
-    bar = tqdm(total=settings.steps, initial=first, desc=stage, disable=not progress, leave=True, mininterval=1.0)
+    bar = tqdm(total=settings.steps, initial=first, desc=stage, disable=not options.progress, leave=True,
+               mininterval=1.0)
     try:
         for step in range(first, settings.steps):
-            if stop_after is not None and step >= stop_after:
+            if options.stop_after is not None and step >= options.stop_after:
                 return figures
-            if before_step is not None:
-                before_step(step)
-            row = _one_step(model, make_batch, losses, weights, optimisers, settings, seed, step, device)
-            done = step + 1
-            if validate is not None and (done % every == 0 or done == settings.steps):
-                model.eval()
-                figures = validate()
-                model.train()
+            row, done = learner.step(step), step + 1
+            if task.validate is not None and (done % every == 0 or done == settings.steps):
+                figures = _validated(model, task.validate)
                 row.update({f"val_{key}": value for key, value in figures.items()})
                 bar.set_postfix({key: f"{value:.3g}" for key, value in list(figures.items())[:4]}, refresh=False)
             log.write(row)
             bar.update()
-            if time.monotonic() - saved_at > checkpoint_seconds or done == settings.steps:
+            if time.monotonic() - saved_at > options.checkpoint_seconds or done == settings.steps:
                 checkpoint.save(done, model, plain)
                 saved_at = time.monotonic()
     finally:
         bar.close()
         log.close()
     model.eval()
-    if validate is not None and not figures:
-        figures = validate()
+    if task.validate is not None and not figures:
+        figures = task.validate()
     return figures
 
 
-def _one_step(model: nn.Module, make_batch: MakeBatch, losses: Losses, weights: dict[str, float],
-              optimisers: list[tuple[torch.optim.Optimizer, float]], settings: FitSettings, seed: int, step: int,
-              device: str) -> dict[str, Any]:
-    rng = generator_for(seed, step)
-    batch = {key: value.to(device) for key, value in make_batch(rng).items()}
-    torch.manual_seed(int(rng.integers(2**62)))
-    factor = rate_factor(settings, step)
-    for optimiser, rate in optimisers:
-        for group in optimiser.param_groups:
-            group["lr"] = rate * factor
-        optimiser.zero_grad(set_to_none=True)
-    terms = losses(batch, step / max(1, settings.steps))
-    nothing = torch.zeros((), device=device)
-    total = sum((weights[key] * term for key, term in terms.items() if weights[key]), start=nothing)
-    total.backward()
-    norm = 0.0
-    if settings.clip:
-        dense = [p for group in optimisers[0][0].param_groups for p in group["params"] if p.grad is not None]
-        norm = float(nn.utils.clip_grad_norm_(dense, settings.clip))
-    if not math.isfinite(float(total.detach())) or not math.isfinite(norm):
-        raise FloatingPointError(f"the loss is no longer a number at step {step}: "
-                                 f"{ {key: float(term.detach()) for key, term in terms.items()} }")
-    for optimiser, _ in optimisers:
-        optimiser.step()
-    return {"step": step, "loss": round(float(total.detach()), 6), "rate": settings.rate * factor,
-            "gradient": round(norm, 5), **{key: round(float(term.detach()), 6) for key, term in terms.items()}}
+def _validated(model: nn.Module, validate: Validate) -> dict[str, float]:
+    model.eval()
+    figures = validate()
+    model.train()
+    return figures
+
+
+class _Learner:
+    """A model with its optimisers; `step` makes one update."""
+
+    def __init__(self, model: nn.Module, task: Task, settings: FitSettings, options: FitOptions) -> None:
+        self.task, self.settings, self.options = task, settings, options
+        self.weights: dict[str, float] = model.weights  # type: ignore[assignment]
+        self.losses: Losses = task.losses or model.losses  # type: ignore[assignment]
+        self.optimisers = _optimisers(model, settings)
+
+    def step(self, step: int) -> dict[str, Any]:
+        """The update of a step, a function of (seed, step) alone; its row of the log."""
+        if self.task.before_step is not None:
+            self.task.before_step(step)
+        rng = generator_for(self.options.seed, step)
+        batch = {key: value.to(self.options.device) for key, value in self.task.make_batch(rng).items()}
+        torch.manual_seed(int(rng.integers(2**62)))
+        factor = rate_factor(self.settings, step)
+        for optimiser, rate in self.optimisers:
+            for group in optimiser.param_groups:
+                group["lr"] = rate * factor
+            optimiser.zero_grad(set_to_none=True)
+        terms = self.losses(batch, step / max(1, self.settings.steps))
+        total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
+                    start=torch.zeros((), device=self.options.device))
+        total.backward()
+        norm = self._clipped()
+        if not math.isfinite(float(total.detach())) or not math.isfinite(norm):
+            raise FloatingPointError(f"the loss is no longer a number at step {step}: "
+                                     f"{ {key: float(term.detach()) for key, term in terms.items()} }")
+        for optimiser, _ in self.optimisers:
+            optimiser.step()
+        return {"step": step, "loss": round(float(total.detach()), 6), "rate": self.settings.rate * factor,
+                "gradient": round(norm, 5), **{key: round(float(term.detach()), 6) for key, term in terms.items()}}
+
+    def _clipped(self) -> float:
+        """The gradient's norm before it was cut to `clip`; 0 where it is left alone."""
+        if not self.settings.clip:
+            return 0.0
+        dense = [p for group in self.optimisers[0][0].param_groups for p in group["params"] if p.grad is not None]
+        return float(nn.utils.clip_grad_norm_(dense, self.settings.clip))

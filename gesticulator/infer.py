@@ -1,4 +1,4 @@
-"""`python -m gesticulator.infer speech.flac -o gesture.bvh --preview gesture.html`: the main job.
+"""`gesticulator infer speech.wav -o gesture.bvh --preview gesture.html`: the main job, as a command.
 
 Only what is needed is imported, and only after the command line is understood.
 """
@@ -6,207 +6,253 @@ Only what is needed is imported, and only after the command line is understood.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 import warnings
-from collections.abc import Sequence
-from contextlib import closing
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
-from data_module.errors import InputError, one_line_errors
-from gesticulator import __version__
+from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
+from gesticulator.batch import Job, plan
+from gesticulator.cli import PROGRAM, Command
+from gesticulator.options import FPS, RANGES
+from gesticulator.version import __version__
+from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from data_module.controls import Controls
+    from data_module.types import Speech
+    from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
 
-PROGRAM = "gesticulator"
-INTERPRETERS = ("lstm", "cql", "statistical")
-TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
-_CONTROLS = (("height", "height of the right hand over the hips", "METRES"),
-             ("speed", "mean speed of the hands", "METRES/S"),
-             ("radius", "mean distance of the hands from the body's axis", "METRES"))
+EXIT_PART_FAILED = 1
+_OUTPUTS = {"output": ".bvh", "preview": ".html", "explain": ".json"}
+"""Argument that names a file to write -> its suffix."""
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = argparse.ArgumentParser(PROGRAM, description="Speech in, gesture out: upper-body motion for a recorded voice.")
-    p.add_argument("speech", nargs="+", help="sound files (WAV, FLAC, OGG, MP3; 0.3 s to one hour)")
-    p.add_argument("-o", "--output", required=True, metavar="FILE",
-                   help="the motion to write (.bvh); a folder when there are several recordings")
-    p.add_argument("--preview", metavar="FILE.html",
-                   help="also write a page that shows it; a folder when there are several recordings")
-    p.add_argument("--explain", metavar="FILE.json",
-                   help="also write the blocks and their lexemes; a folder when there are several recordings")
-    p.add_argument("--text", metavar="FILE",
-                   help="what is said: plain text, TextGrid, SRT, VTT or JSON with word times; a folder of files named "
-                        "like the recordings when there are several. Without it the voice alone is heard")
-    p.add_argument("--speaker", help="whose habits of moving (a performer of the bundle, not a voice)")
-    p.add_argument("--interpreter", choices=INTERPRETERS,
-                   help="what chooses the lexemes: the LSTM of Rhythmic Gesticulator, RACER's Q-network (cql), or a "
-                        "speaker's frequencies alone (default: lstm where the bundle has it)")
-    p.add_argument("--seed", type=int, default=0, help="the same seed gives the same bytes (default 0)")
-    p.add_argument("--temperature", type=float,
-                   help="how freely lexemes are drawn; 0 always takes the likeliest (default: the bundle's)")
-    for flag, what, unit in _CONTROLS:
-        p.add_argument(f"--hand-{flag}", metavar=f"low|mid|high|{unit}|FILE.csv",
-                       help=f"{what}: a level, a number, or a curve over time (CSV with columns time,value)")
-    p.add_argument("--activity", type=float, metavar="0..1",
-                   help="how readily to gesture at all; 0 is stillness, 1 never holds back (default: the bundle's)")
-    p.add_argument("--fps", type=float, help="frames per second of the motion (default 60)")
+def number(name: str) -> Callable[[str], float]:
+    """Reads the argument --NAME, in its range of `gesticulator.options.RANGES`."""
+    return lambda text: RANGES[name].parse(f"--{name}", text)
+
+
+def arguments(p: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
+    p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE.bvh [options]"
+    p.add_argument("speech", nargs="*", metavar="SPEECH", help="sound files (WAV, FLAC, OGG, MP3; M4A, MP4, "
+                   "WebM and other video with PyAV; 0.3 s to one hour), folders of them, patterns such as '*.wav', or "
+                   "- for standard input")
+    out = p.add_argument_group("what is written (one of them at least)", "A path that ends in / or is a folder takes a "
+                               "file for each recording, by its\nname; anything else is the file itself. Missing "
+                               "folders are made.")
+    out.add_argument("-o", "--output", metavar="FILE.bvh", help="the motion")
+    out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
+    out.add_argument("--explain", metavar="FILE.json", help="what was done: settings, blocks, their best lexemes")
+    heard = p.add_argument_group("what is heard")
+    heard.add_argument("--text", metavar="FILE", help="what is said: plain text, TextGrid, SRT, VTT or JSON with word "
+                       "times; or a folder of files named like the recordings")
+    heard.add_argument("--gain", type=number("gain"), default=0.0, metavar="DB",
+                       help="amplify the recording first, in decibels (default 0)")
+    heard.add_argument("--any-length", action="store_true", help="take recordings of more than an hour, too")
+    style = p.add_argument_group("how it moves", "VALUE is low, mid or high, a number, or a CSV file with the columns "
+                                 "time and value.")
+    style.add_argument("--speaker", metavar="NAME", help="whose habits of moving (see --list speakers)")
+    style.add_argument("--hand-height", metavar="VALUE", help="height of the right hand over the hips, metres")
+    style.add_argument("--hand-speed", metavar="VALUE", help="mean speed of the hands, metres per second")
+    style.add_argument("--hand-radius", metavar="VALUE", help="mean distance of the hands from the body's axis, metres")
+    style.add_argument("--activity", type=number("activity"), metavar="0..1",
+                       help="how readily to gesture at all; 0 is stillness, 1 never holds back")
+    style.add_argument("--interpreter", choices=INTERPRETERS, help="what chooses the lexemes: " + ", ".join(
+        f"{name} ({entry.about})" for name, entry in INTERPRETERS.items()))
+    style.add_argument("--temperature", type=number("temperature"), metavar="T",
+                       help="how freely lexemes are sampled; 0 always takes the likeliest")
+    style.add_argument("--seed", type=number("seed"), default=0, metavar="N",
+                       help="the same seed gives the same bytes (default 0)")
+    style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
+                       help=f"frames per second of the motion (default {FPS:g})")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
-    p.add_argument("--threads", type=int, default=1, help="threads of torch (default 1, which is fastest here)")
+    p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle has, and do nothing else")
+    p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
+                   help="threads; bytes are the same for the same number (default 1, which is fastest for most)")
     p.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
-    p.add_argument("--version", action="version", version=f"gesticulator {__version__}")
-    return p
+    p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
 
 
-def _place(given: str | None, source: Path, many: bool, suffix: str) -> Path | None:
-    if given is None:
-        return None
-    return Path(given) / f"{source.stem}{suffix}" if many else Path(given)
+def run(asked: argparse.Namespace) -> int:
+    """Do every recording; exit code 0, 1 where a part of them failed, 2 where none could be done."""
+    jobs = [] if asked.list else _plan(asked)
+    alone = len(jobs) == 1
+    done = 0
+    with _our_warnings():
+        ready = [job for job in jobs if _went_well(partial(_check, job, asked), alone)]
+        if ready or asked.list:
+            with _threads(int(asked.threads)):
+                from gesticulator.pipeline import Gesticulator
+
+                system = Gesticulator.from_pretrained(asked.bundle)
+                if asked.list:
+                    return _list(system, asked.list)
+                system.speaker_index(asked.speaker)
+                controls = asked_controls(system, asked)
+                done = sum(_went_well(partial(perform, job, system, asked, controls), alone) for job in ready)
+    return 0 if alone else _conclude(len(jobs), done, asked.quiet)
 
 
-def _transcript(given: str | None, source: Path, many: bool) -> Path | None:
-    if given is None:
-        return None
-    place = Path(given)
-    if not place.exists():
-        raise InputError(place, "does not exist", "check --text")
-    if not place.is_dir():
-        if many:
-            raise InputError(place, "is one transcript for several recordings",
-                             "name a folder of transcripts named like the recordings")
-        return place
-    found = next((place / f"{source.stem}{suffix}" for suffix in TRANSCRIPTS
-                  if (place / f"{source.stem}{suffix}").is_file()), None)
-    if found is None:
-        raise InputError(place, f"holds no transcript of {source.name}",
-                         f"name it {source.stem}{' or '.join(TRANSCRIPTS)}, or leave --text out")
-    return found
+def _went_well(step: Callable[[], None], alone: bool) -> bool:
+    """Whether a step did its work. A fault of one recording among several is told; that of the only one is raised."""
+    try:
+        step()
+    except BrokenPipeError:  # whoever read the summaries has gone: no recording's fault
+        raise
+    except (InputError, OSError) as error:
+        if alone:
+            raise
+        complain(f"{PROGRAM}: {one_line(error)}")
+        return False
+    return True
 
 
-class Job:
-    """One recording and what is to be written for it."""
-
-    def __init__(self, source: Path, arguments: argparse.Namespace, many: bool) -> None:
-        self.source = source
-        self.motion = _place(arguments.output, source, many, ".bvh")
-        self.preview = _place(arguments.preview, source, many, ".html")
-        self.explain = _place(arguments.explain, source, many, ".json")
-        self.text = _transcript(arguments.text, source, len(arguments.speech) > 1)
-
-    @property
-    def targets(self) -> list[Path]:
-        """All files it writes."""
-        return [path for path in (self.motion, self.preview, self.explain) if path is not None]
+def _plan(asked: argparse.Namespace) -> list[Job]:
+    if not asked.speech:
+        raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
+    outputs = {suffix: getattr(asked, name) for name, suffix in _OUTPUTS.items() if getattr(asked, name) is not None}
+    return plan(asked.speech, outputs, asked.text)
 
 
-def plan(arguments: argparse.Namespace) -> list[Job]:
-    """What to do, with everything checked that can be checked before the work: names, suffixes, folders, rights."""
-    sources = [Path(name) for name in arguments.speech]
-    many = len(sources) > 1 or Path(arguments.output).is_dir()
-    jobs = [Job(source, arguments, many) for source in sources]
-    seen: dict[Path, Path] = {}
-    for job in jobs:
-        for target, suffix in ((job.motion, ".bvh"), (job.preview, ".html"), (job.explain, ".json")):
-            if target is None:
-                continue
-            if target.suffix.lower() != suffix:
-                raise InputError(target, f"does not end in {suffix}", f"name it {target.stem or 'gesture'}{suffix}")
-            if target in seen:
-                raise InputError(job.source, f"would be written to {target} like {seen[target]}", "rename one of them")
-            seen[target] = job.source
-            if target.resolve() == job.source.resolve():
-                raise InputError(target, "is the recording itself", "choose another output")
-            _check_place(target, many)
-    return jobs
+def _check(job: Job, asked: argparse.Namespace) -> None:
+    """`InputError` where the recording cannot be done, as far as is known without reading it."""
+    from data_module.speech.audio import check_file
+
+    if job.fault is not None:
+        raise job.fault
+    if job.source is not None:
+        check_file(job.source, asked.any_length)
+    elif sys.stdin is None or sys.stdin.isatty():
+        raise InputError("standard input", "is closed" if sys.stdin is None else "is a terminal",
+                         f"pipe a recording into {PROGRAM}, or name a file")
 
 
-def _check_place(target: Path, many: bool) -> None:
-    folder = target.parent
-    if many and not folder.exists():
-        folder.mkdir(parents=True)
-    if not folder.is_dir():
-        raise InputError(folder, "is not a folder", "make it first, or choose another output")
-    if target.is_dir():
-        raise InputError(target, "is a folder", "choose another output")
-    if not os.access(folder, os.W_OK) or (target.exists() and not os.access(target, os.W_OK)):
-        raise InputError(target, "cannot be written", "choose another output or change its rights")
-
-
-def asked_controls(system: Gesticulator, arguments: argparse.Namespace) -> Controls | None:
+def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls | None:
     """What the command asks of the style; None when it asks nothing."""
     from data_module.controls import controls_from
 
-    height, speed, radius = (getattr(arguments, f"hand_{name}") for name, _, _ in _CONTROLS)
-    if height is None and speed is None and radius is None:
+    asked_for = asked.hand_height, asked.hand_speed, asked.hand_radius
+    if asked_for == (None, None, None):
         return None
     if system.bundle.levels is None:
         raise InputError("--hand-height, --hand-speed, --hand-radius", "are not heard by this bundle",
                          "use a bundle trained with style editing, or leave them out")
-    return controls_from(height, speed, radius, system.bundle.levels)
+    return controls_from(*asked_for, system.bundle.levels)
 
 
-def perform(job: Job, system: Gesticulator, arguments: argparse.Namespace, controls: Controls | None = None) -> str:
-    """Do one recording; the summary."""
+def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None) -> None:
+    """Do one recording and print its summary."""
+    speech = _load(job, asked)
+    begin = time.perf_counter()
+    made = _performed(job, speech, system, asked, controls)
+    spent = time.perf_counter() - begin
+    written = ", ".join(str(made.save(target)) for target in job.targets)
+    if not asked.quiet:
+        print(f"{job.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
+              f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.vectors)} lexemes, "
+              f"real-time factor {spent / speech.duration:.3f} -> {written}"
+              + "".join(f"\n  {note}" for note in made.notes), flush=True)
+
+
+def _load(job: Job, asked: argparse.Namespace) -> Speech:
+    """The recording as it is; a warning where little of it will be heard, even amplified as was asked."""
+    from data_module.speech.audio import level_note, load_speech
+    from gesticulator.inputs import amplified
+
+    speech = load_speech(job.source or sys.stdin.buffer, asked.any_length)
+    note = level_note(amplified(speech, asked.gain))
+    if note is not None:
+        complain(f"{PROGRAM}: warning: {job.name}: {note}")
+    return speech
+
+
+def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None
+               ) -> Performance:
     from tqdm import tqdm
 
-    from data_module.speech.audio import load_speech
-    from gesticulator.export import write
-
-    speech = load_speech(job.source)
-    begin = time.perf_counter()
-    with closing(tqdm(desc=job.source.name, unit=" blocks", leave=False,
-                      disable=arguments.quiet or not sys.stderr.isatty())) as bar:
+    with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
+                      disable=asked.quiet or not sys.stderr.isatty())) as bar:
         def on_block(done: int, total: int) -> None:
             bar.total = total
             bar.update()
 
-        made = system(speech, text=job.text, speaker=arguments.speaker, seed=arguments.seed, fps=arguments.fps,
-                      interpreter=arguments.interpreter, temperature=arguments.temperature, controls=controls,
-                      activity=arguments.activity, on_block=on_block)
-    spent = time.perf_counter() - begin
-    written = [str(write(target, made)) for target in job.targets]
-    return (f"{job.source.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
-            f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.lexicon.vectors)} lexemes, "
-            f"real-time factor {spent / speech.duration:.3f} -> {', '.join(written)}"
-            + "".join(f"\n  {note}" for note in made.notes))
+        return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
+                      seed=int(asked.seed), temperature=asked.temperature, activity=asked.activity, fps=asked.fps,
+                      gain=asked.gain, controls=controls)
 
 
-def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
-    print(f"{PROGRAM}: warning: {message}", file=sys.stderr)
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """As many threads in torch and in numpy's matrix products, whatever the environment says: the order in which sums
+    are added up, and with it the last bits of a result, depend on their number."""
+    import numpy  # noqa: F401 - its library must be loaded to be told
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        with threadpool_limits(count):
+            yield
+    finally:
+        torch.set_num_threads(before)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; exit code 0, or 2 with one line for bad input."""
-    arguments = parser().parse_args(argv)
-    with one_line_errors(PROGRAM), warnings.catch_warnings():
-        jobs = plan(arguments)
-        # Only our own warnings concern the user; those of libraries do not.
+def _list(system: Gesticulator, what: str) -> int:
+    """Print the names, the one that is taken when none is told first marked."""
+    names = system.speakers if what == "speakers" else system.interpreters
+    default = system.speakers[system.speaker_index(None)] if what == "speakers" else names[0]
+    for name in names:
+        print(f"{name}  (default)" if name == default else name)
+    return 0
+
+
+def _conclude(count: int, done: int, quiet: bool) -> int:
+    """Sum up a batch of `count` recordings of which `done` were done; the exit code."""
+    if done < count:
+        complain(f"{PROGRAM}: {done} of {count} recordings done, {count - done} failed")
+        return EXIT_PART_FAILED if done else EXIT_BAD_INPUT
+    if not quiet:
+        print(f"{count} recordings done", flush=True)
+    return 0
+
+
+@contextmanager
+def _our_warnings() -> Iterator[None]:
+    """Only our own warnings concern the user, a line each; those of libraries do not."""
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for name in ("data_module", "gesticulator"):
             warnings.filterwarnings("default", module=name)
         warnings.showwarning = _say_warning
-        from data_module.speech.audio import check_file
+        yield
 
-        for job in jobs:
-            check_file(job.source)
-        import torch
 
-        from gesticulator.pipeline import Gesticulator
+def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
+    complain(f"{PROGRAM}: warning: {' '.join(str(message).split())}")
 
-        torch.set_num_threads(max(1, arguments.threads))
-        system = Gesticulator.from_pretrained(arguments.bundle)
-        system.speaker_index(arguments.speaker)
-        controls = asked_controls(system, arguments)
-        for job in jobs:
-            summary = perform(job, system, arguments, controls)
-            if not arguments.quiet:
-                print(summary)
-    return 0
+
+COMMAND = Command(
+    "speech in, gesture out: upper-body motion for recorded voices", arguments, run,
+    examples=(
+        "infer speech.wav -o gesture.bvh --preview gesture.html",
+        "infer speech.wav -o gesture.bvh --text speech.txt",
+        "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
+        "infer recordings/ -o out/ --preview out/ --text texts/",
+        "infer - -o gesture.bvh < speech.wav",
+        "infer --list speakers",
+    ))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `python -m gesticulator.infer`."""
+    return COMMAND.main(f"{PROGRAM} infer", argv)
 
 
 if __name__ == "__main__":

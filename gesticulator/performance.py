@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.types import BeatFlag, Blocks, Motion, Speech
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import standing
+from data_module.types import Array, BeatFlag, Blocks, Motion, Speech
 
 BEST = 5
 """How many candidates a block keeps."""
@@ -39,7 +44,11 @@ class Performance:
     gate: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
     score_is: str = "log-probability"
-    """What the scores are: natural logarithms of probabilities, or expected returns (of a Q-network)."""
+    """What the scores are: natural logarithms of probabilities, or "Q value". A Q value is what RACER's Q-network gives
+    a lexeme. It ranks lexemes, and is no expected return: the conservative loss pushes it down where the data have few
+    examples (RACER Eq. 11), so its size is not that of any sum of rewards."""
+    made_by: Mapping[str, Any] = field(default_factory=dict)
+    """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
 
     def __post_init__(self) -> None:
         n = len(self.blocks)
@@ -58,10 +67,41 @@ class Performance:
         """Seconds of sound."""
         return self.speech.duration
 
+    @property
+    def fps(self) -> float:
+        """Frames per second of the motion."""
+        return self.motion.fps
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J joints, the root first, parents before children."""
+        return self.motion.skeleton.names
+
+    @property
+    def rotations(self) -> Array:
+        """[T, J, 4] local rotations, unit quaternions, w first; the identity is the T-pose."""
+        return self.motion.rotations
+
+    def positions(self) -> Array:
+        """[T, J, 3] where the joints are, metres: Y up, facing +Z, the floor at 0, as in the files that are written."""
+        return positions_of(standing(self.motion))
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it, whole or not at all, in the format of the suffix (`gesticulator.export.WRITERS`): .bvh the motion,
+        .html a page that plays it, .json its plan.
+
+        Folders that are missing are made. `InputError` for an unknown suffix; OSError where the disk refuses.
+        """
+        from gesticulator.export import write, writer_for
+
+        writer_for(path)  # before a folder is made
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        return write(path, self)
+
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture, ready for JSON.
 
-        {"score": what a score is,
+        {"made_by": what made it, "notes": what the user should know, "score": what a score is,
          "blocks": [{"start", "end", "flag", "silent", "played", "lexemes": [{"id", "score"}, ... best first]}]};
         seconds;
         `flag` is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last
@@ -70,7 +110,7 @@ class Performance:
         """
         edges = self.blocks.edges.tolist()
         gates = np.full(len(self.blocks), np.nan) if self.gate is None else self.gate
-        return {"score": self.score_is, "blocks": [
+        return {"made_by": dict(self.made_by), "notes": list(self.notes), "score": self.score_is, "blocks": [
             {
                 "start": start,
                 "end": end,

@@ -1,53 +1,70 @@
-"""The product in Python: `Gesticulator.from_pretrained()(speech) -> Performance`."""
+"""The product in Python: `Gesticulator.from_pretrained()("speech.wav")` gives a `Performance`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from os import PathLike
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import nn
 
 from data_module.blocks import denormalise
-from data_module.controls import FEATURES, Controls
+from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
-from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
-from data_module.text.transcript import read_transcript, with_transcript
-from data_module.text.word_vectors import WordEncoder
+from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.types import Array, Motion, Speech
-from gesticulator import bundle as bundles
-from gesticulator.performance import BEST, Performance
-from gesticulator.prepare import control_rows, representation_of
+from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
+from gesticulator.bundle import load as load_bundle
+from gesticulator.inputs import Recording, Text, amplified, as_speech, as_transcript, texts_for
+from gesticulator.options import FPS as FPS
+from gesticulator.options import HandControl, InferenceArguments, InferenceOptions
+from gesticulator.performance import Performance
+from gesticulator.rollout import OnBlock, Sampling, rollout
 from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
-from interpreters import BlockFeatures, LexemeInterpreter, QNetwork, select
-from interpreters.gate import opened
-from lexicon.racer import RacerCodec
+from gesticulator.statistics import control_rows, representation_of
+from gesticulator.version import __version__
 
-FPS = 60.0
-"""Frames per second of the result when not told: the models' 20 fps knots, interpolated."""
+if TYPE_CHECKING:
+    from data_module.text.word_vectors import WordEncoder
+    from interpreters.base import LexemeInterpreter
+
+R = TypeVar("R", bound=Recording)
 
 
 class Gesticulator:
     """A loaded bundle that turns speech into gesture, block by block (RG 6, Eq. 15)."""
 
-    def __init__(self, bundle: bundles.Bundle) -> None:
-        self.bundle = bundle
-        self._front_end = front_end_for(bundle.config, bundle.encoder)
+    def __init__(self, bundle: Bundle, device: str | torch.device = "cpu") -> None:
+        """bundle: its models are moved to the device. device: what torch calls it, such as "cpu" or "cuda"."""
+        self.device = _usable(device)
+        self.bundle = _moved(bundle, self.device)
+        self._front_end = front_end_for(self.bundle.config, self.bundle.encoder)
         self._words: WordEncoder | None = None
 
     @classmethod
-    def from_pretrained(cls, path: str | PathLike[str] | None = None) -> Gesticulator:
-        """Load a bundle's folder; the shipped one when no path is given."""
-        return cls(bundles.load(Path(path) if path is not None else bundles.SHIPPED))
+    def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
+                        ) -> Gesticulator:
+        """Load a bundle's folder; the shipped one when no path is given. device: "cpu" or "cuda".
+
+        Bytes are the same from run to run on one machine with one device and one number of threads.
+        """
+        device = _usable(device)  # before the work of loading
+        return cls(load_bundle(Path(path) if path is not None else SHIPPED), device)
 
     @property
     def speakers(self) -> tuple[str, ...]:
         """The performers whose habits the bundle knows."""
         return self.bundle.speakers
+
+    @property
+    def interpreters(self) -> tuple[str, ...]:
+        """Names of the lexeme interpreters that the bundle holds; the first is taken when none is named."""
+        return self.bundle.interpreters
 
     def speaker_index(self, speaker: str | None) -> int:
         """The number of a performer; InputError lists the known ones."""
@@ -55,27 +72,22 @@ class Gesticulator:
             preferred = self.bundle.config.default_speaker
             return self.speakers.index(preferred) if preferred in self.speakers else 0
         if speaker not in self.speakers:
-            raise InputError(f"--speaker {speaker}", "is not in the bundle", f"choose among {', '.join(self.speakers)}")
+            raise InputError(f"speaker {speaker}", "is not in the bundle", f"choose among {', '.join(self.speakers)}")
         return self.speakers.index(speaker)
 
     @property
     def reads_text(self) -> bool:
         """True when the bundle has an interpreter that reads the words."""
-        return self.bundle.interpreter_text is not None
+        return "interpreter_text" in self.bundle.parts
 
     def interpreter(self, name: str, text: bool = False) -> LexemeInterpreter:
         """The lexeme interpreter of that name over the bundle's lexicon; with `text`, the one that reads the words."""
-        b = self.bundle
-        there: dict[str, LexemeInterpreter | None] = {
-            "lstm": b.interpreter_text if text and b.interpreter_text else b.interpreter, "cql": b.q_network}
-        found = b.statistical() if name == "statistical" else there.get(name)
-        if found is None:
-            raise InputError(f"--interpreter {name}", "is not in the bundle",
-                             f"choose among {', '.join(b.interpreters)}")
-        return found
+        return self.bundle.interpreter_named(name, text)
 
     def word_encoder(self) -> WordEncoder:
         """The word encoder that the bundle was trained on, opened once."""
+        from data_module.text.word_vectors import WordEncoder
+
         if self._words is None:
             if self.bundle.text is None:
                 raise InputError("text", "is not read by this bundle", "use a bundle trained with text")
@@ -85,63 +97,89 @@ class Gesticulator:
                                  "install the same version")
         return self._words
 
-    def read(self, speech: Speech, text: str | PathLike[str]) -> tuple[Speech, str]:
-        """Speech with the words of a transcript file, and a line on how their times were got."""
+    def read(self, speech: Speech, text: Text) -> tuple[Speech, str]:
+        """Speech with the words of a text (`str`) or of a transcript's file, and a line on how their times were got."""
         if not self.reads_text:
-            raise InputError("--text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
-        spoken, timing = with_transcript(speech, read_transcript(Path(text), speech))
+            raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+        from data_module.text.transcript import with_transcript
+
+        spoken, timing = with_transcript(speech, as_transcript(text, speech))
         return spoken, timing.note
 
-    def __call__(self, speech: Speech | str | PathLike[str], *, text: str | PathLike[str] | None = None,
-                 speaker: str | None = None, seed: int = 0, fps: float | None = None,
-                 interpreter: str | LexemeInterpreter | None = None, temperature: float | None = None,
-                 controls: Controls | None = None, activity: float | None = None, encoded: SpeechFeatures | None = None,
-                 on_block: Callable[[int, int], None] | None = None) -> Performance:
-        """Gesture for a recording.
+    @overload
+    def __call__(self, speech: Recording, sample_rate: float | None = None, *, text: Text | None = None,
+                 encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None,
+                 **options: Unpack[InferenceArguments]) -> Performance: ...
 
-        speech: a `Speech` at any sample rate, or the path of a sound file; words that it carries are read. text: a
-        transcript of it (plain text, TextGrid, SRT, VTT, JSON). Without words the audio-only path is taken (RG 6.3).
-        speaker: a performer's habits. fps: frames per second of the result (60). interpreter: what chooses the lexemes,
-        by name ("lstm", "cql", "statistical"; the bundle's first when none is named) or as an object. temperature:
-        how freely lexemes are drawn, 0 for always the likeliest. controls: what is asked of hand height, speed and
-        radius (RG 7.2.1). activity: how readily to gesture at all, 0 (stillness) to 1 (always). encoded: what
-        `encode_speech` gave for this speech, to gesture for it again without encoding it again. What is not given is
-        the bundle's own.
-        on_block(done, total) is called after each block. The same seed, bundle and speech give the same
-        result.
+    @overload
+    def __call__(self, speech: list[R] | tuple[R, ...], sample_rate: float | None = None, *,
+                 text: Sequence[Text | None] | None = None, encoded: None = None, on_block: OnBlock | None = None,
+                 **options: Unpack[InferenceArguments]) -> list[Performance]: ...
+
+    def __call__(self, speech: Recording | list[R] | tuple[R, ...], sample_rate: float | None = None, *,
+                 text: Text | Sequence[Text | None] | None = None, encoded: SpeechFeatures | None = None,
+                 on_block: OnBlock | None = None, **options: Unpack[InferenceArguments]
+                 ) -> Performance | list[Performance]:
+        """Gesture for a recording, or for each of a list of them.
+
+        speech: the path of a sound file, samples [n] or [n, channels] with their `sample_rate` in hertz, or a `Speech`;
+        words that it carries are read. text: what is said, as a `str`, or as the path of a transcript (plain text,
+        TextGrid, SRT, VTT, JSON); a list of them for a list of recordings. Without words the audio-only path is taken
+        (RG 6.3). encoded: what `encode_speech` gave for this speech, to gesture for it again without encoding it
+        again. on_block(done, total) is called after each block. options: the fields of `InferenceOptions`.
+        `InputError` for what cannot be used.
+
+        >>> g = Gesticulator.from_pretrained()
+        >>> g("speech.wav", text="Hello there", hand_height="low", seed=3).save("gesture.bvh")
         """
-        if not isinstance(speech, Speech):
-            speech = load_speech(speech)
-        if fps is not None and not 1 <= fps <= 1000:
-            raise InputError(f"--fps {fps:g}", "is out of range", "choose 1 to 1000")
-        if temperature is not None and temperature < 0:
-            raise InputError(f"--temperature {temperature:g}", "is negative", "choose 0 or more")
+        asked = InferenceOptions(**options)
+        if isinstance(speech, list | tuple):
+            if encoded is not None:
+                raise InputError("encoded", "is one for several recordings", "give one recording")
+            texts = texts_for(len(speech), text)
+            return [self._one(one, sample_rate, said, asked, None, on_block)
+                    for one, said in zip(speech, texts, strict=True)]
+        return self._one(speech, sample_rate, text, asked, encoded, on_block)  # type: ignore[arg-type]
+
+    def perform(self, speech: Speech, options: InferenceOptions | None = None, *,
+                encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None) -> Performance:
+        """Gesture for a `Speech` at any sample rate, with the words that it carries; see `__call__`."""
+        options = options or InferenceOptions()
+        return self._perform(_prepared(speech, options), options, encoded, on_block)
+
+    def _perform(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
+                 on_block: OnBlock | None) -> Performance:
+        """`perform` for speech that is at `SAMPLE_RATE` and as loud as it was asked for."""
         chosen = self.bundle.config.selection
-        activity = chosen.activity if activity is None else activity
-        self._check(activity, controls)
-        speech = resample(speech, SAMPLE_RATE)
-        note = ""
-        if text is not None:
-            speech, note = self.read(speech, text)
-        who = self.speaker_index(speaker)
-        reads = self._reads(speech)
+        activity = chosen.activity if options.activity is None else options.activity
+        self._check_activity(activity)
+        controls = self.controls(options)
+        who = self.speaker_index(options.speaker)
         encoded = self.encode_speech(speech) if encoded is None else encoded
-        interpreter = self.bundle.interpreters[0] if interpreter is None else interpreter
-        system = self.interpreter(interpreter, reads) if isinstance(interpreter, str) else interpreter
-        usual = chosen.q_temperature if isinstance(system, QNetwork) else chosen.temperature
-        asked = None
-        if controls is not None and self.bundle.levels is not None:
-            values, given = controls.at(encoded.blocks.knot_times)
-            rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
-            asked = rows.reshape(len(encoded.blocks), encoded.blocks.frames, -1)
-        rolls = _Decoded if isinstance(self.bundle.lexicon, RacerCodec) else _Roll
-        roll = rolls(self.bundle, system, who, np.random.default_rng(seed),
-                     usual if temperature is None else temperature, chosen.top or None, activity)
-        made = roll.run(encoded, asked, on_block)
-        motion = self.to_motion(made.motion, encoded, who, FPS if fps is None else fps)
-        return Performance(motion=motion, speech=speech, blocks=encoded.blocks, lexemes=made.lexemes, best=made.best,
-                           scores=made.scores, codes=made.codes, gate=made.gate, notes=(note,) if note else (),
-                           score_is="expected return" if isinstance(system, QNetwork) else "log-probability")
+        name = options.interpreter or self.bundle.interpreters[0]
+        system = self.interpreter(name, self._reads(speech)) if isinstance(name, str) else name
+        by_value = getattr(system, "gives_values", False)
+        temperature = options.temperature
+        if temperature is None:
+            temperature = chosen.q_temperature if by_value else chosen.temperature
+        sampling = Sampling(temperature, chosen.top, int(options.seed))
+        made = rollout(self.bundle, system, who, sampling, activity).run(
+            encoded, self._control_rows(controls, encoded), on_block)
+        return Performance(motion=self.to_motion(made.motion, encoded, who, options.fps), speech=speech,
+                           blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
+                           codes=made.codes, gate=made.gate, score_is="Q value" if by_value else "log-probability",
+                           made_by=self._made_by(replace(
+                               options, speaker=self.speakers[who], interpreter=name, temperature=temperature,
+                               activity=activity, controls=controls, hand_height=None, hand_speed=None,
+                               hand_radius=None), self._reads(speech)))
+
+    def _one(self, speech: Recording, sample_rate: float | None, text: Text | None, options: InferenceOptions,
+             encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
+        spoken = _prepared(as_speech(speech, sample_rate), options)
+        if text is None:
+            return self._perform(spoken, options, encoded, on_block)
+        spoken, note = self.read(spoken, text)
+        return replace(self._perform(spoken, options, encoded, on_block), notes=(note,))
 
     def encode_speech(self, speech: Speech) -> SpeechFeatures:
         """A speech at 16 kHz cut into blocks and encoded, with its words where the bundle reads them."""
@@ -151,14 +189,52 @@ class Gesticulator:
     def _reads(self, speech: Speech) -> bool:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
 
-    def _check(self, activity: float, controls: Controls | None) -> None:
-        if not 0 <= activity <= 1:
-            raise InputError(f"--activity {activity:g}", "is out of range", "choose 0 (stillness) to 1 (always)")
-        if 0 < activity < 1 and self.bundle.gate is None:
-            raise InputError(f"--activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
-        if controls is not None and controls != Controls.free() and self.bundle.levels is None:
+    def _check_activity(self, activity: float) -> None:
+        if 0 < activity < 1 and "gate" not in self.bundle.parts:
+            raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
+
+    def controls(self, options: InferenceOptions) -> Controls:
+        """What the options ask of the hands, in numbers: levels are the bundle's, files are read.
+
+        `InputError` where a control cannot be used, or the bundle was trained without style editing.
+        """
+        asked = options.controls or Controls.free()
+        if asked == Controls.free() and not any(hand is not None for hand in options.hands):
+            return asked
+        if self.bundle.levels is None:
             raise InputError(f"the control of {', '.join(FEATURES)}", "is not heard by this bundle",
                              "use a bundle trained with generator.use_control")
+        given = {name: self._control(name, hand) for name, hand in zip(FEATURES, options.hands, strict=True)}
+        return Controls(**given) if options.controls is None else asked
+
+    def _control(self, feature: str, asked: HandControl) -> float | Curve | None:
+        assert self.bundle.levels is not None
+        if asked is None or isinstance(asked, Curve):
+            return asked
+        text = os.fspath(asked) if isinstance(asked, str | os.PathLike) else repr(float(asked))
+        return parse(f"hand_{feature}", text, feature, self.bundle.levels)
+
+    def _control_rows(self, controls: Controls, encoded: SpeechFeatures) -> NDArray[np.float32] | None:
+        """[N, K, 2 F] what is asked and whether it is, or None where nothing is."""
+        if self.bundle.levels is None or controls == Controls.free():
+            return None
+        values, given = controls.at(encoded.blocks.knot_times)
+        rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
+        return rows.reshape(len(encoded.blocks), encoded.blocks.frames, -1)
+
+    def _made_by(self, options: InferenceOptions, words: bool) -> dict[str, Any]:
+        """What made a performance, in plain values. options: with nothing left to the bundle; words: they were read."""
+        name = options.interpreter if isinstance(options.interpreter, str) else type(options.interpreter).__name__
+        settings: dict[str, Any] = {
+            "speaker": options.speaker, "interpreter": name, "words": words, "seed": int(options.seed),
+            **{key: float(getattr(options, key)) for key in ("temperature", "activity", "fps", "gain")}}
+        controls = options.controls or Controls.free()
+        for feature, value in zip(FEATURES, (controls.height, controls.speed, controls.radius), strict=True):
+            if value is not None:
+                settings[f"hand_{feature}"] = ({"times": list(value.times), "values": list(value.values)}
+                                               if isinstance(value, Curve) else float(value))
+        bundle = {"preset": self.bundle.config.name, "lexicon": lexicon_hash(self.bundle.vectors)}
+        return {"gesticulator": __version__, "bundle": bundle, "settings": settings}
 
     def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int, fps: float) -> Motion:
         """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2)."""
@@ -169,135 +245,43 @@ class Gesticulator:
         return representation_of(self.bundle.config).motion(frames, fps)
 
 
-@dataclass(frozen=True)
-class _Made:
-    """Motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M], style codes [N, d_z]
-    and the gate's probabilities [N]."""
-
-    motion: NDArray[np.float32]
-    lexemes: NDArray[np.int64]
-    best: NDArray[np.int64]
-    scores: NDArray[np.float64]
-    codes: NDArray[np.float32]
-    gate: NDArray[np.float64]
+def _prepared(speech: Speech, options: InferenceOptions) -> Speech:
+    """The speech as the models take it: amplified as asked, at `SAMPLE_RATE`."""
+    return resample(amplified(speech, options.gain), SAMPLE_RATE)
 
 
-_SETTLES_AFTER = 2
-"""Quiet blocks that are played as they are generated: the arms come down in them."""
+def _usable(device: str | torch.device) -> torch.device:
+    """The device; `InputError` where torch does not know it or cannot use it here."""
+    try:
+        found = torch.device(device)
+        torch.empty(1, device=found)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
+                         'choose "cpu", or "cuda" where torch finds a GPU') from None
+    return found
 
 
-def settled(last: Tensor, block: Tensor, share: float) -> Tensor:
-    """A block of rest [B, K, D_m]: evenly from the last pose [B, 1, D_m] a share of the way to the block's mean pose.
-
-    The distance to rest shrinks by `share` with each block, so a long rest becomes still.
-    """
-    frames = block.shape[1]
-    steps = torch.arange(1, frames + 1, dtype=block.dtype)[:, None] / frames
-    return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
+def _moved(bundle: Bundle, device: torch.device) -> Bundle:
+    """The bundle with its models on the device; itself on the CPU."""
+    if device.type == "cpu":
+        return bundle
+    return replace(bundle, vectors=bundle.vectors.to(device), parts=_PartsOn(device, bundle.parts))
 
 
-class _Roll:
-    """One performance in the making: the states of interpreter, gate, style and generator."""
+class _PartsOn(Mapping[str, nn.Module]):
+    """The models of a bundle, each moved to a device when it is asked for first."""
 
-    def __init__(self, bundle: bundles.Bundle, interpreter: LexemeInterpreter, speaker: int,
-                 rng: np.random.Generator, temperature: float, top: int | None, activity: float) -> None:
-        self.bundle, self.interpreter, self.speaker, self.rng = bundle, interpreter, speaker, rng
-        self.temperature, self.top, self.activity = temperature, top, activity
-        s = bundle.statistics
-        self.quiet = None if s.quiet_low is None else torch.as_tensor(s.quiet_low, dtype=torch.float32)
+    def __init__(self, device: torch.device, parts: Mapping[str, nn.Module]) -> None:
+        self._device, self._parts = device, parts
 
-    @torch.inference_mode()
-    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None,
-            on_block: Callable[[int, int], None] | None) -> _Made:
-        """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
-        b = self.bundle
-        drawn = b.drawn
-        generator, vectors, count = drawn.generator, drawn.lexicon.vectors, len(encoded.blocks)
-        best_count = min(BEST, len(vectors))
-        style = b.style_text if encoded.text is not None and b.style_text is not None else drawn.style
-        previous = b.rest_lexeme(self.speaker)
-        rest = b.rest_feature(self.speaker)
-        past = rest.expand(1, b.lexicon.frames, -1)
-        state = generator.first_state(rest[None], vectors[[previous]])
-        inner, style_state = self.interpreter.start(self.speaker, previous), style.start(self.speaker)
-        free, free_state = inner, state
-        guidance = b.config.selection.guidance
-        gate_state = None if b.gate is None else b.gate.start(self.speaker)
-        bounds = torch.as_tensor(b.statistics.bounds, dtype=torch.float32)
-        made = _Made(np.empty((count, *past.shape[1:]), np.float32), np.empty(count, np.int64),
-                     np.empty((count, best_count), np.int64), np.empty((count, best_count)),
-                     np.empty((count, style.code_width), np.float32), np.full(count, np.nan))
-        resting = _SETTLES_AFTER  # who has not begun is at rest
-        for i in range(count):
-            features = self._features(encoded, i, asked)
-            closed = self.activity == 0
-            if b.gate is not None and gate_state is not None and self.activity < 1:
-                made.gate[i], gate_state = b.gate.step(gate_state, features)
-                closed = not opened(float(made.gate[i]), self.activity)
-            scores, inner = self.interpreter.step(inner, features, previous)
-            if asked is not None:
-                unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
-                scores = unasked + guidance * (scores - unasked)
-            quiet = closed or (features.silent and b.config.silence.mask)
-            previous = select(scores, allowed=b.silent if quiet else None, temperature=self.temperature, top=self.top,
-                              rng=self.rng)
-            if closed and self.quiet is not None:
-                # A block on which nothing is to be done is one on which nothing is said.
-                features = replace(features, low=self.quiet, silent=True)
-            code, style_state = style.step(style_state, features, previous)
-            audio = generator.encode_audio(features.low[None])
-            control = None if features.control is None else features.control[None]
-            block, state, _ = generator.step(past, audio, vectors[[previous]], code, state, control=control)
-            if asked is not None:
-                unled, free_state, _ = generator.step(past, audio, vectors[[previous]], code, free_state)
-                block = unled + guidance * (block - unled)
-            resting = resting + 1 if quiet else 0
-            if resting > _SETTLES_AFTER and b.config.silence.settle > 0:
-                block = settled(past[:, -1:], block, b.config.silence.settle)
-            # What it was never shown it must not feed itself: one odd pose would lead to the next.
-            past = torch.clamp(block, *bounds)
-            made.motion[i], made.lexemes[i], made.codes[i] = past[0].numpy(), previous, code[0].numpy()
-            self._note(made, i, scores, on_block)
-        return made
+    def __getitem__(self, name: str) -> nn.Module:
+        return self._parts[name].to(self._device)
 
-    @staticmethod
-    def _note(made: _Made, i: int, scores: NDArray[np.float64], on_block: Callable[[int, int], None] | None) -> None:
-        made.best[i] = np.argsort(-scores, kind="stable")[:made.best.shape[1]]
-        made.scores[i] = scores[made.best[i]]
-        if on_block is not None:
-            on_block(i + 1, len(made.best))
+    def __contains__(self, name: object) -> bool:
+        return name in self._parts
 
-    def _features(self, encoded: SpeechFeatures, i: int, asked: NDArray[np.float32] | None) -> BlockFeatures:
-        s = self.bundle.statistics
-        low = torch.as_tensor(s.low.apply(encoded.low[i]), dtype=torch.float32)
-        high = torch.as_tensor(s.high.apply(encoded.high[i]), dtype=torch.float32)
-        text = None if encoded.text is None else torch.as_tensor(encoded.text[i])
-        return BlockFeatures(low, high, bool(encoded.blocks.silent[i]), text,
-                             None if asked is None else torch.as_tensor(asked[i]))
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._parts)
 
-
-class _Decoded(_Roll):
-    """A performance of RACER's own: codes are chosen one by one and decoded together, without a generator (RACER 5.2).
-
-    There is no style, no gate and no silence in it; `activity` 0 holds the resting code.
-    """
-
-    @torch.inference_mode()
-    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None,
-            on_block: Callable[[int, int], None] | None) -> _Made:
-        """Every code in turn; nothing can be asked of the style."""
-        codec = self.bundle.lexicon
-        assert isinstance(codec, RacerCodec)
-        count, best = len(encoded.blocks), min(BEST, len(codec.vectors))
-        rest = previous = self.bundle.rest_lexeme(self.speaker)
-        made = _Made(np.empty((0, 0, 0), np.float32), np.empty(count, np.int64), np.empty((count, best), np.int64),
-                     np.empty((count, best)), np.zeros((count, 0), np.float32), np.full(count, np.nan))
-        state = self.interpreter.start(self.speaker, previous)
-        for i in range(count):
-            scores, state = self.interpreter.step(state, self._features(encoded, i, asked), previous)
-            previous = select(scores, temperature=self.temperature, top=self.top, rng=self.rng)
-            made.lexemes[i] = previous = rest if self.activity == 0 else previous
-            self._note(made, i, scores, on_block)
-        # The resting code before the first: the codec then begins where the figure stands.
-        codes = torch.as_tensor(np.concatenate([[rest], made.lexemes]))[None]
-        return replace(made, motion=codec.decode_tokens(codes)[0, 1:].numpy())
+    def __len__(self) -> int:
+        return len(self._parts)

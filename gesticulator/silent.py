@@ -1,4 +1,4 @@
-"""`python -m gesticulator.silent [BUNDLE]`: which lexemes count as stillness, seen and edited by hand (RG 6.4.1).
+"""`gesticulator bundle silent [BUNDLE]`: which lexemes count as stillness, seen and edited by hand (RG 6.4.1).
 
 Training finds the silent lexemes by itself. A look at the lexicon (`gesticulator draw lexicon`) may say otherwise, and
 then the list is changed here. `bundle.json` alone is rewritten; the weights and their hashes stay as they are. What
@@ -11,16 +11,14 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import sys
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.files import write_text
 
-PROGRAM = "gesticulator.silent"
 FOUND = "silent_lexemes_found"
 """In the provenance of a bundle that was edited: the list that training found."""
 
@@ -58,7 +56,7 @@ def edited(silent: Iterable[int], size: int, *, chosen: Iterable[int] | None = N
 def silent_of(index: dict[str, Any], folder: Path) -> tuple[tuple[int, ...], int]:
     """The silent lexemes of `bundle.json` and how many lexemes there are; InputError when they do not make sense."""
     try:
-        size, silent = int(index["config"]["lexicon"]["size"]), tuple(int(n) for n in index["silent_lexemes"])
+        size, silent = int(index["config"]["lexicon"]["size"]), tuple(index["silent_lexemes"])
         return edited(silent, size), size
     except (KeyError, TypeError, ValueError, InputError) as error:
         raise InputError(folder / "bundle.json", f"holds no usable list of silent lexemes ({error})",
@@ -91,55 +89,60 @@ def rewritten_copy(folder: Path, target: Path, silent: Iterable[int]) -> None:
         raise
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description="List or edit a bundle's silent lexemes.")
+def arguments(p: argparse.ArgumentParser) -> None:
+    """What the command takes."""
     p.add_argument("bundle", nargs="?", metavar="BUNDLE", help="its folder (the shipped one)")
     p.add_argument("--set", metavar="3,7,9", help="these and no others")
+    p.add_argument("--automatic", action="store_true", help="those that training found, as before any edit")
     p.add_argument("--add", metavar="3,7,9", default="", help="these too")
     p.add_argument("--remove", metavar="3,7,9", default="", help="not these")
     p.add_argument("--out", type=Path, metavar="DIR", help="leave BUNDLE alone and write an edited copy here")
-    return p
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; exit code 0, or 2 with one line for bad input."""
-    arguments = parser().parse_args(argv)
-    with one_line_errors(PROGRAM):
-        from gesticulator.bundle import SHIPPED, read_index
+def run(asked: argparse.Namespace) -> int:
+    """List or edit; InputError for what cannot be."""
+    from gesticulator.bundle import SHIPPED, read_index
 
-        folder = Path(arguments.bundle) if arguments.bundle else SHIPPED
-        before, size = silent_of(read_index(folder), folder)
-        add, remove = numbers(arguments.add), numbers(arguments.remove)
-        if arguments.set is not None and (add or remove):
-            raise InputError("--set", "cannot go with --add or --remove", "give the whole list, or the changes")
-        if arguments.set is None and not add and not remove:
-            if arguments.out is not None:
-                raise InputError("--out", "has nothing to write", "give --set, --add or --remove too")
-            print(_line(before, size))
-            return 0
-        after = edited(before, size, chosen=None if arguments.set is None else numbers(arguments.set), add=add,
-                       remove=remove)
-        if arguments.out is not None:
-            rewritten_copy(folder, arguments.out, after)
-        elif folder.resolve() == SHIPPED.resolve():
-            raise InputError(folder, "comes with the package and is left as it is",
-                             "add --out DIR for an edited copy, and use that")
-        else:
-            rewrite(folder, after)
-        gone, come = sorted(set(before) - set(after)), sorted(set(after) - set(before))
-        print(f"{_line(after, size)} (new: {_listed(come)}; no longer: {_listed(gone)})")
-        print(f"taught anew with these: python -m gesticulator.train ... --set 'silence.lexemes={list(after)}'")
+    folder = Path(asked.bundle) if asked.bundle else SHIPPED
+    index = read_index(folder)
+    before, size = silent_of(index, folder)
+    add, remove = numbers(asked.add), numbers(asked.remove)
+    chosen = None if asked.set is None else numbers(asked.set)
+    if asked.automatic:
+        if chosen is not None:
+            raise InputError("--automatic", "cannot go with --set", "give one of them")
+        chosen = _found(index, folder)
+    if chosen is not None and (add or remove):
+        raise InputError("--set or --automatic", "cannot go with --add or --remove",
+                         "give the whole list, or the changes")
+    if chosen is None and not add and not remove:
+        if asked.out is not None:
+            raise InputError("--out", "has nothing to write", "give --set, --add or --remove too")
+        print(line(before, size))
+        return 0
+    after = edited(before, size, chosen=chosen, add=add, remove=remove)
+    if asked.out is not None:
+        rewritten_copy(folder, asked.out, after)
+    elif folder.resolve() == SHIPPED.resolve():
+        raise InputError(folder, "comes with the package and is left as it is",
+                         "add --out DIR for an edited copy, and use that")
+    else:
+        rewrite(folder, after)
+    gone, come = sorted(set(before) - set(after)), sorted(set(after) - set(before))
+    print(f"{line(after, size)} (new: {_listed(come)}; no longer: {_listed(gone)})")
+    print(f"taught anew with these: gesticulator train ... --set 'silence.lexemes={list(after)}'")
     return 0
+
+
+def _found(index: dict[str, Any], folder: Path) -> tuple[int, ...]:
+    """The list of training: the one beside the edited list, or the list itself where nothing was edited."""
+    return silent_of({**index, "silent_lexemes": index["provenance"].get(FOUND, index["silent_lexemes"])}, folder)[0]
 
 
 def _listed(lexemes: Iterable[int]) -> str:
     return ",".join(map(str, lexemes)) or "none"
 
 
-def _line(silent: Sequence[int], size: int) -> str:
+def line(silent: Sequence[int], size: int) -> str:
+    """Such as "silent: 3,7,9 (3 of 100 lexemes)"."""
     return f"silent: {_listed(silent)} ({len(silent)} of {size} lexemes)"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

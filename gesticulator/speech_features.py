@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from data_module import blocks as block_module
 from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.features import FrontEnd, front_end, reference_level
-from data_module.text.word_vectors import word_frames
+from data_module.speech.features import FrontEnd, reference_level
+from data_module.speech.front_ends import front_end
 from data_module.types import Array, Blocks, Samples, Speech
 from gesticulator.config import Config
 
@@ -108,6 +108,8 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
     low, high = _with_tempo(*_encoded(_stretched(speech, blocks), reference, front), blocks.durations, config)
     text = None
     if words is not None and speech.words is not None:
+        from data_module.text.word_vectors import word_frames  # only where words are read
+
         table = word_table(words.encode(speech.words), words.width)
         text = table[three_blocks(word_frames(speech.words, blocks, config.text.bridge) + 1, np.zeros(()))]
     return SpeechFeatures(blocks, low, high, text)

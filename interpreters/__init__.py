@@ -1,16 +1,38 @@
-"""Interpreters: from speech to lexemes and style codes. One protocol, several systems.
+"""Interpreters: from speech to lexemes and style codes. One protocol (`interpreters.base`), several systems.
 
-A new interpreter is one file and one entry here.
+A new interpreter is one file and one entry here. This file imports none of them: the command line lists the names.
 """
 
 from __future__ import annotations
 
-from interpreters.base import BlockFeatures, LexemeInterpreter, select
-from interpreters.cql import QNetwork
-from interpreters.lstm import LstmInterpreter
-from interpreters.statistical import StatisticalInterpreter
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
-INTERPRETERS: dict[str, type] = {"lstm": LstmInterpreter, "cql": QNetwork, "statistical": StatisticalInterpreter}
 
-__all__ = ["INTERPRETERS", "BlockFeatures", "LexemeInterpreter", "LstmInterpreter", "QNetwork",
-           "StatisticalInterpreter", "select"]
+@dataclass(frozen=True)
+class InterpreterEntry:
+    """A lexeme interpreter that a bundle may hold.
+
+    about: a line for the command line. where: module and class. part: the part of a bundle that it is, empty for one
+    that is made of the lexicon's counts alone. text_part: the part that is taken when the speech has words.
+    """
+
+    about: str
+    where: str
+    part: str = ""
+    text_part: str = ""
+
+    def load(self) -> Any:
+        """Its class."""
+        module, name = self.where.split(":")
+        return getattr(import_module(module), name)
+
+
+INTERPRETERS: dict[str, InterpreterEntry] = {
+    "lstm": InterpreterEntry("the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter",
+                  "interpreter_text"),
+    "cql": InterpreterEntry("RACER's Q-network", "interpreters.cql:QNetwork", "q_network"),
+    "statistical": InterpreterEntry("a speaker's frequencies alone", "interpreters.statistical:StatisticalInterpreter"),
+}
+"""By name; the first that a bundle has is taken when none is named."""

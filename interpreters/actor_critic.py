@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from data_module.layers import freeze, masked_mean
 from interpreters.base import BlockFeatures, Scores
-from interpreters.cql import QNetwork, QState, backed_up, cross_entropy, next_known
+from interpreters.cql import QNetwork, QState, backed_up, data_nll, next_known
 from interpreters.transformer import Head, Layer, begin_small, sliding
 
 
@@ -103,9 +103,9 @@ class ActorCritic(nn.Module):
         logits, value = self.logits_and_value(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         action, reward, terminal, valid = (batch[key][:, :-1] for key in ("action", "reward", "terminal", "valid"))
         error = backed_up(reward, terminal, value[:, 1:].detach(), self.config.gamma) - value[:, :-1]
-        surprise = cross_entropy(logits[:, :-1], action, self.actor.allowed(batch["silent"][:, :-1]))
+        nll = data_nll(logits[:, :-1], action, self.actor.allowed(batch["silent"][:, :-1]))
         counted = valid * next_known(batch)
-        terms = {"actor": masked_mean(surprise * error.detach(), counted),
+        terms = {"actor": masked_mean(nll * error.detach(), counted),
                  "critic": masked_mean(0.5 * error.square(), counted)}
         return {key: term if key == self.turn else term.detach() for key, term in terms.items()}
 

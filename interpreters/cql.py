@@ -18,49 +18,8 @@ from torch.nn import functional
 
 from data_module.layers import BlockLinear, freeze, masked_mean
 from interpreters.base import BlockFeatures, Scores
+from interpreters.settings import QConfig
 from interpreters.transformer import INITIAL, Head, KeyValue, Layer, begin_small, sliding, two_stream_mask
-
-
-@dataclass(frozen=True)
-class QConfig:
-    """Sizes of the Q-network and how it learns. The paper: width 768, heads 12, dropout 0.1, decisions 15."""
-
-    width: int = 128
-    """C."""
-    heads: int = 4
-    layers: int = 4
-    """Not told in the paper; more than 3, since its actor-critic variant splits off the last 3."""
-    dropout: float = 0.1
-    decisions: int = 15
-    """T, the pairs of audio and action that a decision sees: a_0 and 15 decisions are 16 lexemes."""
-    audio_features: int = 64
-    """Width of the FC on three blocks of audio, for each of the K frames."""
-    audio_bottleneck: int = 48
-    """Width that each row of audio is brought to before that FC; 0 for none."""
-    audio_blocks: int = 3
-    """Blocks of audio that a decision hears: 3, the one before and the one after too (RG Eq. 17), or 1 (the paper)."""
-    lookahead: int = 1
-    """1: the three blocks of a decision are the one before, its own and the one after; 0: the two before and its own,
-    so that a stream need not wait for the next beat."""
-    use_speaker: bool = True
-    """Hear the one-hot of the speaker with every block."""
-    conservative: float = 0.1
-    """alpha of RACER Eq. 11. A large one makes the data's lexemes look ever better, and the target with them."""
-    temporal: float = 1.0
-    """Weight of the temporal difference. 0 leaves a cross-entropy: the paper's "Supervised Learning"."""
-    warm_up: float = 0.0
-    """Share of the run that is supervised learning alone (the conservative term): a short run then need not learn what
-    people do by way of values. 0 is the paper's."""
-    gamma: float = 0.99
-    """What a reward one block later is worth now."""
-    copy_every: int = 500
-    """Steps between two copies of the network to its target."""
-    double: bool = True
-    """The online network picks the next action and the target values it (Double DQN); else the target does both."""
-    huber: float = 0.0
-    """Where the squared error turns linear; 0 for never (the paper)."""
-    freeze_dropout: bool = False
-    """No dropout while training."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +40,8 @@ class QState:
 class QNetwork(nn.Module):
     """Q(s_i, .) over the lexicon for each decision i: a transformer over audio and actions (RACER Fig. 1, Eq. 12)."""
 
+    gives_values = True
+    """Its scores are Q values and no log-probabilities."""
     when_silent: Tensor
 
     def __init__(self, config: QConfig, frames: int, audio_width: int, lexemes: int, speakers: int,
@@ -152,7 +113,7 @@ class QNetwork(nn.Module):
     def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
         """Q(s_i, .) [B, M, S] for each of M decisions; the arguments are those of `tokens`.
 
-        Decisions past the first T are made in a window that slides, exactly as `step` makes them.
+        DecisionBatch past the first T are made in a window that slides, exactly as `step` makes them.
         """
         return sliding(self.tokens(previous, audio, speaker, silent), self.config.decisions, self.read)
 
@@ -162,7 +123,8 @@ class QNetwork(nn.Module):
 
     def start(self, speaker: int, first_lexeme: int) -> QState:
         """The state before the first block (the first lexeme, a_0, comes back in `step` as the previous one)."""
-        one_hot = functional.one_hot(torch.tensor([speaker]), self.speakers).float().to(self.positions.device)
+        number = torch.tensor([speaker], device=self.positions.device)
+        one_hot = functional.one_hot(number, self.speakers).float()
         return QState(one_hot, self.positions.new_zeros(1, 2, 0, self.config.width), None)
 
     @torch.inference_mode()
@@ -184,7 +146,7 @@ class QNetwork(nn.Module):
         return scores, QState(state.speaker, tokens, present if keep else None, features.high)
 
 
-def cross_entropy(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
+def data_nll(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
     """log sum_a exp Q(s, a) - Q(s, a_data), [...], the first bracket of RACER Eq. 11.
 
     values, allowed: [..., S]; action: [...]. It is the cross-entropy of softmax(Q) over the allowed actions. 0 where
@@ -201,21 +163,35 @@ def backed_up(reward: Tensor, terminal: Tensor, next_value: Tensor, gamma: float
     return reward + gamma * next_value.masked_fill(terminal.bool(), 0.0)
 
 
-def conservative_q_loss(values: Tensor, next_value: Tensor, action: Tensor, reward: Tensor, terminal: Tensor,
-                        allowed: Tensor, *, gamma: float, valid: Tensor, known: Tensor, cloned: Tensor,
-                        huber: float = 0.0) -> tuple[Tensor, Tensor]:
+@dataclass(frozen=True)
+class DecisionBatch:
+    """What was done, and what came of it, [B, T] each but for `allowed`.
+
+    action: lexemes; reward; terminal: nothing follows; allowed: bool [B, T, S], A(s); valid: steps that exist; known:
+    steps whose next value is known; cloned: how much the data's action counts, less where it is not a person's.
+    """
+
+    action: Tensor
+    reward: Tensor
+    terminal: Tensor
+    allowed: Tensor
+    valid: Tensor
+    known: Tensor
+    cloned: Tensor
+
+
+def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float, huber: float = 0.0
+                        ) -> tuple[Tensor, Tensor]:
     """The terms of RACER Eq. 11, unweighted: E[log sum_a exp Q(s, a) - Q(s, a_data)] and E[(Q(s, a_data) - y)^2] / 2.
 
-    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'; action, reward, terminal: [B, T];
-    allowed: bool [B, T, S]. valid: [B, T] steps that exist (both means are over these); known: [B, T] steps whose next
-    value is known; cloned: [B, T] how much the first term counts, less where the behaviour is not a person's.
+    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'. Both means are over valid steps.
     """
-    conservative = cross_entropy(values, action, allowed)
-    chosen = values.gather(-1, action.unsqueeze(-1)).squeeze(-1)
-    target = backed_up(reward, terminal, next_value, gamma).detach()
+    conservative = data_nll(values, done.action, done.allowed)
+    chosen = values.gather(-1, done.action.unsqueeze(-1)).squeeze(-1)
+    target = backed_up(done.reward, done.terminal, next_value, gamma).detach()
     error = functional.huber_loss(chosen, target, reduction="none", delta=huber) if huber else (
         0.5 * (chosen - target).square())
-    return masked_mean(cloned * conservative, valid), masked_mean(error, valid * known)
+    return masked_mean(done.cloned * conservative, done.valid), masked_mean(error, done.valid * done.known)
 
 
 @contextmanager
@@ -305,8 +281,7 @@ class ConservativeQ(nn.Module):
         learns = bool(self.config.temporal) and progress >= self.config.warm_up
         conservative, difference = conservative_q_loss(
             values, self.next_values(batch) if learns else torch.zeros_like(now["reward"]),
-            now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),
-            gamma=self.config.gamma, valid=now["valid"], known=next_known(batch), cloned=now["cloned"],
-            huber=self.config.huber)
+            DecisionBatch(now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),
+                          now["valid"], next_known(batch), now["cloned"]), self.config.gamma, self.config.huber)
         terms = {"conservative": conservative}
         return {**terms, "temporal_difference": difference} if learns else terms

@@ -15,7 +15,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,83 +28,19 @@ from torch import Tensor
 from data_module.errors import InputError
 from data_module.files import write_bytes
 from interpreters.base import BlockFeatures, LexemeInterpreter, Scores, select
+from interpreters.settings import BEHAVIOURS, EpisodeConfig
 
 Integers = NDArray[np.int64]
 Reward = Callable[[Tensor, Tensor], Tensor]
 """Lexemes [M] and block numbers [M] of a stretch of recording to what each step earns [M]; it sees no further back than
 what it is handed. `RewardTable.sequence` and `looked_up` are such."""
 
-BEHAVIOURS = ("truth", "sampled", "statistical", "perturbed")
-"""Who chose a lexeme: the person, the trained interpreter, the frequencies, or the person with errors put in."""
-
-REWARDS = ("contrastive", "distance")
-SCHEMES = ("window", "prefix", "terminal", "difference")
-
 _AT_RANDOM = 0.5
 """The share of the perturbed lexemes that may become any other; the rest become one of the nearest."""
 
 
 @dataclass(frozen=True)
-class EpisodeConfig:
-    """Who acts in the data set, and what is rewarded. The paper's own is `truth=1` and 0 for the other shares and the
-    baseline."""
-
-    truth: float = 0.65
-    """Share of what was really done: every recording, once. The other shares are in proportion to it, in decisions."""
-    sampled: float = 0.15
-    """Share of roll-outs of the supervised interpreter."""
-    statistical: float = 0.10
-    """Share of roll-outs of the statistical interpreter."""
-    perturbed: float = 0.10
-    """Share of the truth with some lexemes replaced."""
-    replace: float = 0.2
-    """Probability that a lexeme of the truth is replaced in the perturbed share."""
-    nearest: int = 3
-    """Half of the replacements are among this many nearest lexemes, the other half are any."""
-    temperature: float = 1.0
-    """Of the roll-outs: lexemes are drawn from softmax(scores / temperature); 0 takes the best."""
-    prefix: int = 8
-    """True lexemes before another behaviour takes over."""
-    reward: str = "contrastive"
-    """"contrastive" (RACER Eq. 8), or "distance" to the recorded motion (the paper's ablation)."""
-    baseline: int = 8
-    """Random sequences of lexemes whose mean reward on the same audio is taken off the contrastive reward; 0 for none
-    (the paper). It changes no choice and spares the Q-network to learn what the audio alone earns."""
-    scheme: str = "window"
-    """What a step earns: "window" the reward of the blocks that trail it; "prefix" that of all since the stretch began;
-    "terminal" that of the whole stretch, at its end; "difference" what the step added to the prefix."""
-    stretch: int = 15
-    """Decisions in a stretch, for every scheme but "window". Windows are then cut at stretches, and as long."""
-    cloned: float = 0.0
-    """Weight of CQL's data term on what was not the person's choice; it is 1 on the truth."""
-
-    def __post_init__(self) -> None:
-        if min(self.shares.values()) < 0 or abs(sum(self.shares.values()) - 1) > 1e-6:
-            raise InputError("episodes", f"has shares {self.shares}", "give four that are not negative and sum to 1")
-        for name in ("nearest", "prefix", "stretch"):
-            if getattr(self, name) < 1:
-                raise InputError(f"episodes.{name}", f"is {getattr(self, name)}", "give 1 or more")
-        if self.baseline < 0:
-            raise InputError("episodes.baseline", f"is {self.baseline}", "give 0 or more")
-        for name in ("replace", "cloned"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"episodes.{name}", f"is {getattr(self, name)}", "give 0 to 1")
-        if not 0 <= self.temperature < np.inf:
-            raise InputError("episodes.temperature", f"is {self.temperature}", "give 0 or more")
-        for name, known in (("reward", REWARDS), ("scheme", SCHEMES)):
-            if getattr(self, name) not in known:
-                raise InputError(f"episodes.{name}", f"is {getattr(self, name)!r}", f"choose from {', '.join(known)}")
-        if self.reward == "distance" and self.scheme != "window":
-            raise InputError("episodes.scheme", f"is {self.scheme!r}", "a distance is of one block: choose 'window'")
-
-    @property
-    def shares(self) -> dict[str, float]:
-        """The mixture, keyed by behaviour."""
-        return {name: float(getattr(self, name)) for name in BEHAVIOURS}
-
-
-@dataclass(frozen=True)
-class Take:
+class Demonstration:
     """What was really done in a recording of M blocks.
 
     recording, speaker: their numbers; blocks: [M] block numbers in the corpus, in order; lexemes: [M]; silent: [M].
@@ -242,9 +178,9 @@ def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisio
     else:
         choices = np.where(lengths > 1, np.maximum(lengths - decisions, 1), 0)
     until = np.cumsum(choices)
-    drawn = rng.integers(until[-1], size=count)
-    which = np.searchsorted(until, drawn, side="right")
-    return which, (drawn - until[which] + choices[which]) * max(stretch, 1)
+    sampled = rng.integers(until[-1], size=count)
+    which = np.searchsorted(until, sampled, side="right")
+    return which, (sampled - until[which] + choices[which]) * max(stretch, 1)
 
 
 def _unpacked(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Episode]:
@@ -277,25 +213,33 @@ class SilentLexemes:
         """The lexemes that a block may take; None for all."""
         return self.indices if silent and len(self.indices) else None
 
-    def relabel(self, take: Take) -> Integers:
+    def relabel(self, take: Demonstration) -> Integers:
         """[M] lexemes of a take, silent ones in its silences."""
         if len(self.indices) == 0:
             return take.lexemes.astype(np.int64)
         return np.where(take.silent, self.nearest[take.lexemes], take.lexemes).astype(np.int64)
 
 
-def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silent: SilentLexemes,
-          vectors: NDArray[np.floating[Any]], interpreters: Mapping[str, LexemeInterpreter] | None = None,
-          features: Callable[[int], BlockFeatures] | None = None, seed: int = 0) -> Episodes:
+@dataclass(frozen=True)
+class BehaviourPolicies:
+    """Who acts beside the person. interpreters: by behaviour ("sampled", "statistical"), those that have a share;
+    features(block number): what they hear."""
+
+    interpreters: Mapping[str, LexemeInterpreter]
+    features: Callable[[int], BlockFeatures]
+
+
+def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward, *, silent: SilentLexemes,
+          vectors: NDArray[np.floating[Any]], policies: BehaviourPolicies | None = None, seed: int = 0) -> Episodes:
     """The data set: every take as it was, and its share of what others would have done.
 
     reward: what a step earns, of a kind with `config.reward`; with another scheme than "window" it must look back over
-    a whole stretch. vectors: [S, D] the codebook. interpreters: those of "sampled" and "statistical" that have a share,
-    and features(block number): what they hear. The same seed gives the same data set, bit by bit, and each behaviour
-    draws on its own, so a share that changes leaves the others as they were.
+    a whole stretch. vectors: [S, D] the codebook. policies: who acts beside the person, where somebody has a share. The
+    same seed gives the same data set, bit by bit, and each behaviour samples on its own, so a share that changes leaves
+    the others as they were.
     """
     order = _by_distance(np.asarray(vectors, dtype=np.float64))
-    takes = [Take(take.recording, take.speaker, take.blocks, silent.relabel(take), take.silent) for take in takes]
+    takes = [replace(take, lexemes=silent.relabel(take)) for take in takes]
     base = sum(len(take.blocks) - 1 for take in takes)
     total = base / config.truth if config.truth > 0 else base
     episodes = [_episode(take, take.lexemes, np.zeros(len(take.blocks)), 0, config, reward)
@@ -305,16 +249,16 @@ def build(takes: Sequence[Take], config: EpisodeConfig, reward: Reward, *, silen
         for take, length in _budgeted(takes, round(config.shares[name] * total), config.prefix, rng):
             if name == "perturbed":
                 acted = perturb(take, length, config, order, silent, rng)
-            elif interpreters is None or name not in interpreters or features is None:
+            elif policies is None or name not in policies.interpreters:
                 raise ValueError(f"the share of {name!r} needs its interpreter and what it hears")
             else:
-                acted = roll(interpreters[name], take, length, config, features, silent, rng)
+                acted = roll(policies, name, take, length, config, silent, rng)
             episodes.append(_episode(take, *acted, number, config, reward))
     return Episodes(episodes, cloned=config.cloned, stretch=0 if config.scheme == "window" else config.stretch)
 
 
-def _budgeted(takes: Sequence[Take], budget: int, prefix: int, rng: np.random.Generator
-              ) -> Iterator[tuple[Take, int]]:
+def _budgeted(takes: Sequence[Demonstration], budget: int, prefix: int, rng: np.random.Generator
+              ) -> Iterator[tuple[Demonstration, int]]:
     """Takes in random order, each with how much of it to act, until all but the prefixes come to `budget` decisions."""
     usable = [take for take in takes if len(take.blocks) > prefix]
     if budget > 0 and not usable:
@@ -329,13 +273,13 @@ def _budgeted(takes: Sequence[Take], budget: int, prefix: int, rng: np.random.Ge
 
 
 @torch.inference_mode()
-def roll(interpreter: LexemeInterpreter, take: Take, length: int, config: EpisodeConfig,
-         features: Callable[[int], BlockFeatures], silent: SilentLexemes, rng: np.random.Generator
-         ) -> tuple[Integers, NDArray[np.float64]]:
+def roll(policies: BehaviourPolicies, name: str, take: Demonstration, length: int, config: EpisodeConfig,
+         silent: SilentLexemes, rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
     """Actions [length] of an interpreter that hears a take and takes over after its prefix, and ln pi_beta [length].
 
     The prefix is heard as well: whoever has a memory comes to it with the person's past.
     """
+    interpreter, features = policies.interpreters[name], policies.features
     actions, logs = take.lexemes[:length].copy(), np.zeros(length)
     state = interpreter.start(take.speaker, int(actions[0]))
     for i in range(1, length):
@@ -355,7 +299,7 @@ def log_probability(scores: Scores, action: int, allowed: Integers | None, tempe
     return float(scores[action] / temperature - logsumexp(np.asarray(among) / temperature))
 
 
-def perturb(take: Take, length: int, config: EpisodeConfig, order: Integers, silent: SilentLexemes,
+def perturb(take: Demonstration, length: int, config: EpisodeConfig, order: Integers, silent: SilentLexemes,
             rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
     """Actions [length]: the take's lexemes, some replaced after the prefix, and ln pi_beta [length]. order: [S, S]."""
     actions, logs = take.lexemes[:length].copy(), np.zeros(length)
@@ -392,7 +336,7 @@ def _by_distance(vectors: NDArray[np.float64]) -> Integers:
     return np.argsort(distances, axis=1, kind="stable")
 
 
-def _episode(take: Take, actions: Integers, logs: NDArray[np.float64], behaviour: int, config: EpisodeConfig,
+def _episode(take: Demonstration, actions: Integers, logs: NDArray[np.float64], behaviour: int, config: EpisodeConfig,
              reward: Reward) -> Episode:
     """The episode of actions [m] on the first m blocks of a take; what lies within the prefix is the truth."""
     length = len(actions)

@@ -15,23 +15,9 @@ from torch.nn import functional
 
 from data_module.layers import BlockLinear
 from interpreters.base import BlockFeatures
+from interpreters.settings import GateConfig
 
 Hidden = tuple[Tensor, Tensor]
-
-
-@dataclass(frozen=True)
-class GateConfig:
-    """Sizes of the activity gate."""
-
-    audio_features: int = 32
-    """Width of the FC on three blocks of low-level audio: loudness and intonation, not meaning."""
-    audio_bottleneck: int = 0
-    """Width that each row of audio is brought to before that FC; 0 for none."""
-    width: int = 64
-    layers: int = 1
-    dropout: float = 0.1
-    use_speaker: bool = True
-    """Performers differ most of all in how often they gesture."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +73,19 @@ class ActivityGate(nn.Module):
 
     def start(self, speaker: int) -> GateState:
         """The state before the first block, for a speaker (index)."""
-        one_hot = functional.one_hot(torch.tensor([speaker]), self.speakers).float()
-        return GateState(None, one_hot.to(self.classify.weight.device))
+        number = torch.tensor([speaker], device=self.classify.weight.device)
+        return GateState(None, functional.one_hot(number, self.speakers).float())
 
     @torch.inference_mode()
     def step(self, state: GateState, features: BlockFeatures) -> tuple[float, GateState]:
         """The probability of a gesture on this block, and the state after it."""
         logits, hidden = self.logits(features.low[None, None], state.speaker, state.hidden)
         return float(torch.sigmoid(logits[0, 0].double())), GateState(hidden, state.speaker)
+
+    @staticmethod
+    def opened(probability: float, activity: float) -> bool:
+        """See `opened`."""
+        return opened(probability, activity)
 
 
 def opened(probability: float, activity: float) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -10,51 +10,10 @@ from torch.nn import functional
 
 from data_module.layers import BlockLinear, repeat_frames
 from interpreters.base import BlockFeatures, Scores
-from interpreters.text_head import Reading
+from interpreters.settings import LstmConfig
 
 Hidden = tuple[Tensor, Tensor]
 _NO_TEXT = "this interpreter reads text; take the audio-only one"
-
-
-@dataclass(frozen=True)
-class LstmConfig:
-    """Sizes of the lexeme interpreter."""
-
-    audio_features: int = 128
-    """d_A~, width of E_A^lex."""
-    audio_bottleneck: int = 0
-    """Width that each row of audio is brought to before E_A^lex; 0 for none (the paper)."""
-    width: int = 512
-    layers: int = 1
-    text_features: int = 0
-    """d_t~, width of the FC on word vectors; 0 is the audio-only interpreter (RG 6.3)."""
-    text_blocks: int = 1
-    """Blocks of text that are read: 1 (the paper), or 3, the one before and the one after too."""
-    text_bottleneck: int = 0
-    """Width that a word vector is brought to before the FC; 0 for none (the paper)."""
-    text_reading: int = 0
-    """Width of a head that reads the words of three blocks beside the LSTM and adds to its scores; 0 (the paper) takes
-    `text_features` into the LSTM instead."""
-    reading_dropout: float = 0.5
-    use_control: bool = False
-    """Hear what is asked of the style (C_i of RG 7.2.1)."""
-    use_speaker: bool = True
-    """The one-hot I of Eq. 16."""
-    dropout: float = 0.1
-    label_smoothing: float = 0.0
-    own_past_until: float = 0.5
-    own_past_most: float = 0.5
-    """The share of previous lexemes that are its own predictions rises from 0 to `own_past_most` by this share of the
-    run (scheduled sampling in two passes)."""
-
-    @property
-    def reads(self) -> bool:
-        """Words are read, in one way or the other."""
-        return self.text_features > 0 or self.text_reading > 0
-
-    def without_text(self) -> LstmConfig:
-        """The settings of the audio-only twin (RG 6.3)."""
-        return replace(self, text_features=0, text_blocks=1, text_bottleneck=0, text_reading=0)
 
 
 @dataclass(frozen=True)
@@ -83,10 +42,14 @@ class LstmInterpreter(nn.Module):
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
         self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
                                        config.text_bottleneck) if config.text_features else None
-        self.reading = Reading(text_width, config.text_reading, config.text_bottleneck or text_width, lexemes.shape[1],
-                               speakers, len(lexemes), config.reading_dropout) if config.text_reading else None
+        self.text_head = None
+        if config.text_head:
+            from interpreters.text_head import TextHead
+
+            self.text_head = TextHead(text_width, config.text_head, config.text_bottleneck or text_width,
+                                      lexemes.shape[1], speakers, len(lexemes), config.text_head_dropout)
         self.held = False
-        """All but the reading head is held as it is."""
+        """All but the text head is held as it is."""
         self.control_width = control_width if config.use_control else 0
         width = config.audio_features + lexemes.shape[1] + (speakers if config.use_speaker else 0)
         width += config.text_features + self.control_width
@@ -95,33 +58,33 @@ class LstmInterpreter(nn.Module):
         self.classify = nn.Linear(config.width, len(lexemes))
 
     @torch.no_grad()
-    def begin_as(self, deaf: LstmInterpreter) -> None:
+    def init_from_audio_only(self, audio_only: LstmInterpreter) -> None:
         """Take over the weights of an audio-only interpreter of the same sizes; the words then begin without a say.
 
-        With a reading head the rest is then held as it is. Else the columns of the first LSTM layer that read the words
+        With a text head the rest is then held as it is. Else the columns of the first LSTM layer that read the words
         start at zero, so both give the same scores at first.
         """
-        if self.reading is not None:
-            self.load_state_dict(deaf.state_dict(), strict=False)
+        if self.text_head is not None:
+            self.load_state_dict(audio_only.state_dict(), strict=False)
             for name, parameter in self.named_parameters():
-                parameter.requires_grad_(name.startswith("reading."))
+                parameter.requires_grad_(name.startswith("text_head."))
             # What is held as it is need not be kept from memorising, nor be taught to bear its own mistakes.
             self.held, self.dropout.p = True, 0.0
             return
         own = self.state_dict()
-        for name, value in deaf.state_dict().items():
+        for name, value in audio_only.state_dict().items():
             if name != "lstm.weight_ih_l0":
                 own[name].copy_(value)
         before = self.config.audio_features + self.lexemes.shape[1]
         width = self.config.text_features
-        first = dict(deaf.lstm.named_parameters())["weight_ih_l0"]
+        first = dict(audio_only.lstm.named_parameters())["weight_ih_l0"]
         own["lstm.weight_ih_l0"].copy_(torch.cat(
             [first[:, :before], first.new_zeros(len(first), width), first[:, before:]], dim=1))
 
     @property
     def weights(self) -> dict[str, float]:
         """Loss weights, keyed like `losses`."""
-        return {"cross_entropy": 1.0}
+        return {"nll": 1.0}
 
     def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
                text: Tensor | None = None, control: Tensor | None = None) -> tuple[Tensor, Hidden]:
@@ -145,14 +108,14 @@ class LstmInterpreter(nn.Module):
         out, hidden = self.lstm(rows, hidden)
         last = out.unflatten(1, (blocks, self.frames))[:, :, -1]
         heard = self.classify(self.dropout(last))
-        if self.reading is not None:
+        if self.text_head is not None:
             if text is None:
                 raise ValueError(_NO_TEXT)
-            heard = heard + self.reading(text, self.lexemes[previous], speaker)
+            heard = heard + self.text_head(text, self.lexemes[previous], speaker)
         return heard, hidden
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """Cross-entropy of the next lexeme.
+        """NLL of the next lexeme, in nats a block.
 
         batch: lexeme [B, N + 1] (with the silent hint), audio_high [B, N + 1, 3K, d], speaker [B, speakers],
         valid [B, N + 1], and text [B, N + 1, 3K, d_t + 1] and control [B, N + 1, K, 2 F] where they are heard. The
@@ -165,25 +128,27 @@ class LstmInterpreter(nn.Module):
         share = self.config.own_past_most * min(progress / max(self.config.own_past_until, 1e-9), 1.0)
         if self.training and share > 0 and not self.held:
             with torch.no_grad():
-                drawn = torch.distributions.Categorical(
+                sampled = torch.distributions.Categorical(
                     logits=self.scores(previous, audio, batch["speaker"], None, text, control)[0]).sample()
-            shifted = torch.cat([labels[:, :1], drawn[:, :-1]], 1)
+            shifted = torch.cat([labels[:, :1], sampled[:, :-1]], 1)
             previous = torch.where(torch.rand_like(previous, dtype=torch.float32) < share, shifted, previous)
         logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control)
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
                                         label_smoothing=self.config.label_smoothing)
         valid = batch["valid"][:, 1:].flatten()
-        return {"cross_entropy": (each * valid).sum() / valid.sum().clamp_min(1)}
+        return {"nll": (each * valid).sum() / valid.sum().clamp_min(1)}
 
     def start(self, speaker: int, first_lexeme: int) -> LstmState:
         """The state before the first block (the first lexeme comes back in `step` as the previous one)."""
-        return LstmState(None, functional.one_hot(torch.tensor([speaker]), self.speakers).float())
+        number = torch.tensor([speaker], device=self.lexemes.device)
+        return LstmState(None, functional.one_hot(number, self.speakers).float())
 
     @torch.inference_mode()
     def step(self, state: LstmState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, LstmState]:
         """Log-probabilities [S] of this block's lexeme."""
+        previous = torch.tensor([[previous_lexeme]], device=self.lexemes.device)
         logits, hidden = self.scores(
-            torch.tensor([[previous_lexeme]]), features.high[None, None], state.speaker, state.hidden,
+            previous, features.high[None, None], state.speaker, state.hidden,
             None if features.text is None else features.text[None, None],
             None if features.control is None else features.control[None, None])
-        return functional.log_softmax(logits[0, 0].double(), -1).numpy(), LstmState(hidden, state.speaker)
+        return functional.log_softmax(logits[0, 0].double(), -1).cpu().numpy(), LstmState(hidden, state.speaker)

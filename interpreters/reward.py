@@ -17,58 +17,19 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import freeze
+from interpreters.settings import LEAST_TEMPERATURE, RewardConfig
 
 Decode = Callable[[Tensor], Tensor]
 """Lexemes [B, W] to motion [B, W, K, D_m], each block decoded with the window around it."""
 
-LEAST_TEMPERATURE = 0.01
 _AT_ONCE = 25_000
 """Candidate windows that are scored in one go: bounds the memory of `RewardTable.sequence_every`."""
-
-
-@dataclass(frozen=True)
-class RewardConfig:
-    """Sizes of the reward model, and how the windows it is trained on are drawn."""
-
-    width: int = 96
-    """C, the width of a block's token and of every layer."""
-    projection: int = 64
-    """P, the width of the space that motion and audio share."""
-    kernel: int = 3
-    """Taps of a convolution, in blocks."""
-    dilations: tuple[int, ...] = (1, 2, 4)
-    """One residual layer each; together with the kernel they reach 15 blocks, more than `longest`."""
-    dropout: float = 0.1
-    temperature: float = 0.07
-    """tau of RACER Eq. 7 at the start; it is learned and never falls below 0.01."""
-    window: int = 8
-    """W, the blocks that a reward looks back on, this one included."""
-    shortest: int = 2
-    """Blocks of the shortest training window: the first blocks of a recording have little to look back on."""
-    longest: int = 12
-    """Blocks of the longest training window."""
-    tempo: bool = False
-    """Tell the motion side how long each block lasts. The audio side knows, so this gives the pair away: durations
-    alone, without any motion, then find 9 pairs in 10, and a policy cannot change them."""
-    rivals: int = 4
-    """H, further negatives of each window that is shown decoded: itself with some of its last lexemes replaced. Without
-    them a single lexeme hardly moves the reward, and not towards the right one."""
-    decoded: float = 0.5
-    """Share of the motion blocks that are decoded from the lexicon in training, the others being captured. The policy's
-    motion is always decoded; without any in training the reward would tell how decoded a motion looks."""
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.shortest <= self.window <= self.longest:
-            raise ValueError("windows need 1 <= shortest <= window <= longest")
-        if self.temperature < LEAST_TEMPERATURE or not 0 <= self.decoded <= 1 or self.kernel < 1:
-            raise ValueError(f"temperature must be {LEAST_TEMPERATURE} at least, decoded a share, kernel positive")
 
 
 def contrast(motion: Tensor, audio: Tensor, temperature: Tensor | float, group: Tensor,

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from interpreters.episodes import BEHAVIOURS, Take, draw_starts
+from interpreters.episodes import BEHAVIOURS, Demonstration, draw_starts
 
 Score = Callable[[Tensor, Tensor, Tensor], Tensor]
 """Lexemes, block numbers and validity of trailing windows, each [B, W], to rewards [B]: `RewardTable.rewards`."""
@@ -39,7 +39,7 @@ class Observation:
 class Simulator:
     """B recordings in parallel. An episode begins anywhere in one, after the person's own lexemes."""
 
-    def __init__(self, takes: Sequence[Take], score: Score, window: int) -> None:
+    def __init__(self, takes: Sequence[Demonstration], score: Score, window: int) -> None:
         """takes: the recordings; score: the reward of a trailing window of `window` = W blocks. As in the offline data,
         a window reaches back before the start of the episode, to what the person did."""
         if window < 1 or max((len(take.blocks) for take in takes), default=0) < 2:

@@ -8,17 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interpreters.base import BlockFeatures, Scores
+from interpreters.settings import StatisticalConfig
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class StatisticalConfig:
-    """gain multiplies f^I - f_t inside the softmax (1 is the literal Eq. 24); condition_on_current multiplies by the
-    transition row of the lexeme just shown instead of averaging over all rows."""
-
-    gain: float = 1.0
-    condition_on_current: bool = False
 
 
 @dataclass(frozen=True)

@@ -9,25 +9,9 @@ from torch import Tensor, nn
 
 from data_module.layers import BlockLinear, repeat_frames
 from interpreters.base import BlockFeatures
+from interpreters.settings import StyleConfig
 
 Hidden = tuple[Tensor, Tensor]
-
-
-@dataclass(frozen=True)
-class StyleConfig:
-    """Sizes of the style interpreter."""
-
-    audio_features: int = 128
-    audio_bottleneck: int = 0
-    width: int = 256
-    layers: int = 1
-    text_features: int = 0
-    """d_t~ of Eq. 19; 0 leaves the text out (RG 6.3, Table 3)."""
-    text_blocks: int = 1
-    text_bottleneck: int = 0
-    use_speaker: bool = False
-    """Eq. 19 has no I."""
-    dropout: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -99,13 +83,15 @@ class StyleInterpreter(nn.Module):
 
     def start(self, speaker: int) -> StyleState:
         """The state before the first block: the zero code of stillness."""
-        one_hot = nn.functional.one_hot(torch.tensor([speaker]), self.speakers).float()
-        return StyleState(None, torch.zeros(1, self.code_width), one_hot)
+        device = self.lexemes.device
+        one_hot = nn.functional.one_hot(torch.tensor([speaker], device=device), self.speakers).float()
+        return StyleState(None, torch.zeros(1, self.code_width, device=device), one_hot)
 
     @torch.inference_mode()
     def step(self, state: StyleState, features: BlockFeatures, lexeme: int) -> tuple[Tensor, StyleState]:
         """The code [1, d_z] of this block, given its lexeme."""
-        code, hidden = self.codes(state.code[:, None], torch.tensor([[lexeme]]), features.low[None, None],
+        played = torch.tensor([[lexeme]], device=self.lexemes.device)
+        code, hidden = self.codes(state.code[:, None], played, features.low[None, None],
                                   state.speaker, state.hidden,
                                   None if features.text is None else features.text[None, None])
         return code[:, 0], StyleState(hidden, code[:, 0], state.speaker)

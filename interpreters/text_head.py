@@ -15,7 +15,7 @@ _PARTS = 6
 """The words of three blocks are averaged over half blocks: a gesture sets out before its word and outlasts it."""
 
 
-class Reading(nn.Module):
+class TextHead(nn.Module):
     """Word vectors of three blocks, the previous lexeme and the speaker to what is added to the scores [..., S].
 
     What the words ask for is weighed by what the hands do now and whose hands they are.

@@ -2,46 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
-from sklearn.cluster import KMeans
 from torch import Tensor, nn
 
 from data_module.layers import convolutions, masked_mean
 from lexicon.quantizer import Quantizer
-
-
-@dataclass(frozen=True)
-class LexiconConfig:
-    """Sizes and weights of the lexicon; the defaults are the paper's where it gives them."""
-
-    size: int = 50
-    """N_s, lexemes in the lexicon (50 Trinity and Chinese, 100 TED)."""
-    code_width: int = 192
-    """Width of a lexeme."""
-    widths: tuple[int, ...] = (64, 128, 156, 192)
-    """Channels of the four convolutions."""
-    kernel: int = 3
-    codebook: str = "ema"
-    """"ema", or "gradient" for the literal third term of Eq. 3."""
-    decay: float = 0.99
-    revive_below: float = 1.0
-    """A lexeme used less often than this per batch, on average, is revived."""
-    commitment: float = 1.0
-    """w_alpha of Eq. 3."""
-    codebook_weight: float = 1.0
-    """w_beta of Eq. 3 (only the gradient codebook has that term)."""
-    velocity: float = 0.0
-    acceleration: float = 0.0
-    """Weights of L1 velocity and acceleration errors; off in the paper."""
-    warm_up: float = 0.3
-    """Share of the training run as a plain autoencoder, before k-means starts the codebook."""
+from lexicon.settings import LexiconConfig
 
 
 class Lexicon(nn.Module):
     """Encoder E, codebook S and decoder D over blocks [B, K, D_m]."""
 
+    one_by_one = True
+    """A lexeme is one block, whatever stands beside it."""
     present: Tensor
 
     def __init__(self, config: LexiconConfig, frames: int, motion_width: int, present: Tensor | None = None) -> None:
@@ -98,6 +71,8 @@ class Lexicon(nn.Module):
     @torch.no_grad()
     def start_codebook(self, motion: Tensor, seed: int) -> None:
         """Place the lexemes by k-means on the latents of up to 10,000 blocks."""
+        from sklearn.cluster import KMeans  # takes a second to import, and only training asks for it
+
         generator = torch.Generator().manual_seed(seed)
         chosen = motion[torch.randperm(len(motion), generator=generator)[:10_000]]
         latents = self.latents(chosen).cpu().double().numpy()

@@ -22,42 +22,12 @@ many decoded ones. Recordings should therefore be coded whole, and a code decode
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
-from sklearn.cluster import KMeans
 from torch import Tensor, nn
 
 from data_module.layers import masked_mean
 from lexicon.quantizer import Quantizer
-
-STAGES = 3
-"""Times that the encoder halves the rate."""
-FRAMES = 2**STAGES
-"""Frames per code."""
-
-
-@dataclass(frozen=True)
-class RacerConfig:
-    """Sizes and weights of the codec; the defaults are the paper's where it gives them (RACER 5.2)."""
-
-    width: int = 512
-    """C, channels of every layer and width of a code."""
-    size: int = 512
-    """N, codes in the codebook."""
-    dilations: tuple[int, ...] = (1, 3, 9)
-    """Of the residual blocks of a stage, in the encoder's order; the decoder reverses them."""
-    velocity: float = 1.0
-    """alpha_1 of Eq. 5."""
-    acceleration: float = 1.0
-    """alpha_2 of Eq. 5."""
-    commitment: float = 0.1
-    """beta of Eq. 4."""
-    codebook: str = "ema"
-    """"ema", or "gradient" for the literal second term of Eq. 4."""
-    decay: float = 0.99
-    revive_below: float = 1.0
-    """A code used less often than this per batch (64 x 15 codes in the paper), on average, is revived."""
+from lexicon.settings import FRAMES, HALVINGS, RacerConfig
 
 
 class ResidualBlock(nn.Module):
@@ -76,7 +46,7 @@ class ResidualBlock(nn.Module):
 def encoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) -> nn.Sequential:
     """The encoder's column of the table: [B, D_m, T] to [B, C, T / 8]."""
     layers: list[nn.Module] = []
-    for stage in range(STAGES):
+    for stage in range(HALVINGS):
         layers.append(nn.Conv1d(width if stage else motion_width, width, 4, stride=2, padding=1))
         layers += [ResidualBlock(width, dilation) for dilation in dilations]
     return nn.Sequential(*layers, nn.Conv1d(width, width, 3, padding=1))
@@ -85,9 +55,9 @@ def encoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) ->
 def decoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) -> nn.Sequential:
     """The decoder's column of the table: [B, C, T / 8] to [B, D_m, T]."""
     layers: list[nn.Module] = [nn.Conv1d(width, width, 3, padding=1)]
-    for stage in range(STAGES):
+    for stage in range(HALVINGS):
         layers += [ResidualBlock(width, dilation) for dilation in reversed(dilations)]
-        out = motion_width if stage == STAGES - 1 else width
+        out = motion_width if stage == HALVINGS - 1 else width
         layers.append(nn.ConvTranspose1d(width, out, 4, stride=2, padding=1))
     return nn.Sequential(*layers)
 
@@ -95,6 +65,8 @@ def decoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) ->
 class RacerCodec(nn.Module):
     """Encoder, codebook Z and decoder over motion [B, T, D_m]; T is any multiple of 8 frames."""
 
+    one_by_one = False
+    """A code is of all that stands around it."""
     present: Tensor
 
     def __init__(self, config: RacerConfig, motion_width: int, present: Tensor | None = None) -> None:
@@ -150,6 +122,8 @@ class RacerCodec(nn.Module):
     @torch.no_grad()
     def start_codebook(self, motion: Tensor, seed: int, batch: int = 64) -> None:
         """Place the codes by k-means on up to 10,000 latents of motion [B, T, D_m]."""
+        from sklearn.cluster import KMeans  # takes a second to import, and only training asks for it
+
         latents = torch.cat([self.encode(part).flatten(0, 1) for part in motion.split(batch)])
         generator = torch.Generator().manual_seed(seed)
         chosen = torch.randperm(len(latents), generator=generator)[:10_000].to(latents.device)

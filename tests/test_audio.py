@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import struct
 import subprocess
@@ -152,6 +153,18 @@ def test_the_decoders_keep_quiet(tmp_path: Path, capfd: pytest.CaptureFixture[st
             load_speech(path)
         else:
             refused(path)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_a_damaged_file_prints_nothing_of_its_own(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A chunk of negative length sends the decoder to a place before the file's beginning."""
+    whole = bytearray(encoded(tone(16000), 16000, "AIFF"))
+    for place in range(12, 60):
+        data = bytes(whole[:place]) + b"\xff\xff\xff\xf0" + bytes(whole[place + 4:])
+        with contextlib.suppress(InputError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            load_speech(put(tmp_path, "a.aiff", data))
     assert capfd.readouterr() == ("", "")
 
 
@@ -421,5 +434,5 @@ def test_a_recording_that_is_too_low_is_told_its_gain() -> None:
         note = level_note(Speech(loud * np.float32(10 ** (gain / 20)), 16000))
         assert note is not None
         # Loud frames are at -26 dBFS, the usual level, so the gain is what was lost.
-        assert f"at {-26 + gain} dBFS" in note and f"volume={-gain}dB" in note
+        assert f"at {-26 + gain} dBFS" in note and f"--gain {-gain}" in note
     assert "silence" in str(level_note(Speech(np.zeros(16000, np.float32), 16000)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import mir_eval
 import numpy as np
@@ -15,9 +16,12 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.store import Store
-from eval import beat_labels, label_files
-from eval.beat_labels import Found, Marked, f_measure, judge, offset, scores
-from eval.label_files import Choice, Labels, find_labels, read_labels, read_table
+from eval import label_files
+from eval.commands import PROBE
+from eval.label_files import LabelChoice, Labels, find_labels, read_labels, read_table
+from eval.probes import beat_labels
+from eval.probes.beat_labels import Found, LabelledRecording, f_measure, judge, offset, scores
+from eval.table import load
 
 TIMES = [0.5, 1.25, 2.0]
 _LONG_GRID = """File type = "ooTextFile"
@@ -126,17 +130,17 @@ def test_huge_numbers_and_long_lines_cost_no_time(text: str, wrong: str | None, 
 def test_choices(tmp_path: Path) -> None:
     file = tmp_path / "marks"
     file.write_text("10\t20\tb\n30\t30\tb\n")
-    assert read_labels(file, Choice("middle", rate=20)).times == pytest.approx([0.75, 1.5])
-    assert read_labels(file, Choice("end", rate=1000)).times == pytest.approx([0.02, 0.03])
+    assert read_labels(file, LabelChoice("middle", rate=20)).times == pytest.approx([0.75, 1.5])
+    assert read_labels(file, LabelChoice("end", rate=1000)).times == pytest.approx([0.02, 0.03])
     file.write_text(_LONG_GRID)
-    assert read_labels(file, Choice(tier="words", at="end")).times == pytest.approx([3.0])
+    assert read_labels(file, LabelChoice(tier="words", at="end")).times == pytest.approx([3.0])
     file.write_text("file,ready,emphasis\na/one.bvh,0.1,0.5\ntwo,0.2,0.7\na/one.bvh,0.3,\n")
-    assert {name: told.times.tolist() for name, told in read_table(file, Choice(column="emphasis")).items()} == {
+    assert {name: told.times.tolist() for name, told in read_table(file, LabelChoice(column="emphasis")).items()} == {
         "a/one.bvh": [0.5], "two": [0.7]}
     assert label_files.is_table_of_recordings(file)
     for wrong in ({"at": "apex"}, {"rate": 0.0}):
         with pytest.raises(InputError):
-            Choice(**wrong)
+            LabelChoice(**wrong)
 
 
 def test_the_label_file_of_a_recording(tmp_path: Path) -> None:
@@ -170,14 +174,14 @@ def test_scores_of_a_case_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     labels = np.array([1.0, 5.0, 9.95, 15.0])
     clip = Found(np.array([1.05, 1.08, 10.01, 15.25]), labels, 20.0)  # a pair may lie across the edge of two pieces
     told = scores([clip, Found(np.zeros(0), np.array([2.0]), 4.0)], 0.1)
-    assert told["precision"]["mean"] == pytest.approx(0.5)
-    assert told["recall"]["mean"] == pytest.approx(0.4)
-    assert told["f"]["mean"] == pytest.approx(f_measure([clip, Found(np.zeros(0), np.array([2.0]), 4.0)], 0.1)) \
+    assert told["precision"].mean == pytest.approx(0.5)
+    assert told["recall"].mean == pytest.approx(0.4)
+    assert told["f"].mean == pytest.approx(f_measure([clip, Found(np.zeros(0), np.array([2.0]), 4.0)], 0.1)) \
         == pytest.approx(4 / 9)
-    assert told["f"]["low"] <= told["f"]["mean"] <= told["f"]["high"] and told["f"]["pieces"] == 3
+    assert told["f"].low <= told["f"].mean <= told["f"].high and told["f"].n == 3
     assert offset([clip]) == pytest.approx(60.0)  # 50, 60, 250; nothing lies within half a second of the label at 5
     nothing = scores([Found(np.zeros(0), labels, 20.0)], 0.1)
-    assert np.isnan(nothing["precision"]["mean"]) and nothing["why"] and nothing["recall"]["mean"] == 0.0
+    assert np.isnan(nothing["precision"].mean) and nothing["why"] and nothing["recall"].mean == 0.0
     assert np.isnan(offset([Found(np.zeros(0), labels, 20.0)]))
 
 
@@ -185,9 +189,9 @@ def test_many_beats_match_anything_and_the_controls_say_so() -> None:
     rng = np.random.default_rng(3)
     labels = np.sort(rng.uniform(0, 60, 60))
     dense = scores([Found(np.arange(0.1, 60, 0.2), labels, 60.0)], 0.2)
-    assert dense["recall"]["mean"] > 0.95 and dense["reached by"] and dense["p_value"] > 0.05
+    assert dense["recall"].mean > 0.95 and dense["reached by"] and dense["p_value"] > 0.05
     right = scores([Found(np.sort(labels + rng.normal(0, 0.02, 60)) % 60, labels, 60.0)], 0.1)
-    assert right["f"]["mean"] > 0.95 and not right["reached by"] and right["p_value"] < 0.01
+    assert right["f"].mean > 0.95 and not right["reached by"] and right["p_value"] < 0.01
 
 
 # ---------------------------------------------------------------------------------------------------- whole recordings
@@ -201,22 +205,22 @@ def _clicks(path: Path, times: list[float], seconds: float) -> None:
     soundfile.write(path, samples.clip(-1, 1), 16000)
 
 
-def test_the_onsets_of_a_click_train_are_its_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_onsets_of_a_click_train_are_its_labels(tmp_path: Path) -> None:
     times = [0.6 + 0.7 * n + 0.05 * (n % 3) for n in range(18)]
     _clicks(tmp_path / "train.wav", times, 14.0)
     (tmp_path / "train.txt").write_text("\n".join(f"{20 * time:.3f}" for time in times))
     out = tmp_path / "new" / "figures.json"
-    assert beat_labels.main(["--labels", str(tmp_path), "--sound", str(tmp_path / "train.wav"), "--label-fps", "20",
-                             "--tolerance", "0.05", "--out", str(out)]) == 0
-    told = json.loads(out.read_text())
-    assert set(told["rows"]) == {"onsets", "beats", "beats: onset", "beats: loud pseudo", "beats: even pseudo"}
-    onsets = told["rows"]["onsets"]
-    assert onsets["found"] == told["labels"] == 18 and abs(onsets["offset_ms"]) < 20
-    row = onsets["tolerances"]["0.05"]
-    assert row["f"]["mean"] == 1.0 and row["p_value"] < 0.01 and row["reached by"] == []
-    assert told["rows"]["beats: onset"]["tolerances"]["0.05"]["recall"]["mean"] == 1.0
-    assert told["rows"]["beats"]["tolerances"]["0.05"]["precision"]["mean"] < 0.7  # pseudo-beats lie between
-    assert "reached by" in capsys.readouterr().out and out.with_suffix(".md").is_file()
+    assert PROBE.main("gesticulator probe", [
+        "beat-labels", "--labels", str(tmp_path), "--sound", str(tmp_path / "train.wav"), "--label-fps", "20",
+        "--tolerance", "0.05", "--out", str(out)]) == 0
+    (table,) = load(out)
+    rows: Any = table.rows
+    assert list(rows) == ["onsets", "beats", "beats: onset", "beats: loud pseudo", "beats: even pseudo"]
+    onsets = rows["onsets"]
+    assert table.facts["labels"] == 18 == onsets["per_second"] * 14 and abs(onsets["offset_ms"]) < 20
+    assert onsets["f"].mean == 1.0 and onsets["p_value"] < 0.01 and onsets["reached by"] == ""
+    assert rows["beats: onset"]["recall"].mean == 1.0
+    assert rows["beats"]["precision"].mean < 0.7  # pseudo-beats lie between
 
 
 def test_frames_taken_for_seconds_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -225,7 +229,8 @@ def test_frames_taken_for_seconds_are_noticed(tmp_path: Path, capsys: pytest.Cap
     for arguments, wrong in (((), "--label-fps"), (("--label-fps", "20", "--tolerance", "0"), "not positive"),
                              (("--store", str(tmp_path)), "leave --sound")):
         with pytest.raises(SystemExit) as caught:
-            beat_labels.main(["--labels", str(tmp_path / "train.txt"), "--sound", str(tmp_path / "train.wav"),
+            PROBE.main("gesticulator probe", ["beat-labels", "--labels", str(tmp_path / "train.txt"), "--sound",
+                                              str(tmp_path / "train.wav"),
                               *arguments])
         told = capsys.readouterr().err
         assert caught.value.code == 2 and wrong in told and told.count("\n") == 1
@@ -240,12 +245,12 @@ def test_the_recordings_of_a_store_that_have_labels(tiny_store: Path, tmp_path: 
     assert truth is not None
     beats = [stroke.beat for stroke in truth.strokes]
     (tmp_path / f"{name}_beats.json").write_text(json.dumps(beats))
-    labels_of = beat_labels.labels_by_name(tmp_path, Choice())
+    labels_of = beat_labels.labels_by_name(tmp_path, LabelChoice())
     clips = beat_labels.from_store(store, None, labels_of)
     assert [clip.name for clip in clips] == [name]
     told = judge(clips, [0.1])
     row = told["rows"]["motion beats A"]["tolerances"]["0.1"]
-    assert row["recall"]["mean"] > 0.7 and "nearby" not in row["reached by"]
+    assert row["recall"].mean > 0.7 and "nearby" not in row["reached by"]
     with pytest.raises(InputError, match="has no labels"):
         beat_labels.from_store(store, [other], labels_of)
     with pytest.raises(InputError, match="fit none"):
@@ -262,7 +267,7 @@ def test_real_stroke_times_are_where_the_arms_come_to_rest(outside_data: Path, t
     rows = (strokes / "manifest.csv").read_text().splitlines()
     table = tmp_path / "some.csv"
     table.write_text("\n".join([rows[0], *(row for row in rows[1:] if "brad_Idle01" in row)]))
-    labels_of = beat_labels.labels_by_name(table, Choice(column="emphasis"))
+    labels_of = beat_labels.labels_by_name(table, LabelChoice(column="emphasis"))
     clips = beat_labels.from_files(None, strokes, labels_of, leave_out="ToIdle|ScratchHead|WeightShift")
     assert len(clips) > 10 and all(len(clip.labels.times) == 1 for clip in clips)
     told = judge(clips, [0.2])["rows"]["motion beats B"]
@@ -276,13 +281,13 @@ def test_a_real_take_marked_at_its_own_motion_beats(outside_data: Path, tmp_path
     marks = Labels(np.array([1.0]), "none yet")
     beats = beat_labels.detections(beat_labels._marked(motion, None, marks, None))["motion beats A"]
     (tmp_path / "own.txt").write_text("\n".join(f"{time:.6f}" for time in beats))
-    told = judge(beat_labels.from_files(sound, motion, beat_labels.labels_by_name(tmp_path / "own.txt", Choice())))
-    assert told["rows"]["motion beats A"]["tolerances"]["0.1"]["f"]["mean"] == 1.0
+    told = judge(beat_labels.from_files(sound, motion, beat_labels.labels_by_name(tmp_path / "own.txt", LabelChoice())))
+    assert told["rows"]["motion beats A"]["tolerances"]["0.1"]["f"].mean == 1.0
     for name in ("onsets", "beats"):  # real speech: far from 1, and chance beside it
         row = told["rows"][name]["tolerances"]["0.2"]
-        assert 0.2 < row["f"]["mean"] < 0.9 and 0.2 < row["controls"]["shifted"] < 0.9
+        assert 0.2 < row["f"].mean < 0.9 and 0.2 < row["controls"]["shifted"] < 0.9
 
 
 def test_a_label_beyond_the_recording_is_refused() -> None:
     with pytest.raises(InputError, match="has a label at"):
-        Marked("x", Labels(np.array([40.0]), "seconds"), 3.0)
+        LabelledRecording("x", Labels(np.array([40.0]), "seconds"), 3.0)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 from untrained import PLAIN, SILENT, untrained
 
 from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator import bundle as bundles
+from gesticulator import upgrade as upgrades
 from gesticulator.pipeline import Gesticulator
 
 PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text",
@@ -27,6 +32,14 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bundle with every part there is."""
     path = tmp_path_factory.mktemp("bundles") / "whole"
     bundles.save(untrained(), path, "a card")
+    return path
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The least bundle there is."""
+    path = tmp_path_factory.mktemp("bundles") / "small"
+    bundles.save(untrained(*PLAIN, *SMALL), path, "a card")
     return path
 
 
@@ -65,7 +78,9 @@ def test_every_part_survives_a_round_trip(whole: Path) -> None:
 @pytest.mark.parametrize("lacking", [("gate",), ("style_text",), ("q_network", "reward", "reward_judge"),
                                      ("interpreter_text", "style_text", "text")])
 def test_what_a_bundle_has_not_is_not_there_after_reading(lacking: tuple[str, ...], tmp_path: Path) -> None:
-    less = dataclasses.replace(untrained(), **dict.fromkeys(lacking))
+    less = untrained().with_parts(**dict.fromkeys(name for name in lacking if name != "text"))
+    if "text" in lacking:
+        less = dataclasses.replace(less, text=None)
     bundles.save(less, tmp_path / "less", "a card")
     read = bundles.load(tmp_path / "less")
     for name in (*PARTS, "text"):
@@ -92,51 +107,102 @@ def test_a_bundle_replaces_an_older_one_whole(whole: Path, tmp_path: Path) -> No
     assert [path.name for path in tmp_path.iterdir()] == ["copy"], "nothing left of the old one or of the writing"
 
 
-def test_a_file_that_the_listing_does_not_name_is_ignored(whole: Path, tmp_path: Path) -> None:
+def test_weights_that_the_listing_leaves_out_are_refused(whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     files = json.loads((copy / "bundle.json").read_text())["files"]
-    (copy / "gate.safetensors").write_bytes(b"not even a file of tensors")
     edit(copy, files={name: digest for name, digest in files.items() if name != "gate.safetensors"})
-    read = bundles.load(copy)
-    assert read.gate is None and read.interpreter_text is not None
+    with pytest.raises(InputError, match=r"gate\.safetensors: is not in the list"):
+        bundles.load(copy)
+    (copy / "gate.safetensors").unlink()
+    (copy / "notes.txt").write_text("what is no weights is nobody's business")
+    assert bundles.load(copy).gate is None
 
 
 NEW = {"encoder", "text", "control", "gate", "reward", "episodes", "cql", "tokens", "racer"}
-NEW_INSIDE = {"front_end": {"layers"}, "motion": {"representation"}, "silence": {"lexemes", "settle"},
+NEW_INSIDE = {"front_end": {"layers"}, "motion": {"representation"}, "silence": {"lexemes", "rest_decay"},
               "selection": {"activity", "guidance", "q_temperature"},
               "schedules": {"speech", "contrast", "gate", "interpreter_text", "reward", "cql"},
               "generator": {"audio_bottleneck", "use_control", "style_dropout"},
-              "interpreter": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck", "text_reading",
-                              "reading_dropout", "use_control"},
+              "interpreter": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck", "text_head",
+                              "text_head_dropout", "use_control"},
               "style": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck"}}
+SMALL = ("interpreter.audio_bottleneck=0", "style.audio_bottleneck=0", "generator.audio_bottleneck=0")
+SPEECH = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)
 
 
-def as_format_1(path: Path) -> Path:
-    """A bundle as version 0.1 wrote it: mel bands, and none of the settings that came later."""
-    plain = untrained(*PLAIN, "interpreter.audio_bottleneck=0", "style.audio_bottleneck=0",
-                      "generator.audio_bottleneck=0")
-    bundles.save(plain, path, "a card")
+def as_format_3(bundle: bundles.Bundle, path: Path, number: int = 3) -> Path:
+    """A bundle as it was written before names changed: without resting distances, under the old names."""
+    bundles.save(bundle, path, "| q_network | nll | 1 |")
     index = json.loads((path / "bundle.json").read_text())
-    del index["text"]
-    config = {key: value for key, value in index["config"].items() if key not in NEW}
-    for group, names in NEW_INSIDE.items():
-        config[group] = {key: value for key, value in config[group].items() if key not in names}
-    (path / "bundle.json").write_text(json.dumps({**index, "format": 1, "config": config}))
+    del index["audio_levels"]
+    for (group, old), new in upgrades.SETTINGS.items():
+        if new in index["config"].get(group, {}):
+            index["config"][group][old] = index["config"][group].pop(new)
+    for stem, (old, new) in upgrades.TENSORS.items():
+        file = path / f"{stem}.safetensors"
+        if file.exists():
+            save_file({old + key.removeprefix(new) if key.startswith(new) else key: value
+                       for key, value in load_file(file).items()}, file)
+    file = path / "statistics.safetensors"
+    save_file({key: value for key, value in load_file(file).items() if key != "rest_distances"}, file)
+    for file in path.glob("*.safetensors"):
+        index["files"][file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+    index["figures"] = {"cql": {"cross_entropy": 1.0}}
+    (path / "bundle.json").write_text(json.dumps({**index, "format": number}))
     return path
 
 
-def test_a_bundle_of_format_1_still_gestures(tmp_path: Path) -> None:
-    read = bundles.load(as_format_1(tmp_path / "old"))
+def test_format_3_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: Path) -> None:
+    made = untrained("interpreter.text_features=0", "interpreter.text_head=6", "silence.rest_decay=0.3")
+    old = as_format_3(made, tmp_path / "old")
+    assert "settle" in (old / "bundle.json").read_text() and "reading." in str(
+        list(load_file(old / "lexeme_interpreter_text.safetensors")))
+    with pytest.raises(InputError, match=r"format 3, and this version reads format 4; run gesticulator bundle upgrade"):
+        bundles.load(old)
+    upgrades.upgrade(old, tmp_path / "new")
+    read = bundles.load(tmp_path / "new")
+    assert read.config == made.config and read.figures == {"q_network": {"nll": 1.0}}
+    for name in PARTS:
+        assert same_weights(getattr(made, name), getattr(read, name)), name
+    bundles.save(made, tmp_path / "today", "a card")
+    one, two = (Gesticulator.from_pretrained(tmp_path / name)(SPEECH, activity=0.5).motion.rotations
+                for name in ("today", "new"))
+    np.testing.assert_array_equal(one, two)
+    assert all(made.rest_lexeme(k) == read.rest_lexeme(k) for k in range(len(made.speakers)))
+
+
+def test_a_bundle_of_format_1_is_upgraded_and_gestures(tmp_path: Path) -> None:
+    old = as_format_3(untrained(*PLAIN, *SMALL), tmp_path / "old", 1)
+    index = json.loads((old / "bundle.json").read_text())
+    del index["text"]
+    config = {key: value for key, value in index["config"].items() if key not in NEW}
+    for group, names in NEW_INSIDE.items():
+        names = names | {old_name for (g, old_name) in upgrades.SETTINGS if g == group}
+        config[group] = {key: value for key, value in config[group].items() if key not in names}
+    (old / "bundle.json").write_text(json.dumps({**index, "config": config}))
+    upgrades.upgrade(old, tmp_path / "upgraded")
+    read = bundles.load(tmp_path / "upgraded")
     assert (read.encoder, read.gate, read.text, read.levels, read.interpreter_text) == (None,) * 5
-    speech = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)
-    made = Gesticulator(read)(speech)
+    made = Gesticulator(read)(SPEECH)
     assert np.isfinite(made.motion.rotations).all() and made.motion.duration == pytest.approx(2.0, abs=0.02)
     # What the settings mean has not changed: the same weights under today's settings move the same.
-    plain = untrained(*PLAIN, "interpreter.audio_bottleneck=0", "style.audio_bottleneck=0",
-                      "generator.audio_bottleneck=0")
-    bundles.save(plain, tmp_path / "new", "a card")
-    again = Gesticulator(bundles.load(tmp_path / "new"))(speech)
-    np.testing.assert_array_equal(made.motion.rotations, again.motion.rotations)
+    bundles.save(untrained(*PLAIN, *SMALL), tmp_path / "new", "a card")
+    today = Gesticulator.from_pretrained(tmp_path / "new")(SPEECH)
+    np.testing.assert_array_equal(made.motion.rotations, today.motion.rotations)
+
+
+def test_what_cannot_be_upgraded_is_one_line_and_writes_nothing(whole: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has format 4"):
+        upgrades.upgrade(whole, tmp_path / "new")
+    old = as_format_3(untrained(*PLAIN), tmp_path / "old")
+    (old / "generator.safetensors").write_bytes(b"x")
+    with pytest.raises(InputError, match=r"generator\.safetensors.*SHA-256"):
+        upgrades.upgrade(old, tmp_path / "new")
+    index = json.loads((old / "bundle.json").read_text())
+    (old / "bundle.json").write_text(json.dumps({**index, "files": {}, "speakers": 7}))
+    with pytest.raises(InputError):
+        upgrades.upgrade(old, tmp_path / "new")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["old"]
 
 
 def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) -> None:
@@ -146,31 +212,16 @@ def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) 
     shutil.copy(tmp_path / "other" / "q_network.safetensors", copy)
     foreign = json.loads((tmp_path / "other" / "bundle.json").read_text())["files"]["q_network.safetensors"]
     edit(copy, files={**json.loads((copy / "bundle.json").read_text())["files"], "q_network.safetensors": foreign})
+    opened = bundles.load(copy)
     with pytest.raises(InputError, match=r"q_network\.safetensors.*another lexicon"):
-        bundles.load(copy)
+        _ = opened.q_network
 
 
-def test_a_bundle_of_format_2_still_gestures(tmp_path: Path) -> None:
-    bundles.save(untrained("schedules.cql.steps=0"), tmp_path / "old", "a card")
-    index = json.loads((tmp_path / "old" / "bundle.json").read_text())
-    config = {key: value for key, value in index["config"].items()
-              if key not in ("reward", "episodes", "cql", "tokens", "racer")}
-    config["interpreter"] = {key: value for key, value in config["interpreter"].items() if "reading" not in key}
-    for group, names in {"schedules": ("reward", "cql"), "selection": ("q_temperature",)}.items():
-        config[group] = {key: value for key, value in config[group].items() if key not in names}
-    edit(tmp_path / "old", format=2, config=config)
-    system = Gesticulator(bundles.load(tmp_path / "old"))
-    speech = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)
-    assert np.isfinite(system(speech).motion.rotations).all()
-    with pytest.raises(InputError, match=r"--interpreter cql: is not in the bundle.*lstm, statistical"):
-        system(speech, interpreter="cql")
-
-
-@pytest.mark.parametrize("number", [0, 4, 99, "2", None])
+@pytest.mark.parametrize("number", [0, 5, 99, "2", None, True, 10**400])
 def test_an_unknown_format_is_refused_by_its_number(number: object, whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     edit(copy, format=number)
-    with pytest.raises(InputError, match=f"format {number}"):
+    with pytest.raises(InputError, match=f"format {str(number)[:20]}"):
         bundles.load(copy)
 
 
@@ -180,8 +231,9 @@ def test_broken_and_foreign_bundles_are_refused_by_name(whole: Path, tmp_path: P
         file = copy / f"{name}.safetensors"
         before = file.read_bytes()
         file.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
+        opened = bundles.load(copy)
         with pytest.raises(InputError, match=rf"{name}\.safetensors.*SHA-256"):
-            bundles.load(copy)
+            _ = opened.parts[{file: part for part, file in bundles.FILES.items()}[name]]
         file.write_bytes(before)
     (copy / "generator.safetensors").unlink()
     with pytest.raises(InputError, match="missing"):
@@ -201,15 +253,16 @@ def test_broken_and_foreign_bundles_are_refused_by_name(whole: Path, tmp_path: P
 def test_an_interpreter_that_reads_needs_to_know_what(text: object, whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     edit(copy, text=text)
-    with pytest.raises(InputError, match="does not fit together"):
-        bundles.load(copy)
+    with pytest.raises(InputError, match=r"lexeme_interpreter_text.*does not fit the settings|under text"):
+        _ = bundles.load(copy).interpreter_text
 
 
 def test_a_bundle_without_an_interpreter_is_refused(whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     files = json.loads((copy / "bundle.json").read_text())["files"]
     edit(copy, files={name: digest for name, digest in files.items() if name != "lexeme_interpreter.safetensors"})
-    with pytest.raises(InputError):
+    (copy / "lexeme_interpreter.safetensors").unlink()
+    with pytest.raises(InputError, match="lacks interpreter"):
         bundles.load(copy)
 
 
@@ -228,3 +281,152 @@ def test_a_bundle_never_replaces_something_else(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a bundle"):
         bundles.save(untrained(*PLAIN), tmp_path / "precious", "card")
     assert [p.name for p in tmp_path.iterdir()] == ["precious"]
+
+
+# ---- what a bundle must survive
+
+def rehashed(folder: Path, name: str, tensors: dict[str, torch.Tensor]) -> None:
+    """Put other tensors into a file of weights, and their hash into the list."""
+    save_file(tensors, folder / name)
+    files = json.loads((folder / "bundle.json").read_text())["files"]
+    edit(folder, files={**files, name: hashlib.sha256((folder / name).read_bytes()).hexdigest()})
+
+
+@pytest.mark.parametrize("text", [
+    "", "[]", "7", "null", '"x"', "[" * 100_000, '{"a":' * 50_000, "{}", '{"format": 4}', "\x00\xff", "NaN",
+    '{"format": 1e999}', '{"format": ' + "9" * 5000 + "}"])
+def test_a_list_that_is_none_is_one_line(text: str, small: Path, tmp_path: Path) -> None:
+    copy = copy_of(small, tmp_path)
+    (copy / "bundle.json").write_text(text)
+    with pytest.raises(InputError) as error:
+        bundles.load(copy)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 600
+
+
+@pytest.mark.parametrize("key", ["config", "skeleton", "speakers", "silent_lexemes", "files", "provenance", "figures",
+                                 "audio_levels", "text"])
+@pytest.mark.parametrize("value", [None, [], {}, 7, -1, 10**400, "x", [[]], [None], {"a": None}, [10**400], True,
+                                   float("nan"), {"names": 3}, {"encoder": "", "width": 10**400}])
+def test_other_things_under_a_key_are_one_line(key: str, value: object, small: Path, tmp_path: Path) -> None:
+    copy = copy_of(small, tmp_path)
+    was = json.loads((copy / "bundle.json").read_text())[key]
+    edit(copy, **{key: value})
+    said = ""
+    try:
+        opened = bundles.load(copy)
+        for name in opened.parts:
+            _ = opened.parts[name]
+    except InputError as error:
+        said = str(error)
+    assert "\n" not in said and len(said) < 600
+    # Nobody reads the first two at inference; others may be as they were, or mean something.
+    assert said or key in ("provenance", "figures", "silent_lexemes", "text") or value == was
+
+
+def test_a_missing_key_is_named(small: Path, tmp_path: Path) -> None:
+    copy = copy_of(small, tmp_path)
+    index = json.loads((copy / "bundle.json").read_text())
+    for key in ("config", "speakers", "files", "audio_levels"):
+        (copy / "bundle.json").write_text(json.dumps({k: v for k, v in index.items() if k != key}))
+        with pytest.raises(InputError, match=f"lacks {key}"):
+            bundles.load(copy)
+
+
+def test_sizes_that_the_weights_do_not_have_are_refused_before_memory_is_taken(small: Path, tmp_path: Path) -> None:
+    copy = copy_of(small, tmp_path)
+    code = """
+import json, pathlib, resource, sys
+from data_module.errors import InputError
+from gesticulator.bundle import load
+folder = pathlib.Path(sys.argv[1])
+text = (folder / "bundle.json").read_text()
+loaded = load(folder)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+for path in ("lexicon.size", "lexicon.code_width", "generator.lstm_width", "generator.hidden", "interpreter.width"):
+    index, (group, name) = json.loads(text), path.split(".")
+    index["config"][group][name] = 65536
+    (folder / "bundle.json").write_text(json.dumps(index))
+    try:
+        loaded = load(folder)
+        [loaded.parts[name] for name in loaded.parts]
+        print("opened")
+    except InputError as error:
+        print(error)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+    done = subprocess.run([sys.executable, "-c", code, str(copy)], capture_output=True, text=True, check=True)
+    *said, grown = done.stdout.splitlines()
+    assert len(said) == 5 and all("does not fit the settings" in line for line in said), said
+    assert int(grown) < 100_000, "kilobytes"
+
+
+@pytest.mark.parametrize(("group", "name", "value"), [
+    ("lexicon", "size", 40_000_000), ("lexicon", "size", 0), ("lexicon", "size", 10**400), ("lexicon", "size", "12"),
+    ("lexicon", "widths", []), ("lexicon", "widths", "abc"), ("generator", "lstm_layers", 10**6),
+    ("rhythm", "fps", -1), ("rhythm", "beats", 3), ("cql", "heads", 0), ("silence", "rest_decay", float("nan")),
+    ("generator", "residual", 1), ("motion", "representation", "dance"), ("schedules", "lexicon", {"steps": 1})])
+def test_settings_that_cannot_be_are_refused_by_name(group: str, name: str, value: object, small: Path, tmp_path: Path
+                                                     ) -> None:
+    copy = copy_of(small, tmp_path)
+    index = json.loads((copy / "bundle.json").read_text())
+    index["config"][group][name] = value
+    (copy / "bundle.json").write_text(json.dumps(index))
+    with pytest.raises(InputError) as error:
+        _ = bundles.load(copy).parts["lexicon"]
+    assert "\n" not in str(error.value) and len(str(error.value)) < 600
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_no_numbers_are_found_at_loading(value: float, small: Path, tmp_path: Path) -> None:
+    copy = copy_of(small, tmp_path)
+    tensors = load_file(copy / "generator.safetensors")
+    tensors["to_motion.bias"][3] = value
+    rehashed(copy, "generator.safetensors", tensors)
+    with pytest.raises(InputError, match=r"generator\.safetensors: holds values that are no num.*\(to_motion\.bias\)"):
+        _ = bundles.load(copy).generator
+
+
+def test_other_tensors_are_told_by_name(small: Path, tmp_path: Path) -> None:
+    for number, change in enumerate((lambda t: t.pop("to_motion.bias"), lambda t: t.update(more=torch.zeros(1)),
+                                     lambda t: t.update({"to_motion.bias": torch.zeros(3)}))):
+        copy = Path(shutil.copytree(small, tmp_path / str(number)))
+        tensors = load_file(copy / "generator.safetensors")
+        change(tensors)
+        rehashed(copy, "generator.safetensors", tensors)
+        with pytest.raises(InputError, match=r"does not fit the settings \((to_motion\.bias|more):"):
+            _ = bundles.load(copy).generator
+
+
+@pytest.mark.parametrize("data", [b"", b"x", b"\xff" * 64, (2**62).to_bytes(8, "little") + b"{}",
+                                  (2).to_bytes(8, "little") + b"{}", (40).to_bytes(8, "little") + b"[" * 40])
+@pytest.mark.parametrize("name", ["statistics", "lexicon", "generator"])
+def test_a_broken_file_of_weights_with_the_right_hash_is_one_line(name: str, data: bytes, small: Path, tmp_path: Path
+                                                                  ) -> None:
+    copy = copy_of(small, tmp_path)
+    (copy / f"{name}.safetensors").write_bytes(data)
+    files = json.loads((copy / "bundle.json").read_text())["files"]
+    edit(copy, files={**files, f"{name}.safetensors": hashlib.sha256(data).hexdigest()})
+    with pytest.raises(InputError) as error:
+        _ = bundles.load(copy).generator
+    assert f"{name}.safetensors" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_only_what_is_asked_for_is_opened(whole: Path, tmp_path: Path) -> None:
+    copy = copy_of(whole, tmp_path)
+    for name in ("reward", "reward_judge", "q_network", "gate", "lexeme_interpreter_text", "style_interpreter_text"):
+        (copy / f"{name}.safetensors").write_bytes(b"not weights at all")
+    system = Gesticulator.from_pretrained(copy)
+    intact = Gesticulator.from_pretrained(whole)
+    np.testing.assert_array_equal(system(SPEECH).motion.rotations, intact(SPEECH).motion.rotations)
+    with pytest.raises(InputError, match=r"q_network\.safetensors"):
+        system(SPEECH, interpreter="cql")
+
+
+def test_a_part_is_opened_once(whole: Path) -> None:
+    read = bundles.load(whole)
+    assert read.generator is read.generator
+    other = read.with_parts(gate=None, style=read.style)
+    assert other.gate is None and "gate" not in other.parts and other.generator is read.generator
+    assert read.gate is not None and len(read.parts) == len(other.parts) + 1
+    with pytest.raises(ValueError, match="gait"):
+        read.with_parts(gait=None)

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from data_module.errors import InputError
-from generator.model import Generator
-from gesticulator.config import PRESETS, Config, digest, from_dict, preset, to_dict, with_settings
+from generator.model import Generator, GeneratorWidths
+from gesticulator.config import Config, digest, from_dict, to_dict, with_settings
+from gesticulator.presets import PRESETS, preset
 from lexicon.autoencoder import Lexicon
 
 
@@ -88,7 +89,8 @@ def test_the_papers_sizes_run_through_one_step_of_training() -> None:
     config = preset("paper-trinity")
     frames, width, audio = config.rhythm.frames, 48, config.encoder.width + 3
     lexicon = Lexicon(config.lexicon, frames, width).eval()
-    model = Generator(config.generator, frames, width, audio, config.lexicon.code_width, style_blocks=4)
+    widths = GeneratorWidths(frames, width, audio, config.lexicon.code_width)
+    model = Generator(config.generator, widths, style_blocks=4)
     batch = {"motion": torch.randn(2, 3, frames, width), "audio": torch.randn(2, 3, 3 * frames, audio),
              "lexeme": lexicon.vectors[torch.randint(50, (2, 3))], "style": torch.tensor([[1, 2, 3], [2, 3, 4]]),
              "mask": torch.ones(2, width), "valid": torch.ones(2, 3)}

@@ -360,9 +360,9 @@ def test_a_bad_csv_names_its_line(tmp_path: Path, text: str, told: str) -> None:
 def test_what_is_not_text_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "sound.csv"
     file.write_bytes(bytes(range(128, 256)) * 4)
-    with pytest.raises(InputError, match=r"sound\.csv: is not text"):
+    with pytest.raises(InputError, match=r"sound\.csv: line 1: is not text"):
         parse("--hand-radius", str(file), "radius", levels())
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is a folder"):
         parse("--hand-radius", str(tmp_path), "radius", levels())
     file.write_text("0," + "1" * 200_000)
     with pytest.raises(InputError, match=r"sound\.csv: is no CSV file"):

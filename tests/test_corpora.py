@@ -254,6 +254,8 @@ def test_what_lies_beside_a_recording_is_checked(told: dict[str, Any], says: str
 @pytest.mark.parametrize("told", [
     {"strokes": [{"lexeme": "a"}], "syllables": [], "phrases": []}, {"strokes": 3}, {"strokes": [], "syllables": []},
     {"strokes": [], "syllables": [], "phrases": [{"start": "0", "end": 1, "effort": 0}]},
+    {"strokes": [], "syllables": [], "phrases": [{"start": 10 ** 400, "end": 1, "effort": 0}]},
+    {"words": [{"text": "a", "start": 10 ** 400, "end": 1}]},
     {"words": [{"text": "a", "start": "0", "end": 1}]}, {"words": [{"text": "a"}]},
     {"words": [{"text": 3, "start": 0}]},
 ])

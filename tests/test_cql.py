@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from data_module.layers import parameter_count
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
-from interpreters.cql import ConservativeQ, QConfig, QNetwork, backed_up, conservative_q_loss, cross_entropy
+from interpreters.cql import ConservativeQ, DecisionBatch, QConfig, QNetwork, backed_up, conservative_q_loss, data_nll
 from interpreters.transformer import sliding, two_stream_mask
 
 FRAMES, AUDIO, SIZE, SPEAKERS, WINDOW = 3, 2, 5, 2, 6
@@ -262,7 +262,7 @@ def test_an_action_outside_its_set_is_not_pushed_up_for_ever() -> None:
     values = torch.zeros(1, 2, SIZE, requires_grad=True)
     allowed = torch.ones(1, 2, SIZE, dtype=torch.bool)
     allowed[0, 0, 2] = False
-    each = cross_entropy(values, torch.tensor([[2, 2]]), allowed)
+    each = data_nll(values, torch.tensor([[2, 2]]), allowed)
     each.sum().backward()
     assert values.grad is not None and not values.grad[0, 0].any() and values.grad[0, 1].any()
 
@@ -298,10 +298,9 @@ def by_hand(**changes: Tensor) -> tuple[Tensor, Tensor]:
     given = {"valid": torch.ones(1, 2), "known": torch.ones(1, 2), "cloned": torch.ones(1, 2),
              "terminal": torch.tensor([[False, True]]), **changes}
     return conservative_q_loss(torch.tensor([[[1.0, 3.0], [0.0, 2.0]]]), torch.tensor([[4.0, 8.0]]),
-                               torch.tensor([[0, 1]]), torch.tensor([[1.0, 0.5]]), given["terminal"],
-                               torch.ones(1, 2, 2, dtype=torch.bool), gamma=0.5, valid=given["valid"],
-                               known=given["known"], cloned=given["cloned"],
-                               huber=float(changes.get("huber", torch.tensor(0.0))))
+                               DecisionBatch(torch.tensor([[0, 1]]), torch.tensor([[1.0, 0.5]]), given["terminal"],
+                                         torch.ones(1, 2, 2, dtype=torch.bool), given["valid"], given["known"],
+                                         given["cloned"]), 0.5, huber=float(changes.get("huber", torch.tensor(0.0))))
 
 
 def test_the_two_terms_by_hand() -> None:
@@ -318,8 +317,8 @@ def test_the_two_terms_by_hand() -> None:
 def test_no_gradient_runs_through_the_target() -> None:
     values, ahead = (torch.zeros(shape, requires_grad=True) for shape in ((1, 2, 2), (1, 2)))
     ones, none = torch.ones(1, 2), torch.zeros(1, 2, dtype=torch.bool)
-    _, difference = conservative_q_loss(values, ahead, torch.tensor([[0, 1]]), ones, none, torch.ones(1, 2, 2).bool(),
-                                        gamma=0.5, valid=ones, known=ones, cloned=ones)
+    done = DecisionBatch(torch.tensor([[0, 1]]), ones, none, torch.ones(1, 2, 2).bool(), ones, ones, ones)
+    _, difference = conservative_q_loss(values, ahead, done, 0.5)
     difference.backward()
     assert ahead.grad is None and values.grad is not None and values.grad.any()
 
@@ -436,7 +435,7 @@ def test_the_target_is_copied_when_its_time_has_come() -> None:
 
 
 def test_a_run_that_was_stopped_goes_on_as_one_that_was_not(tmp_path: Path) -> None:
-    from gesticulator.fit import FitSettings, fit
+    from gesticulator.fit import FitOptions, FitSettings, Task, fit
 
     settings = FitSettings(steps=8, batch=4, rate=1e-2, betas=(0.5, 0.999))
     results = []
@@ -444,9 +443,9 @@ def test_a_run_that_was_stopped_goes_on_as_one_that_was_not(tmp_path: Path) -> N
         (tmp_path / name).mkdir()
         for stop in stops:
             learner = ConservativeQ(network(dropout=0.2, copy_every=3))
-            fit("cql", learner, lambda rng: windows(seed=int(rng.integers(1000))), learner.losses, settings,
-                tmp_path / name, seed=1, before_step=learner.before_step, progress=False, stop_after=stop,
-                checkpoint_seconds=0.0)
+            task = Task(lambda rng: windows(seed=int(rng.integers(1000))), before_step=learner.before_step)
+            fit("cql", learner, task, settings, tmp_path / name,
+                FitOptions(seed=1, progress=False, stop_after=stop, checkpoint_seconds=0.0))
         results.append(learner.state_dict())
     for key, value in results[0].items():
         torch.testing.assert_close(value, results[1][key], rtol=0, atol=0, msg=key)

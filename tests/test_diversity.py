@@ -55,7 +55,7 @@ def test_undefined_is_nan_with_a_reason() -> None:
     assert math.isnan(nothing.nats) and math.isnan(nothing.bits) and math.isnan(nothing.share) and nothing.reason
     alone = diversity([0, 0], 1)
     assert alone.nats == 0 and math.isnan(alone.share) and alone.reason
-    assert diversity([], 4).to_dict()["blocks"] == 0
+    assert diversity([], 4).blocks == 0
 
 
 @pytest.mark.parametrize("labels", [[0, 4], [-1, 0], [0.5, 1.0], [[0, 1]]])
@@ -96,7 +96,7 @@ def test_motion_variance_undefined_and_refused() -> None:
                                      (np.full((2, 3), np.nan), [0, 1], np.ones((4, 3)))]:
         with pytest.raises(ValueError):
             motion_variance(latents, labels, vectors)
-    assert once.to_dict()["lexemes"] == 0
+    assert once.lexemes == 0
 
 
 def test_the_nearest_lexeme_is_scipys() -> None:

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from eval.table import Table, load
 from gesticulator.cli import Command
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -233,31 +234,37 @@ def result(name: str) -> Any:
     return json.loads((DOCS / "results" / name).read_text(encoding="utf-8"))
 
 
-def interval(values: dict[str, float], digits: int) -> str:
-    return f"{values['mean']:.{digits}f} [{values['low']:.{digits}f}, {values['high']:.{digits}f}]"
+def tables(name: str) -> dict[str, Table]:
+    return {table.title: table for table in load(DOCS / "results" / name)}
 
 
 def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
-    found, style, speed = result("figures.json"), result("style_editing.json"), result("realtime.json")
-    rhythm, motion, accuracy = found["rhythm"], found["motion"], found["accuracy"]
-    policies, claims = result("policies.json"), result("claims.json")["count"]
-    onsets = [row["f"] for row in result("onsets.json")["rows"].values()]
-    times = speed["real_time_factor"][0]
+    quality, style = tables("quality.json"), tables("style_editing.json")["Style editing"]
+    judged, claims = tables("policies.json")["Policies: judging reward"].rows, tables("claims.json")["Claims"].facts
+    speed, onsets = result("realtime.json"), [row["f"] for row in result("onsets.json")["rows"].values()]
+    times, count, about = speed["real_time_factor"][0], claims["count"], quality["Reconstruction"].facts
+
+    def shown(title: str, row: str, column: str, digits: int, bounds: bool = True) -> str:
+        cell: Any = quality[title].rows[row][column]
+        return cell.text(digits) if bounds else f"{cell.mean:.{digits}f}"
+
+    rhythm, hands, right = "In time with the voice", "Hands", "Lexeme accuracy"
+    in_order: list[Any] = [row["in_order"] for row in style.rows.values()]
+    difference: Any = judged["cql - lstm"]["judge_return"]
+    performer: Any = judged["performer"]["judge_return"]
     expected = [
-        [interval(rhythm[name]["0.1"]["above_chance"], 1) for name in ("lstm", "performer")],
-        [interval(rhythm[name]["0.1"]["above_chance"], 1) for name in ("lstm with text", "statistical")],
-        [interval(motion[name]["speech_speed"], 2) for name in ("lstm", "performer")],
-        [interval(motion[name]["silence_speed"], 3) for name in ("lstm", "performer")],
-        [interval(accuracy["lstm"]["free_running"], 1),
-         *(f"{accuracy[name]['free_running']['mean']:.1f}" for name in ("previous lexeme and speaker", "commonest"))],
-        [interval(found["lexicon"]["errors"]["quantised"], 3),
-         f"{found['lexicon']['errors']['always the commonest lexeme']['mean']:.3f}"],
-        [f"{100 * style['editing']['height']['in_order']:.0f} % of {len(style['clips'])}",
-         *(f"{100 * style['editing'][name]['in_order']:.0f} %" for name in ("speed", "radius"))],
-        [interval(policies["differences"]["cql - lstm"]["judge_return"], 2),
-         f"{policies['rows']['performer']['judge_return']['mean']:.2f}"],
+        [shown(rhythm, name, "above 0.1", 1) for name in ("lstm", "performer")],
+        [shown(rhythm, name, "above 0.1", 1) for name in ("lstm with text", "statistical")],
+        [shown(hands, name, "speech", 2) for name in ("lstm", "performer")],
+        [shown(hands, name, "silence", 3) for name in ("lstm", "performer")],
+        [shown(right, "lstm", "free_running", 1),
+         *(shown(right, name, "free_running", 1, False) for name in ("previous lexeme and speaker", "majority"))],
+        [shown("Reconstruction", "quantised", "error", 3),
+         shown("Reconstruction", "always the most frequent lexeme", "error", 3, False)],
+        [f"{in_order[0]:.0f} % of {len(style.facts['clips'])}", *(f"{share:.0f} %" for share in in_order[1:])],
+        [difference.text(2), f"{performer.mean:.2f}"],
         [f"{sum(onsets) / len(onsets):.2f}"],
-        [" / ".join(str(claims[verdict]) for verdict in ("holds", "does not hold", "undecided"))],
+        [" / ".join(str(count[verdict]) for verdict in ("holds", "does not hold", "undecided"))],
         [f"{times['warm_lstm']:.2f} / {times['cold']:.2f}"],
         [f"{times['warm_with_text']:.2f} / {times['cold_with_text']:.2f}"],
     ]
@@ -266,8 +273,8 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
     for row, values in zip(rows, expected, strict=True):
         for value in values:
             assert value in row, f"{value} is stored, the README says {row}"
-    assert f"{found['store']['test_recordings']} test recordings" in text(README)
-    assert f"{found['store']['test_seconds'] / 60:.0f} minutes" in text(README)
+    assert f"{about['store']['test_recordings']} test recordings" in text(README)
+    assert f"{about['seconds'] / 60:.0f} minutes" in text(README)
 
 
 def shown_in_the_glossary() -> set[str]:

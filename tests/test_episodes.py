@@ -15,10 +15,11 @@ from data_module.errors import InputError
 from interpreters.base import BlockFeatures, LexemeInterpreter, Scores
 from interpreters.episodes import (
     BEHAVIOURS,
+    BehaviourPolicies,
+    Demonstration,
     EpisodeConfig,
     Episodes,
     SilentLexemes,
-    Take,
     build,
     distance_rewards,
     looked_up,
@@ -52,10 +53,10 @@ class Scripted:
         return self.scores, state
 
 
-def takes(lengths: tuple[int, ...] = (40, 31, 55), seed: int = 0) -> list[Take]:
+def takes(lengths: tuple[int, ...] = (40, 31, 55), seed: int = 0) -> list[Demonstration]:
     rng = np.random.default_rng(seed)
     begins = np.cumsum(lengths) - lengths
-    return [Take(number, number % 2, np.arange(begin, begin + length), rng.integers(SIZE, size=length),
+    return [Demonstration(number, number % 2, np.arange(begin, begin + length), rng.integers(SIZE, size=length),
                  rng.random(length) < 0.3)
             for number, (begin, length) in enumerate(zip(begins, lengths, strict=True))]
 
@@ -77,9 +78,9 @@ def behaving() -> dict[str, LexemeInterpreter]:
 
 
 def made(config: EpisodeConfig | None = None, *, seed: int = 0, silent: SilentLexemes = SILENT,
-         of: list[Take] | None = None) -> Episodes:
+         of: list[Demonstration] | None = None) -> Episodes:
     return build(takes() if of is None else of, config or EpisodeConfig(), earned, silent=silent, vectors=VECTORS,
-                 interpreters=behaving(), features=features, seed=seed)
+                 policies=BehaviourPolicies(behaving(), features), seed=seed)
 
 
 def joined(episodes: Episodes, name: str) -> NDArray:
@@ -198,7 +199,7 @@ def test_without_temperature_the_best_is_taken_for_certain() -> None:
 def test_a_behaviour_hears_its_own_past() -> None:
     system = Scripted(np.zeros(SIZE))
     data = build(takes(), EpisodeConfig(truth=0.5, sampled=0.5, statistical=0, perturbed=0), earned, silent=SILENT,
-                 vectors=VECTORS, interpreters={"sampled": system}, features=features)
+                 vectors=VECTORS, policies=BehaviourPolicies({"sampled": system}, features))
     rolled = [episode for episode, kind in zip(data.episodes, own_kind(data), strict=True) if kind == SAMPLED]
     assert [list(episode.actions[:-1]) for episode in rolled] == system.told
 

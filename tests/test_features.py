@@ -13,15 +13,14 @@ from hypothesis import strategies as st
 from data_module.blocks import windows_of
 from data_module.errors import InputError
 from data_module.speech.features import (
-    FRONT_ENDS,
     TYPICAL_LEVEL,
     FrontEnd,
     Levels,
     MelFrontEnd,
     Normaliser,
-    front_end,
     reference_level,
 )
+from data_module.speech.front_ends import FRONT_ENDS, front_end
 from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.types import Array, Samples
 

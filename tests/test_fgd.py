@@ -378,3 +378,17 @@ def test_what_the_chapter_says_it_does_not_see() -> None:
     wrong_speech = fgd.fgd(controls.shuffled(real, 0), real, by)
     assert wrong_speech.distance == pytest.approx(0.0, abs=1e-9)
     assert fgd.fgd(controls.reversed_in_time(real), real, by).distance < 0.1 * far.distance
+
+
+def test_differences_of_distances() -> None:
+    rng = np.random.default_rng(0)
+    real = [rng.normal(size=(30, 3)) for _ in range(5)]
+    off = [clip + np.array([3.0, 0.0, 0.0]) for clip in real]
+    # Two Gaussians of one covariance: the squared distance of the means. A set against itself: nothing.
+    apart = fgd.difference(off, real, real)
+    assert apart.mean == pytest.approx(9.0) and apart.low == pytest.approx(9.0) and apart.n == 5
+    same = fgd.difference(off, off, real)
+    assert (same.mean, same.low, same.high) == (0.0, 0.0, 0.0)
+    empty = [np.zeros((0, 0)), *off[1:]]
+    assert fgd.difference(empty, real, real).n == 4, "a clip too short for a window is left out"
+    assert math.isnan(fgd.difference(off[:1], real[:1], real[:1]).low)

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from gesticulator.fit import Batch, FitSettings, fit, rate_factor
+from gesticulator.fit import Batch, Checkpoint, FitOptions, FitSettings, Task, fit, rate_factor
 
 
 class Model(nn.Module):
@@ -43,12 +43,12 @@ def make_batch(rng: np.random.Generator) -> Batch:
 SETTINGS = FitSettings(steps=30, batch=16, rate=1e-2, schedule="cosine")
 
 
-def run(folder: Path, stops: tuple[int | None, ...] = (None,), **changes: object) -> Model:
+def run(folder: Path, stops: tuple[int | None, ...] = (None,)) -> Model:
     folder.mkdir(exist_ok=True)
     for stop in stops:
         model = Model()  # as after a kill: nothing in memory survives
-        fit("stage", model, make_batch, model.losses, SETTINGS, folder, seed=3, validate=lambda: {"figure": 1.0},
-            progress=False, checkpoint_seconds=0.0, stop_after=stop, **changes)  # type: ignore[arg-type]
+        fit("stage", model, Task(make_batch, validate=lambda: {"figure": 1.0}), SETTINGS, folder,
+            FitOptions(seed=3, progress=False, checkpoint_seconds=0.0, stop_after=stop))
     return model
 
 
@@ -81,7 +81,7 @@ def test_another_seed_is_another_run(tmp_path: Path) -> None:
     one = run(tmp_path / "a")
     two = Model()
     (tmp_path / "b").mkdir()
-    fit("stage", two, make_batch, two.losses, SETTINGS, tmp_path / "b", seed=4, progress=False)
+    fit("stage", two, Task(make_batch), SETTINGS, tmp_path / "b", FitOptions(seed=4, progress=False))
     assert not torch.equal(one.net[0].weight, two.net[0].weight)
 
 
@@ -93,7 +93,7 @@ def test_a_loss_that_is_no_number_stops_the_run_and_says_which(tmp_path: Path) -
         return {**terms, "error": terms["error"] * (float("nan") if progress > 0.2 else 1.0)}
 
     with pytest.raises(FloatingPointError, match="error"):
-        fit("stage", model, make_batch, losses, SETTINGS, tmp_path, seed=0, progress=False)
+        fit("stage", model, Task(make_batch, losses), SETTINGS, tmp_path, FitOptions(seed=0, progress=False))
 
 
 def test_rate_schedule() -> None:
@@ -103,3 +103,25 @@ def test_rate_schedule() -> None:
     assert factors[-1] == pytest.approx(0.01, abs=1e-3)
     assert all(a >= b for a, b in pairwise(factors[20:]))
     assert rate_factor(FitSettings(steps=10, batch=1), 9) == 1.0
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"not a checkpoint", None])
+def test_a_damaged_checkpoint_begins_the_stage_anew(tmp_path: Path, damage: bytes | None) -> None:
+    whole = run(tmp_path / "a")
+    run(tmp_path / "b", (7,))
+    file = tmp_path / "b" / "stage.ckpt"
+    data = file.read_bytes()
+    file.write_bytes(data[:len(data) // 2] if damage is None else damage)
+    again = run(tmp_path / "b")
+    for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
+        assert torch.equal(a, b), name
+
+
+def test_a_checkpoint_of_another_model_leaves_the_model_as_it_was(tmp_path: Path) -> None:
+    file, model = tmp_path / "stage.ckpt", Model()
+    optimiser = torch.optim.Adam(model.net.parameters())
+    Checkpoint(file).save(5, model, [])  # the model fits, the optimisers do not
+    with torch.no_grad():
+        model.net[0].bias.fill_(7.0)
+    assert Checkpoint(file).load(model, [optimiser]) == 0
+    assert (model.net[0].bias == 7.0).all()

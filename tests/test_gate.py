@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from interpreters import BlockFeatures
+from interpreters.base import BlockFeatures
 from interpreters.gate import ActivityGate, GateConfig, Latch, follow, opened
 
 FRAMES, AUDIO, SPEAKERS, BLOCKS = 4, 3, 2, 9

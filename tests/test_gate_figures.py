@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +14,21 @@ from performances import perform
 
 from data_module.store import Recording, RecordingInfo, StoreWriter
 from data_module.types import Array, Speech
-from eval import gate as figures
-from eval.gate import Judged, Played, auc, brier, calibration, calibration_error, knowledge, resampled, row
+from eval.commands import PROBE
+from eval.probes import gate as figures
+from eval.probes.gate import (
+    GatedMotion,
+    GateScores,
+    auc,
+    brier,
+    calibration,
+    calibration_error,
+    knowledge,
+    resampled,
+    row,
+)
+from eval.stats import Interval
+from eval.table import load
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from interpreters.gate import ActivityGate, GateConfig
@@ -69,7 +81,7 @@ def test_groups_are_drawn_whole() -> None:
         return float(weights[0])
 
     got = resampled(owner, statistic, draws=400)
-    assert (got.mean, got.clips) == (1.0, 3)
+    assert (got.mean, got.n) == (1.0, 3)
     drawn = np.array(seen)
     assert (drawn[:, 0] == drawn[:, 1]).all() and (drawn[:, 4] == drawn[:, 5]).all()
     assert (drawn[:, 0] + drawn[:, 3] + drawn[:, 4] == 3).all()
@@ -78,7 +90,7 @@ def test_groups_are_drawn_whole() -> None:
     assert (got.low, got.high) == (0.0, 3.0)
 
 
-def judged(count: int = 8, length: int = 120) -> list[Judged]:
+def judged(count: int = 8, length: int = 120) -> list[GateScores]:
     """A gate that is right nine times in ten and says so; silence knows the pauses; loudness is noise. Half of the
     recordings are of a lively performer; two share their speech."""
     rng, out = np.random.default_rng(0), []
@@ -86,7 +98,7 @@ def judged(count: int = 8, length: int = 120) -> list[Judged]:
         active = rng.random(length) < (0.8 if i % 2 else 0.4)
         said = np.where(active ^ (rng.random(length) < 0.1), 0.9, 0.1)
         pause = ~active & (rng.random(length) < 0.3)
-        out.append(Judged(f"speech {min(i, count - 2)}", active, {
+        out.append(GateScores(f"speech {min(i, count - 2)}", active, {
             figures.GATE: said, figures.LOUDNESS: rng.random(length), figures.SILENCE: (~pause).astype(float),
             figures.PERFORMER: np.full(length, 0.8 if i % 2 else 0.4)}))
     return out
@@ -95,39 +107,39 @@ def judged(count: int = 8, length: int = 120) -> list[Judged]:
 def test_knowledge_of_known_systems() -> None:
     got = knowledge(judged(), draws=40)
     assert (got["recordings"], got["groups"], got["blocks"]) == (8, 7, 960)
-    area = {name: own["auc"]["mean"] for name, own in got["auc"].items()}
-    inside = {name: own["auc_within_recordings"]["mean"] for name, own in got["auc"].items()}
+    area = {name: own["auc"].mean for name, own in got["auc"].items()}
+    inside = {name: own["auc_within_recordings"].mean for name, own in got["auc"].items()}
     assert area[figures.GATE] == pytest.approx(0.9, abs=0.03) == inside[figures.GATE]
     assert area[figures.LOUDNESS] == pytest.approx(0.5, abs=0.05)
     assert inside[figures.SILENCE] == pytest.approx(0.65, abs=0.04)
     assert inside[figures.PERFORMER] == 0.5 < area[figures.PERFORMER]  # who it is tells nothing within a recording
     for name, own in got["auc"].items():
-        assert own["auc"]["low"] <= own["auc"]["mean"] <= own["auc"]["high"]
+        assert own["auc"].low <= own["auc"].mean <= own["auc"].high
         if name != figures.GATE:
-            assert own["gate_leads_by"]["mean"] == pytest.approx(area[figures.GATE] - area[name])
-            assert own["gate_leads_by"]["low"] > 0
-    assert got["calibration"]["brier"]["mean"] == pytest.approx(0.09, abs=0.03)
+            assert own["gate_leads_by"].mean == pytest.approx(area[figures.GATE] - area[name])
+            assert own["gate_leads_by"].above()
+    assert got["calibration"]["brier"].mean == pytest.approx(0.09, abs=0.03)
     assert got["calibration"]["brier_of_the_base_rate"] == pytest.approx(got["active"] * (1 - got["active"]))
 
 
-def hands(gesturing: list[bool], closed: list[bool], speeds: list[float]) -> Played:
+def hands(gesturing: list[bool], closed: list[bool], speeds: list[float]) -> GatedMotion:
     """Blocks of half a second at 10 frames a second, the hands at a constant speed in each."""
     speed = np.repeat(np.array(speeds), 5)
-    return Played(np.arange(len(speeds) + 1) / 2, np.array(gesturing), np.array(closed), speed, 10.0)
+    return GatedMotion(np.arange(len(speeds) + 1) / 2, np.array(gesturing), np.array(closed), speed, 10.0)
 
 
 def test_use_of_a_known_gate() -> None:
     free = [hands([True] * 4, [False] * 4, [1.0, 1.2, 0.8, 1.0]), hands([True] * 2, [False] * 2, [2.0, 2.0])]
     shut = [hands([True, False, False, True], [False, True, True, False], [1.0, 0.2, 0.2, 1.0]),
             hands([True, True], [False, False], [2.0, 2.0])]
-    got = {key: value["mean"] for key, value in row(shut, free).items() if isinstance(value, dict)}
+    got = {key: value.mean for key, value in row(shut, free).items() if isinstance(value, Interval)}
     assert got["gesturing"] == pytest.approx(4 / 6) and got["gesturing_change"] == pytest.approx(-2 / 6)
     assert got["hand_speed"] == pytest.approx((4 * 0.6 + 2 * 2.0) / 6)
     assert got["hand_speed_change"] == pytest.approx(4 * (0.6 - 1.0) / 6)
     assert got["closed_speed"] == pytest.approx(0.2)  # the second performance has no closed block and no say
     assert got["closed_speed_without"] == pytest.approx(1.0) and got["closed_speed_change"] == pytest.approx(-0.8)
     assert row(shut, free)["closed_blocks"] == 2
-    assert np.isnan(row(free, free)["closed_speed"]["mean"])
+    assert np.isnan(row(free, free)["closed_speed"].mean)
 
 
 def test_loudness_is_the_level_against_the_recording() -> None:
@@ -150,7 +162,7 @@ def gated(bias: float = 0.0) -> bundles.Bundle:
         model.classify.weight.mul_(20)
         model.classify.bias.fill_(bias)
     config = replace(bundle.config, gate=model.config)
-    return replace(bundle, gate=model, config=config)
+    return replace(bundle, config=config).with_parts(gate=model)
 
 
 def recording(bundle: bundles.Bundle, index: int = 0) -> Recording:
@@ -187,26 +199,25 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for index in range(2):
         writer.add(recording(bundle, index))
     writer.finish(["take0", "take1"])
-    for name, own in (("with", bundle), ("without", replace(bundle, gate=None))):
+    for name, own in (("with", bundle), ("without", bundle.with_parts(gate=None))):
         bundles.save(own, tmp_path / name, "a card")
     data, out = ["--data", str(tmp_path / "store")], tmp_path / "new" / "gate.json"
-    assert figures.main([*data, "--bundle", str(tmp_path / "with"), "--out", str(out)]) == 0
-    result, table = json.loads(out.read_text()), out.with_suffix(".md").read_text()
-    assert table.strip() == capsys.readouterr().out.strip()
-    assert list(result["activity"]) == ["performer", "0", "0.25", "0.5", "0.75", "1"]
-    assert result["activity"]["0"]["gesturing"]["mean"] == 0
-    assert result["activity"]["1"]["hand_speed_change"]["mean"] == 0
-    assert result["store"]["split"] == "test" and result["knowledge"]["groups"] == 2
-    for name in (figures.GATE, figures.LOUDNESS, figures.SILENCE, figures.PERFORMER):
-        assert f"| {name} |" in table
-    rows = [line for line in table.splitlines() if line.startswith("|")]
-    heads = [i for i, line in enumerate(rows) if line.startswith("|---")]
-    for first, last in zip(heads, [*(h - 1 for h in heads[1:]), len(rows)], strict=True):
-        assert {line.count("|") for line in rows[first - 1:last]} == {rows[first].count("|")}
+    def ask(*more: str) -> int:
+        return PROBE.main("gesticulator probe", ["gate", *data, *more])
+
+    assert ask("--bundle", str(tmp_path / "with"), "--out", str(out)) == 0
+    knows, calibration, use = load(out)
+    assert list(knows.rows) == [figures.GATE, figures.LOUDNESS, figures.SILENCE, figures.PERFORMER]
+    assert knows.facts["store"]["split"] == "test" and "2 with speech of their own" in knows.notes[0]
+    assert sum(row["blocks"] for row in calibration.rows.values()) > 0  # type: ignore[misc]
+    assert list(use.rows) == ["performer", "0", "0.25", "0.5", "0.75", "1"]
+    assert use.rows["0"]["gesturing"].mean == 0 == use.rows["1"]["hand_speed_change"].mean  # type: ignore[union-attr]
+    assert "gesturing_change" not in use.rows["performer"]
     for wrong, says in ((["--bundle", str(tmp_path / "without")], "has no gate"),
                         (["--bundle", str(tmp_path / "with"), "--split", "val"], "has no recordings"),
                         (["--bundle", str(tmp_path / "with"), "--limit", "0"], "must be 1 or more")):
+        capsys.readouterr()
         with pytest.raises(SystemExit) as stopped:
-            figures.main([*data, *wrong])
+            ask(*wrong)
         assert stopped.value.code == 2
         assert says in capsys.readouterr().err

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from generator import losses
-from generator.model import Generator, GeneratorConfig, GumbelCodes, StyleCodes
+from generator.model import BlockInputs, Generator, GeneratorConfig, GeneratorWidths, GumbelCodes, StyleCodes
 from generator.position import positional_block
 
 FRAMES, WIDTH, AUDIO, LEXEME, CONTROL = 6, 5, 4, 7, 6
@@ -19,7 +19,7 @@ CONFIG = GeneratorConfig(motion_features=8, audio_features=6, style_width=4, pos
 def make(blocks: int = 20, present: torch.Tensor | None = None, **changes: object) -> Generator:
     torch.manual_seed(0)
     config = GeneratorConfig(**{**CONFIG.__dict__, **changes})
-    return Generator(config, FRAMES, WIDTH, AUDIO, LEXEME, blocks, CONTROL, present)
+    return Generator(config, GeneratorWidths(FRAMES, WIDTH, AUDIO, LEXEME, CONTROL), blocks, present)
 
 
 def batch(size: int = 3, blocks: int = 4) -> dict[str, torch.Tensor]:
@@ -98,7 +98,7 @@ def test_style_divergence_known_values() -> None:
 def test_roll_out_is_the_same_as_stepping_block_by_block() -> None:
     model, b = make().eval(), batch()
     style = model.styles(b["style"][:, 1:])
-    made, _ = model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:], style)
+    made, _ = model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], style))
     past, state = b["motion"][:, 0], model.first_state(b["motion"][:, 0, -1], b["lexeme"][:, 1])
     for i in range(4):
         past, state, _ = model.step(past, model.encode_audio(b["audio"][:, i + 1]), b["lexeme"][:, i + 1], style[:, i],
@@ -111,7 +111,7 @@ def test_a_block_depends_on_its_own_audio_window_and_not_on_later_ones() -> None
     style = model.styles(b["style"][:, 1:])
 
     def run(audio: torch.Tensor) -> torch.Tensor:
-        return model.roll_out(b["motion"][:, 0], None, audio, b["lexeme"][:, 1:], style)[0]
+        return model.roll_out(b["motion"][:, 0], BlockInputs(audio, b["lexeme"][:, 1:], style))[0]
 
     changed = b["audio"][:, 1:].clone()
     changed[:, 2] += 1.0
@@ -125,7 +125,8 @@ def test_teacher_forcing_sees_the_truth_and_the_own_past_does_not() -> None:
     other[:, 0] += 5.0
 
     def run(truth: torch.Tensor, own: float) -> torch.Tensor:
-        return model.roll_out(b["motion"][:, 0], truth, b["audio"][:, 1:], b["lexeme"][:, 1:], style, own)[0]
+        given = BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], style)
+        return model.roll_out(b["motion"][:, 0], given, truth, own)[0]
 
     assert not torch.equal(run(b["motion"][:, 1:], 0.0)[:, 1], run(other, 0.0)[:, 1])
     assert torch.equal(run(b["motion"][:, 1:], 1.0), run(other, 1.0))
@@ -159,7 +160,7 @@ def test_blocks_that_are_not_valid_and_joints_that_are_absent_do_not_count() -> 
 
 def run(model: Generator, b: dict[str, torch.Tensor], control: torch.Tensor | None) -> torch.Tensor:
     zero = torch.zeros(len(b["style"]), b["style"].shape[1] - 1, model.config.style_width)
-    return model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:], zero, control=control)[0]
+    return model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], zero, control))[0]
 
 
 def test_what_is_asked_is_heard_from_its_block_on_and_nothing_asked_is_zeros() -> None:
@@ -198,8 +199,8 @@ def test_the_velocity_term_is_the_difference_of_frames_by_hand() -> None:
     model, b = make(velocity=1.0).eval(), batch()
     with torch.no_grad():
         b["valid"][0, 4] = 0
-    made = model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:],
-                          model.styles(b["style"][:, 1:]))[0]
+    given = BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], model.styles(b["style"][:, 1:]))
+    made, _ = model.roll_out(b["motion"][:, 0], given)
     errors = []
     for row in range(3):
         mine, true = b["motion"][row, 0, -1:], b["motion"][row, 0, -1:]
@@ -253,5 +254,6 @@ def test_it_learns_to_draw_each_lexeme() -> None:
         optimiser.step()
     model.eval()
     b, _ = sample()
-    made, _ = model.roll_out(b["motion"][:, 0], None, b["audio"][:, 1:], b["lexeme"][:, 1:], torch.zeros(16, 3, 4))
+    given = BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], torch.zeros(16, 3, 4))
+    made, _ = model.roll_out(b["motion"][:, 0], given)
     assert (made - b["motion"][:, 1:]).pow(2).mean() < 0.15 * b["motion"].var()

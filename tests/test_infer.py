@@ -18,6 +18,7 @@ from untrained import PLAIN, untrained
 
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
+from data_module.speech import audio
 from data_module.types import Speech
 from gesticulator import bundle as bundles
 from gesticulator import infer
@@ -102,16 +103,16 @@ def test_the_shortest_recording_and_pure_silence_give_a_person_at_rest(tiny_bund
 
 def test_many_recordings_go_to_a_folder(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     soundfile.write(tmp_path / "other.wav", babble(1.0, seed=1), RATE)
-    assert run([str(recording), str(tmp_path / "other.wav"), "-o", str(tmp_path / "out"), "--explain",
-                str(tmp_path / "out")], tiny_bundle) == 0
+    assert run([str(recording), str(tmp_path / "other.wav"), "-o", f"{tmp_path / 'out'}/", "--explain",
+                f"{tmp_path / 'out'}/"], tiny_bundle) == 0
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["other.bvh", "other.json", "speech.bvh",
                                                                     "speech.json"]
 
 
 def test_an_hour_streams_through_the_front_end_in_bounded_memory() -> None:
-    from gesticulator import config, speech_features
+    from gesticulator import presets, speech_features
 
-    limit = speech_features._CHUNK * 3 * config.preset("default").rhythm.frames * 800 * 4
+    limit = speech_features._CHUNK * 3 * presets.preset("default").rhythm.frames * 800 * 4
     assert limit < 100e6, "bytes of windows in flight, whatever the length"
 
 
@@ -161,7 +162,7 @@ def test_bad_recordings(name: str, tiny_bundle: Path, tmp_path: Path, capfd: pyt
 
 @pytest.mark.parametrize(("arguments", "said"), [
     (["--speaker", "nobody"], "nobody"), (["--bundle", "nowhere"], "nowhere"), (["--fps", "0"], "fps"),
-    (["--temperature", "-1"], "temperature"), (["-o", "nowhere/o.bvh"], "nowhere"), (["-o", "o.fbx"], ".bvh"),
+    (["--temperature", "-1"], "temperature"), (["-o", "o.fbx"], ".bvh"),
     (["--explain", "o.txt"], ".json"), (["--activity", "2"], "--activity 2"), (["--activity", "nan"], "--activity"),
     (["--hand-height", "sky"], "--hand-height"), (["--hand-speed", "-1"], "--hand-speed"),
     (["--hand-radius", "nowhere.csv"], "nowhere.csv"), (["--text", "nowhere.txt"], "nowhere.txt"),
@@ -188,22 +189,160 @@ def test_a_full_disk_leaves_nothing_behind(recording: Path, tiny_bundle: Path, t
     assert list(tmp_path.iterdir()) == []
 
 
-def test_two_recordings_with_one_name_are_refused(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
-    (tmp_path / "d").mkdir()
-    shutil.copy(recording, tmp_path / "d" / recording.name)
-    with pytest.raises(SystemExit):
-        run([str(recording), str(tmp_path / "d" / recording.name), "-o", str(tmp_path / "out")], tiny_bundle)
+# ---------------------------------------------------------------------------------------------- batches
+
+@pytest.fixture
+def talks(tmp_path: Path) -> Path:
+    """A folder of three recordings, of which b.wav is cut short."""
+    folder = tmp_path / "talks"
+    folder.mkdir()
+    for seed, name in enumerate(("a.flac", "b.wav", "c.wav")):
+        soundfile.write(folder / name, babble(1.0, seed=seed), RATE)
+    (folder / "b.wav").write_bytes((folder / "b.wav").read_bytes()[:20_000])
+    return folder
 
 
-def test_help_and_version_import_nothing_heavy() -> None:
-    code = ("import sys, gesticulator.infer as i\n"
-            "try: i.main(['--help'])\n"
-            "except SystemExit: pass\n"
-            "heavy = {'torch', 'numpy', 'librosa', 'scipy', 'transformers', 'soundfile'} & set(sys.modules)\n"
-            "assert not heavy, heavy")
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60).returncode == 0
-    out = subprocess.run([sys.executable, "-m", "gesticulator.infer", "--version"], capture_output=True, text=True)
-    assert out.stdout.startswith("gesticulator 0.")
+def test_one_bad_recording_of_a_folder_is_told_and_the_rest_is_done(
+        talks: Path, tiny_bundle: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run([str(talks), "-o", f"{tmp_path / 'new' / 'out'}/"], tiny_bundle) == 1
+    out, error = capfd.readouterr()
+    assert sorted(path.name for path in (tmp_path / "new" / "out").iterdir()) == ["a.bvh", "c.bvh"]
+    told = error.splitlines()
+    assert len(told) == 2 and "b.wav: is cut short" in told[0]
+    assert told[1] == "gesticulator: 2 of 3 recordings done, 1 failed"
+    assert [line.split(":")[0] for line in out.splitlines()] == ["a.flac", "c.wav"]
+    # In a batch a recording makes the bytes that it makes alone, whatever failed before it.
+    assert run([str(talks / "c.wav"), "-o", str(tmp_path / "alone.bvh"), "--quiet"], tiny_bundle) == 0
+    assert (tmp_path / "alone.bvh").read_bytes() == (tmp_path / "new" / "out" / "c.bvh").read_bytes()
+
+
+def test_a_batch_of_which_nothing_can_be_done_is_code_2(talks: Path, tiny_bundle: Path, tmp_path: Path,
+                                                        capfd: pytest.CaptureFixture[str]) -> None:
+    assert run([str(talks / "b.wav"), str(talks / "missing.wav"), "-o", f"{tmp_path / 'out'}/"], tiny_bundle) == 2
+    told = capfd.readouterr().err.splitlines()
+    assert "missing.wav: does not exist" in told[0] and "b.wav" in told[1] and "0 of 2" in told[2] and len(told) == 3
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_folders_are_made_for_files_too(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    deep = tmp_path / "not" / "there" / "o.bvh"
+    assert run([str(recording), "-o", str(deep), "--preview", str(tmp_path / "pages" / "o.html"), "--quiet"],
+               tiny_bundle) == 0
+    assert deep.is_file() and (tmp_path / "pages" / "o.html").is_file()
+
+
+def test_a_page_alone_may_be_asked_for(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    assert run([str(recording), "--preview", str(tmp_path / "o.html"), "--quiet"], tiny_bundle) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["o.html"]
+
+
+def test_what_the_bundle_has_is_listed(tiny_bundle: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    speakers = bundles.load(tiny_bundle).speakers
+    assert infer.main(["--list", "speakers", "--bundle", str(tiny_bundle)]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert [line.split("  ")[0] for line in lines] == list(speakers)
+    assert [line for line in lines if line.endswith("(default)")] == [f"{speakers[0]}  (default)"]
+    assert infer.main(["--list", "interpreters", "--bundle", str(tiny_bundle)]) == 0
+    assert capfd.readouterr().out.splitlines() == ["lstm  (default)", "cql", "statistical"]
+
+
+@pytest.mark.parametrize("name", ["caf\u00e9.flac", os.fsdecode(b"caf\xe9.flac")])
+def test_names_that_the_terminal_cannot_show(name: str, recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    try:
+        shutil.copy(recording, tmp_path / name)
+    except OSError:
+        pytest.skip("this file system takes no such names")
+    done = subprocess.run([sys.executable, "-m", "gesticulator.infer", name, "-o", "out/", "--preview", "out/",
+                           "--explain", "out/", "--bundle", str(tiny_bundle)], cwd=tmp_path, capture_output=True,
+                          env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 0 and b"Traceback" not in done.stderr, done.stderr
+    stem = name.removesuffix(".flac")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {f"{stem}{e}" for e in (".bvh", ".html", ".json")}
+    assert done.stdout.startswith(b"caf\\") and b"real-time factor" in done.stdout
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closes descriptors in a shell")
+def test_closed_streams_change_no_byte(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    run([str(recording), "-o", str(tmp_path / "open.bvh"), "--quiet"], tiny_bundle)
+    for name, closed in (("error", "2>&-"), ("all", "<&- >&- 2>&-")):
+        done = subprocess.run(["sh", "-c", f'"$0" -m gesticulator.infer "$1" -o "$2" --bundle "$3" {closed}',
+                               sys.executable, str(recording), str(tmp_path / f"{name}.bvh"), str(tiny_bundle)])
+        assert done.returncode == 0
+        assert (tmp_path / f"{name}.bvh").read_bytes() == (tmp_path / "open.bvh").read_bytes()
+
+
+def test_the_threads_of_the_environment_change_no_bit(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    made = []
+    for threads in ("1", "3"):
+        target = tmp_path / f"{threads}.json"
+        subprocess.run([sys.executable, "-m", "gesticulator.infer", str(recording), "--explain", str(target), "-o",
+                        str(tmp_path / "o.bvh"), "--bundle", str(tiny_bundle), "--quiet"], check=True,
+                       env={**os.environ, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads})
+        made.append((target.read_bytes(), (tmp_path / "o.bvh").read_bytes()))
+    assert made[0] == made[1]
+
+
+def test_a_recording_from_standard_input(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    asked = ["--bundle", str(tiny_bundle), "--fps", "20"]
+    done = subprocess.run([sys.executable, "-m", "gesticulator", "-", "-o", f"{tmp_path}/", *asked], check=True,
+                          input=recording.read_bytes(), capture_output=True)
+    assert done.stdout.startswith(b"standard input: 8.0 s")
+    infer.main([str(recording), "-o", str(tmp_path / "file.bvh"), *asked, "--quiet"])
+    assert (tmp_path / "stdin.bvh").read_bytes() == (tmp_path / "file.bvh").read_bytes()
+
+
+@pytest.mark.parametrize("given", [b"", b"no sound at all", b"RIFF\xff\xff\xff\xffWAVE"])
+def test_what_is_no_sound_on_standard_input_is_one_line(given: bytes, tiny_bundle: Path, tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "gesticulator.infer", "-", "-o", str(tmp_path / "o.bvh"), "--bundle",
+                           str(tiny_bundle)], input=given, capture_output=True)
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"standard input" in done.stderr, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closes a descriptor in a shell")
+def test_standard_input_that_is_closed_is_one_line(tmp_path: Path) -> None:
+    done = subprocess.run(["sh", "-c", '"$0" -m gesticulator.infer - -o o.bvh <&-', sys.executable], cwd=tmp_path,
+                          capture_output=True)
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"standard input" in done.stderr, done.stderr
+
+
+def test_a_long_recording_is_asked_for_by_name(recording: Path, tiny_bundle: Path, tmp_path: Path,
+                                               capfd: pytest.CaptureFixture[str],
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(audio, "LONGEST", 5.0)
+    with pytest.raises(SystemExit) as stop:
+        run([str(recording), "-o", str(tmp_path / "o.bvh")], tiny_bundle)
+    assert stop.value.code == 2 and "--any-length" in capfd.readouterr().err
+    assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--any-length", "--quiet"], tiny_bundle) == 0
+
+
+def test_a_nearly_silent_recording_is_told_with_the_gain_that_helps(
+        recording: Path, tiny_bundle: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    samples, rate = soundfile.read(recording, dtype="float32")
+    soundfile.write(tmp_path / "faint.wav", samples * 10 ** (-46 / 20), rate, subtype="FLOAT")
+    asked = [str(tmp_path / "faint.wav"), "-o", str(tmp_path / "o.bvh"), "--quiet"]
+    assert run(asked, tiny_bundle) == 0
+    told = capfd.readouterr().err
+    assert told.count("\n") == 1 and told.startswith("gesticulator: warning: faint.wav: ")
+    gain = told.split("--gain ")[1].split(")")[0]
+    assert run([*asked, "--gain", gain], tiny_bundle) == 0
+    assert capfd.readouterr().err == "", "the gain that was named is enough"
+    assert run([str(recording), *asked[1:]], tiny_bundle) == 0
+    assert capfd.readouterr().err == "", "an ordinary recording needs none"
+
+
+def test_gain_is_heard_and_kept_in_the_explanation(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+    samples, rate = soundfile.read(recording, dtype="float32")
+    soundfile.write(tmp_path / "faint.wav", samples * 10 ** (-12 / 20), rate, subtype="FLOAT")
+    soundfile.write(tmp_path / "loud.wav", samples, rate, subtype="FLOAT")
+    plans = []
+    for name, gain in (("faint", "12"), ("loud", "0")):
+        assert run([str(tmp_path / f"{name}.wav"), "-o", str(tmp_path / "o.bvh"), "--explain", str(tmp_path / "o.json"),
+                    "--quiet", "--gain", gain], tiny_bundle) == 0
+        plans.append(json.loads((tmp_path / "o.json").read_text()))
+    assert [plan["made_by"]["settings"]["gain"] for plan in plans] == [12.0, 0.0]
+    faint, loud = ([block["played"] for block in plan["blocks"]] for plan in plans)
+    assert faint == loud, "amplified it is the recording that it was"
 
 
 # ---------------------------------------------------------------------------------------------- text
@@ -270,16 +409,15 @@ def test_a_folder_of_transcripts_serves_recordings_by_name(recording: Path, tiny
     texts = tmp_path / "texts"
     texts.mkdir()
     as_json(texts / "speech.json")
-    both = [str(recording), str(tmp_path / "other.wav"), "-o", str(tmp_path / "out"), "--text", str(texts)]
-    with pytest.raises(SystemExit) as stop:
-        run(both, tiny_bundle)
+    both = [str(recording), str(tmp_path / "other.wav"), "-o", f"{tmp_path / 'out'}/", "--text", str(texts)]
+    assert run(both, tiny_bundle) == 1, "a recording without its transcript fails, and the other is done"
     error = capfd.readouterr().err
-    assert stop.value.code == 2 and error.count("\n") == 1 and "other.wav" in error and "speech.flac" not in error
-    assert not (tmp_path / "out").exists(), "said before anything was made"
+    assert error.count("\n") == 2 and "no transcript of other" in error and "speech" not in error.splitlines()[1]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["speech.bvh"]
     as_plain(texts / "other.txt")
     assert run(both, tiny_bundle) == 0
     out = capfd.readouterr().out.splitlines()
-    assert "times given" in out[1] and "guessed" in out[3]
+    assert "times given" in out[1] and "guessed" in out[3] and out[4] == "2 recordings done"
     with pytest.raises(SystemExit):
         run([*both[:-1], str(texts / "speech.json")], tiny_bundle)
     assert "several recordings" in capfd.readouterr().err
@@ -304,7 +442,7 @@ def plain_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
-    (["--text", "words.json"], "--text"), (["--hand-height", "high"], "--hand-height"),
+    (["--text", "words.json"], "text: is not read"), (["--hand-height", "high"], "--hand-height"),
     (["--hand-speed", "0.4"], "--hand-speed"), (["--activity", "0.5"], "gate"),
 ])
 def test_a_bundle_says_what_it_cannot_do(arguments: list[str], said: str, recording: Path, plain_bundle: Path,
@@ -365,7 +503,7 @@ def test_the_same_seed_gives_the_same_bytes_with_everything_asked(recording: Pat
 
 
 @pytest.mark.parametrize(("name", "score"), [("lstm", "log-probability"), ("statistical", "log-probability"),
-                                             ("cql", "expected return")])
+                                             ("cql", "Q value")])
 def test_every_interpreter_is_explained(name: str, score: str, recording: Path, tiny_bundle: Path, tmp_path: Path
                                         ) -> None:
     assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--explain", str(tmp_path / "o.json"), "--quiet",

@@ -8,7 +8,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interpreters import INTERPRETERS, BlockFeatures, LexemeInterpreter, select
+from gesticulator.bundle import FILES
+from interpreters import INTERPRETERS
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.cql import QConfig, QNetwork
 from interpreters.lstm import LstmConfig, LstmInterpreter
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
@@ -60,20 +62,19 @@ def test_every_interpreter_has_a_maker_here() -> None:
     assert set(MAKERS) == set(INTERPRETERS)
 
 
-def test_the_command_line_offers_every_interpreter() -> None:
-    from gesticulator import infer  # it lists them by hand, so that --help need not import torch
-
-    assert set(infer.INTERPRETERS) == set(INTERPRETERS)
+def test_every_part_that_an_interpreter_needs_is_one_of_a_bundle() -> None:
+    for entry in INTERPRETERS.values():
+        assert all(part in FILES for part in (entry.part, entry.text_part) if part)
 
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_contract(name: str) -> None:
     system = MAKERS[name]()
-    assert isinstance(system, LexemeInterpreter) and isinstance(system, INTERPRETERS[name])
+    assert isinstance(system, LexemeInterpreter) and isinstance(system, INTERPRETERS[name].load())
     state = system.start(1, 2)
     scores, after = system.step(state, hear(), 2)
     assert scores.shape == (SIZE,) and np.isfinite(scores).all()
-    if name != "cql":  # whose scores are returns
+    if name != "cql":  # whose scores are values
         assert np.exp(scores).sum() == pytest.approx(1, abs=1e-6)
     again, _ = system.step(state, hear(), 2)
     np.testing.assert_array_equal(scores, again, "a step must not change the state it is given")
@@ -81,7 +82,7 @@ def test_contract(name: str) -> None:
     assert later.shape == (SIZE,)
 
 
-@pytest.mark.parametrize("changes", [{}, {"text_features": 4, "use_control": True}, {"text_reading": 6},
+@pytest.mark.parametrize("changes", [{}, {"text_features": 4, "use_control": True}, {"text_head": 6},
                                      {"text_features": 4, "text_blocks": 3, "text_bottleneck": 2, "layers": 2}])
 def test_lstm_streams_as_it_trains(changes: dict[str, object]) -> None:
     model = lstm(**changes).eval()
@@ -122,7 +123,7 @@ def test_lstm_reads_its_own_block_and_the_next_only_when_it_is_to(blocks: int) -
 
 def test_one_that_reads_begins_as_the_one_that_does_not() -> None:
     deaf, reads = lstm(use_control=True).eval(), lstm(use_control=True, text_features=5, text_blocks=3).eval()
-    reads.begin_as(deaf)
+    reads.init_from_audio_only(deaf)
     arguments = (torch.tensor([[0, 3, 2]]), windows(1, 3, AUDIO), torch.tensor([[0.0, 1.0]]), None)
     texts = [windows(seed, 3) for seed in (2, 3)]
     control = torch.randn(1, 3, FRAMES, CONTROL)
@@ -137,8 +138,8 @@ def test_one_that_reads_begins_as_the_one_that_does_not() -> None:
 
 
 def test_a_reading_head_adds_to_the_voice_and_nothing_else_learns() -> None:
-    deaf, reads = lstm().eval(), lstm(text_reading=6, text_bottleneck=3)
-    reads.begin_as(deaf)
+    deaf, reads = lstm().eval(), lstm(text_head=6, text_bottleneck=3)
+    reads.init_from_audio_only(deaf)
     arguments = (torch.tensor([[0, 3, 2]]), windows(1, 3, AUDIO), torch.tensor([[0.0, 1.0]]))
     text = windows(2, 3)
     torch.testing.assert_close(reads.eval().scores(*arguments, text=text)[0], deaf.scores(*arguments)[0])
@@ -148,11 +149,11 @@ def test_a_reading_head_adds_to_the_voice_and_nothing_else_learns() -> None:
              "speaker": arguments[2], "valid": torch.ones(1, 4)}
     for _ in range(3):
         optimiser.zero_grad()
-        reads.train().losses(batch, 0.0)["cross_entropy"].backward()
+        reads.train().losses(batch, 0.0)["nll"].backward()
         optimiser.step()
     after = reads.eval().state_dict()
     moved = {name for name, value in after.items() if not torch.equal(value, before[name])}
-    assert moved and all(name.startswith("reading.") for name in moved)
+    assert moved and all(name.startswith("text_head.") for name in moved)
     # The words of one block have no say in another's: the head has no memory.
     other = text.clone()
     other[:, 1] += 1.0
@@ -207,7 +208,7 @@ def test_lstm_learns_a_lexeme_from_sound_and_filled_blocks_do_not_count() -> Non
                 "speaker": torch.eye(2)[torch.zeros(16, dtype=torch.long)], "valid": torch.ones(16, 5)}
 
     for step in range(60):
-        loss = model.losses(batch(), step / 60)["cross_entropy"]
+        loss = model.losses(batch(), step / 60)["nll"]
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -218,7 +219,7 @@ def test_lstm_learns_a_lexeme_from_sound_and_filled_blocks_do_not_count() -> Non
     b["valid"][:, 3:] = 0
     other = {**b, "lexeme": b["lexeme"].clone()}
     other["lexeme"][:, 4] = (other["lexeme"][:, 4] + 1) % SIZE
-    assert torch.equal(model.losses(b)["cross_entropy"], model.losses(other)["cross_entropy"])
+    assert torch.equal(model.losses(b)["nll"], model.losses(other)["nll"])
 
 
 def test_equation_24_on_three_lexemes_by_hand() -> None:
@@ -260,7 +261,7 @@ def test_a_lexeme_that_only_the_word_tells_is_learned_from_the_word() -> None:
                 "speaker": torch.eye(2)[torch.zeros(16, dtype=torch.long)], "valid": torch.ones(16, 5)}
 
     for step in range(80):
-        loss = model.losses(batch(), step / 80)["cross_entropy"]
+        loss = model.losses(batch(), step / 80)["nll"]
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

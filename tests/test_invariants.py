@@ -16,12 +16,12 @@ from data_module.layers import freeze
 from data_module.motion import rotation
 from data_module.speech.beats import BeatSettings, find_beats, place_beats
 from data_module.types import Array, Speech
-from eval.figures import measure
-from generator.model import Generator, GeneratorConfig, GumbelCodes
+from eval.clip import measure
+from generator.model import BlockInputs, Generator, GeneratorConfig, GeneratorWidths, GumbelCodes
 from generator.position import positional_block
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Sequence, Windows, with_silence
-from interpreters import BlockFeatures
+from gesticulator.stages.windows import Sequence, Windows, with_silence
+from interpreters.base import BlockFeatures
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
 from lexicon.autoencoder import Lexicon, LexiconConfig
 from lexicon.inventory import count
@@ -83,14 +83,14 @@ def test_whole_turns_change_no_rotation(angles: Array, turns: Array, order: str)
 
 def small_generator(blocks: int = 0) -> Generator:
     torch.manual_seed(0)
-    return Generator(SMALL, FRAMES, WIDTH, AUDIO, CODE, blocks)
+    return Generator(SMALL, GeneratorWidths(FRAMES, WIDTH, AUDIO, CODE), blocks)
 
 
 def test_every_block_of_every_row_is_given_the_same_positions_one_row_a_frame() -> None:
     model, seen = small_generator().eval(), []
     model.mlp[0].register_forward_pre_hook(lambda _, arguments: seen.append(arguments[0].detach()))
-    model.roll_out(torch.randn(3, FRAMES, WIDTH), None, torch.randn(3, 4, 3 * FRAMES, AUDIO), torch.randn(3, 4, CODE),
-                   torch.randn(3, 4, SMALL.style_width))
+    model.roll_out(torch.randn(3, FRAMES, WIDTH), BlockInputs(torch.randn(3, 4, 3 * FRAMES, AUDIO), torch.randn(
+        3, 4, CODE), torch.randn(3, 4, SMALL.style_width)))
     assert len(seen) == 4
     for rows in seen:
         positions = rows[..., -SMALL.position_width:]

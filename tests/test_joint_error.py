@@ -15,8 +15,8 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Array, Motion
-from eval.baselines import jittered
-from eval.metrics.joint_error import joint_error, mean_pose_error, motion_error
+from eval.baselines import jittered, mean_pose
+from eval.metrics.joint_error import joint_error, motion_error
 
 
 def waving(frames: int, phase: float = 0.0, fps: float = 20.0, joint: str = "LeftArm", size: float = 0.6) -> Motion:
@@ -105,7 +105,7 @@ def test_nothing_to_compare_is_nan_with_a_reason_never_zero() -> None:
     assert brief.maje == 0 and math.isnan(brief.mad) and "three frames" in brief.reason
     assert math.isnan(joint_error(one[:0], one[:0], 20).maje)
     assert joint_error(one, one, 20).reason == ""
-    assert joint_error(one, one, 20).to_dict()["poses"] == 10
+    assert joint_error(one, one, 20).poses == 10
 
 
 @pytest.mark.parametrize(("generated", "truth", "fps", "mask"), [
@@ -156,7 +156,7 @@ def test_motions_that_do_not_fit_are_refused() -> None:
 
 def test_what_the_chapter_says_fools_them_does() -> None:
     truth, lively = waving(200), waving(200, phase=0.5)
-    held = mean_pose_error(truth)
+    held = motion_error(mean_pose([truth])[0], truth)
     assert held.maje < motion_error(lively, truth).maje
     assert held.mad < motion_error(lively, truth).mad
     # Jitter of 2 cm overwhelms the acceleration of a gesture, and is slight beside its places.

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-import json
+import math
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,12 +19,14 @@ from data_module.corpora.performer import Script
 from data_module.errors import InputError
 from data_module.performer import espeak, voices
 from data_module.performer.plan import plan
-from data_module.performer.strokes import procedural_strokes
+from data_module.performer.procedural import procedural_strokes
 from data_module.performer.text import compose
 from data_module.speech.audio import write_flac
 from data_module.types import Speech
-from eval import languages
-from eval.figures import Clip
+from eval.clip import ClipMeasurement
+from eval.commands import PROBE
+from eval.probes import languages
+from eval.table import load
 from gesticulator.pipeline import Gesticulator
 
 RATE = 16000
@@ -105,17 +107,6 @@ def test_mandarin_gets_beats_and_nothing_that_asks_for_words() -> None:
 
 # ---------------------------------------------------------------------------------------------------- figures
 
-@given(st.integers(1, 60), st.integers(1, 5))
-def test_entropy_of_an_even_choice(kinds: int, times: int) -> None:
-    assert languages.entropy(np.repeat(np.arange(kinds), times)) == pytest.approx(np.log(kinds), abs=1e-12)
-
-
-@given(st.lists(st.integers(0, 9), min_size=1, max_size=60))
-def test_entropy_is_that_of_scipy(labels: list[int]) -> None:
-    assert languages.entropy(np.array(labels)) == pytest.approx(
-        scipy.stats.entropy(list(Counter(labels).values())), abs=1e-12)
-
-
 @given(st.lists(st.integers(0, 4), min_size=1, max_size=7), st.data())
 def test_expected_kinds_is_the_mean_over_every_draw(labels: list[int], data: st.DataObject) -> None:
     drawn = data.draw(st.integers(1, len(labels)))
@@ -126,10 +117,10 @@ def test_expected_kinds_is_the_mean_over_every_draw(labels: list[int], data: st.
 def test_more_kinds_than_labels_cannot_be_drawn() -> None:
     with pytest.raises(ValueError, match="4 of 3"):
         languages.expected_kinds(np.arange(3), 4)
-    assert np.isnan(languages.entropy(np.zeros(0, np.int64)))
+    assert np.isnan(languages.lexeme_entropy(np.zeros(0, np.int64)))
 
 
-def _clip(duration: float, shift: float = 0.0, fps: float = 60.0) -> Clip:
+def _clip(duration: float, shift: float = 0.0, fps: float = 60.0) -> ClipMeasurement:
     """Onsets at irregular times, motion beats `shift` later; hands at 1 m/s, and 0.2 in the last tenth, silent."""
     rng = np.random.default_rng(0)
     onsets = np.cumsum(rng.uniform(0.5, 1.0, int(2 * duration)))
@@ -137,7 +128,7 @@ def _clip(duration: float, shift: float = 0.0, fps: float = 60.0) -> Clip:
     frames = round(duration * fps) - 1
     silent = np.arange(frames) >= 0.9 * frames
     speed = np.where(silent, 0.2, 1.0)[:, None].repeat(2, axis=1)
-    return Clip(onsets, onsets + shift, duration, speed, silent, np.zeros((frames + 1, 2)))
+    return ClipMeasurement(onsets, onsets + shift, duration, speed, silent, np.zeros((frames + 1, 2)))
 
 
 def test_figures_of_a_motion_in_time_and_of_one_that_is_late() -> None:
@@ -173,10 +164,10 @@ def test_rows_average_performances_before_they_count_pieces() -> None:
     heard = [languages.Passage(name, "de", "", Speech(np.zeros(RATE, np.float32), RATE)) for name in play]
     told = languages.rows(heard, lambda passage: play[passage.name], size=8)
     row, once = told["groups"]["German, real"], len(slow.beats) / 15
-    assert row["motion_beats_per_second"]["mean"] == pytest.approx((1.5 + 2) / 2 * once)
-    assert row["motion_beats_per_second"]["clips"] == row["pieces"] == 2 and row["seconds"] == 30
+    assert row["motion_beats_per_second"].mean == pytest.approx((1.5 + 2) / 2 * once)
+    assert row["motion_beats_per_second"].n == row["pieces"] == 2 and row["seconds"] == 30
     assert row["used"] == row["used_equally"] == 0.5 and row["entropy_of_all"] == pytest.approx(np.log(4))
-    assert told["clips"]["a (German, real)"]["motion_beats_per_second"]["mean"] == pytest.approx(1.5 * once)
+    assert told["clips"]["a (German, real)"]["motion_beats_per_second"].mean == pytest.approx(1.5 * once)
 
 
 def _sound(seconds: float) -> Speech:
@@ -235,26 +226,38 @@ def test_no_words_reach_the_model(tiny_store: Path, tiny_bundle: Path) -> None:
     assert [len(players) for players in played] == [4] * max(1, round(passage.speech.duration / 15))
 
 
-def test_the_command_tells_what_is_synthetic(tiny_store: Path, tiny_bundle: Path, tmp_path: Path,
-                                             capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_lexicon_that_plays_is_the_one_that_is_used(tiny_store: Path, tiny_bundle: Path) -> None:
+    """RACER's own codec has more codes than the setting `lexicon.size` says."""
+    system = Gesticulator.from_pretrained(tiny_bundle)
+    size, config = system.bundle.lexicon.quantizer.size, system.bundle.config
+    system.bundle = replace(system.bundle, config=replace(config, lexicon=replace(config.lexicon, size=size // 4)))
+    passage = languages.passages([tiny_store], (), 1)[0]
+    told = languages.figures({"own": system}, [replace(passage, motion=None)])["systems"]["own, lstm"]["groups"]
+    (row,) = told.values()
+    played = languages.played_by(system, replace(passage, motion=None), "lstm")
+    kinds = len({int(lexeme) for players in played for piece in players for lexeme in piece.lexemes})
+    assert row["used"] == kinds / size <= 1
+
+
+def test_the_command_says_what_is_synthetic(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     speech, out = tmp_path / "speech", tmp_path / "languages.json"
     speech.mkdir()
     write_flac(speech / "de_one.flac", _sound(32))
-    assert languages.main(["--data", str(speech), str(tiny_store), "--bundle", str(tiny_bundle), "--reverse",
-                           str(tiny_bundle), "--speak", "", "--takes", "1", "--out", str(out)]) == 0
-    result = json.loads(out.read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
-    rule, own, reverse = result["systems"].values()
-    assert set(rule["groups"]) == {"English, synthetic"}
-    assert set(own["groups"]) == {"English, synthetic", "German, real"} and own == reverse
-    assert rule["groups"]["English, synthetic"]["entropy"]["mean"] is None
-    printed = capsys.readouterr().out
-    assert "- German, real: spoken by a person.\n- English, synthetic: spoken by numpy." in printed
-    assert out.with_suffix(".md").read_text() in printed
+    assert PROBE.main("gesticulator probe", [
+        "languages", "--data", str(speech), str(tiny_store), "--bundle", str(tiny_bundle),
+        "--reverse", str(tiny_bundle), "--speak", "", "--takes", "1", "--out", str(out)]) == 0
+    voices_, rule, _, own, _, reverse, _ = load(out)
+    assert voices_.rows["German, real"]["by"] == "a person" and voices_.rows["English, synthetic"]["by"] == "numpy"
+    assert rule.title == languages.RULE and set(rule.rows) == {"English, synthetic"}
+    assert set(own.rows) == {"English, synthetic", "German, real"} and own.rows == reverse.rows
+    assert math.isnan(rule.rows["English, synthetic"]["entropy"].mean)  # type: ignore[union-attr]
+    claim = own.rows["German, real"]["above_chance"].to_dict()  # type: ignore[union-attr]
+    assert voices_.facts["claim"] == [claim], "each language but English, by the first bundle"
 
 
 def test_wrong_options_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for wrong, said in ((["--interpreters", "crystal"], "--interpreters crystal"), (["--speak", "xx"], "--speak xx"),
                         (["--takes", "0"], "--takes"), (["--seconds", "nan"], "--seconds")):
         with pytest.raises(SystemExit) as caught:
-            languages.main(["--data", str(tmp_path), *wrong])
+            PROBE.main("gesticulator probe", ["languages", "--data", str(tmp_path), *wrong])
         assert caught.value.code == 2 and said in capsys.readouterr().err

@@ -28,8 +28,8 @@ from eval.commands import DRAW
 from eval.draw import lexicon_map as maps
 from eval.encode import EncodedMotion, encode_motion
 from gesticulator import bundle as bundles
-from gesticulator import silent
 from gesticulator.bundle import Bundle
+from gesticulator.commands import BUNDLE
 
 # ------------------------------------------------------------------------------------------ what goes with a lexeme
 
@@ -287,6 +287,6 @@ def test_ticking_writes_a_command_that_works(made: Path, browser: Any, capsys: p
     command = shlex.split(page.input_value("#command"))
     shares = [float(own.get_attribute("data-share")) for own in page.locator("article").all()]
     assert shares == sorted(shares, reverse=True) and not wrong
-    assert command[:3] == ["python", "-m", "gesticulator.silent"]
-    assert silent.main(command[3:]) == 0
+    assert command[:3] == ["gesticulator", "bundle", "silent"]
+    assert BUNDLE.main("gesticulator bundle", command[2:]) == 0
     assert bundles.load(made / "my bundle").silent.tolist() == [3, 7]

@@ -23,7 +23,7 @@ from gesticulator import bundle as bundles
 SECONDS, FPS, RATE = 12.0, 20.0, 16000
 NETWORK = "raw directions of 2 frames, 12 frames"
 CONTROLS = ("still", "shuffled", "reversed", "jitter")
-EYE_CONTROLS = ("mirrored", "frozen", "bobbing")
+EYE_CONTROLS = ("mirrored", "bobbing")
 
 
 def clip(seed: int) -> Clip:

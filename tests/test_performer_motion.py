@@ -13,6 +13,7 @@ from data_module.motion.motion_beats import acting_positions, acting_speed, beat
 from data_module.performer import meaning
 from data_module.performer.plan import drives, plan, runs_of
 from data_module.performer.play import FPS, monotone_cubic, perform
+from data_module.performer.procedural import procedural_strokes
 from data_module.performer.strokes import (
     LEFT,
     RIGHT,
@@ -21,13 +22,14 @@ from data_module.performer.strokes import (
     held_out_keys,
     load_strokes,
     mirror,
-    procedural_strokes,
     stroke_times,
 )
 from data_module.performer.types import Played, Spoken
 from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Motion, Speech, Word
-from eval import corpus
+from eval.commands import PROBE
+from eval.probes import corpus
+from eval.table import load
 
 PUPPET = "puppet"
 
@@ -262,6 +264,31 @@ def test_missing_manifest_is_an_input_error(tmp_path: Path) -> None:
         load_strokes(tmp_path)
 
 
+_HEAD = "file,speaker,posture,lexeme,hand,emphasis\n"
+
+
+@pytest.mark.parametrize(("data", "says"), [
+    (_HEAD.encode("utf-16-le"), "not text"), ((_HEAD + "a.bvh,brad\n").encode(), "line 2.*too few columns"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left,0\0\n").encode(), "not text"), (b"", "lacks columns"),
+    (_HEAD.encode(), "lacks columns"),
+    ((_HEAD + "../../a.bvh,brad,Idle,Beat,left,0.5\n").encode(), r"line 2.*no file of this folder"),
+    ((_HEAD + "..\\a.bvh,brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + "/etc/passwd,brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + "C:a.bvh,brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + "a\x07.bvh,brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + ",brad,Idle,Beat,left,0.5\n").encode(), "no file of this folder"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left,soon\n").encode(), "seconds of its emphasis"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left,1e999\n").encode(), "seconds of its emphasis"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left," + "1" * 140_000 + "\n").encode(), "no row of a table"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left,0.5\n").encode(), "a.bvh.*does not exist"),
+])
+def test_a_broken_manifest_is_one_line(data: bytes, says: str, tmp_path: Path) -> None:
+    (tmp_path / "manifest.csv").write_bytes(data)
+    with pytest.raises(InputError, match=says) as caught:
+        load_strokes(tmp_path)
+    assert len(str(caught.value)) < 300 + len(str(tmp_path))
+
+
 # --- The recorded strokes
 
 
@@ -338,7 +365,17 @@ def test_hand_in_torso_is_seen(strokes: StrokeSet) -> None:
 
 def test_corpus_command_names_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
-        corpus.main(["--data", str(tmp_path), "--out", str(tmp_path / "out.json")])
+        PROBE.main("gesticulator probe", ["corpus", "--data", str(tmp_path), "--out", str(tmp_path / "out.json")])
     assert stop.value.code == 2
     assert "holds no recording" in capsys.readouterr().err
     assert not (tmp_path / "out.json").exists()
+
+
+def test_a_corpus_is_measured_and_judged(tiny_store: Path, tmp_path: Path) -> None:
+    folder, out = tiny_store / "dataset", tmp_path / "corpus.json"
+    assert PROBE.main("gesticulator probe", ["corpus", "--data", str(folder), "--limit", "5", "--out", str(out)]) == 0
+    figures, accepted = load(out)
+    values = {name: row["corpus"] for name, row in figures.rows.items()}
+    assert values["motion beats within 20 ms of plan"].mean >= 0.95  # type: ignore[union-attr]
+    assert values["PMB at 0.1 s, %"].mean > values["its chance level, %"].mean + 10  # type: ignore[union-attr]
+    assert accepted.rows["95 % of motion beats within 20 ms of plan"]["met"] == "yes"

@@ -13,11 +13,11 @@ from data_module.errors import InputError
 from data_module.motion.motion_beats import beats_of_speed
 from data_module.speech.beats import merged
 from data_module.types import BeatFlag, Beats, Speech, Word
-from eval.audio_clusters import association
 from eval.draw import plots
 from eval.draw.lexicon_map import colours
 from eval.draw.strips import BEAT_COLOURS, save_strip
 from eval.metrics import pmb
+from eval.metrics.audio_clusters import association
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 from matplotlib.colors import to_hex
@@ -233,9 +233,9 @@ def test_bars_are_entropies_and_gains_of_the_association() -> None:
         assert heights[name] == [own[name]["entropy"]]
         assert heights[f"{name}, by chance"] == heights[f"_{name}, by chance"] == [own[name]["by_chance"]]
         spans = spans_of(gains, f"_{name}", 1)
-        assert spans == [[own[name]["gain"]["low"], own[name]["gain"]["high"]]] * 2
+        assert spans == [[own[name]["gain"].low, own[name]["gain"].high]] * 2
         assert [float(line.get_ydata()[0]) for line in gains.get_lines() if line.get_label() == f"_{name}"] == [
-            own[name]["gain"]["mean"]] * 2
+            own[name]["gain"].mean] * 2
     alone = [segment[0, 1] for part in bars.collections for segment in part.get_segments()]
     assert alone == [own["lexeme_entropy"]] * 2
     assert set(legend_of(figure)) == {"lexeme alone", *levels, *(f"{name}, by chance" for name in levels)}
@@ -259,7 +259,7 @@ def performance(seconds: float = 8.0, rate: int = 16000) -> dict[str, Any]:
 def test_overview_shows_its_stretch() -> None:
     own = performance()
     words = (Word("before", 0.1, 0.4), Word("well", 1.2, 1.6), Word("", 1.6, 2.0), Word("yes", 4.0, 4.4))
-    figure = plots.overview(**own, start=1.0, seconds=4.0, words=words, silent=[2])
+    figure = plots.overview(plots.Overview(**own, words=words, silent=[2]), 1.0, 4.0)
     spoken, sound, cells, hands = figure.axes
     assert [text.get_text() for text in spoken.texts] == ["well", "yes"]
     assert [text.get_position()[0] for text in spoken.texts] == pytest.approx([1.4, 4.2])
@@ -290,7 +290,7 @@ def test_overview_shows_its_stretch() -> None:
 def test_overview_draws_the_sounds_extremes_and_the_beats_it_is_given() -> None:
     own = performance()
     own["speech"].samples[32000] = 0.9
-    figure = plots.overview(**own, start=1.0, seconds=60.0, motion_beats=np.array([1.5, 2.5]))
+    figure = plots.overview(plots.Overview(**own, motion_beats=np.array([1.5, 2.5])), 1.0, 60.0)
     sound, cells, hands = figure.axes
     # Nine blocks, one of them a sliver of 0.1 s that no number fits in.
     assert len(cells.patches) == 9 and len(cells.texts) == 8
@@ -308,8 +308,10 @@ def test_overview_draws_the_sounds_extremes_and_the_beats_it_is_given() -> None:
     {"hand_speed": np.array([1.0, math.inf])},
 ])
 def test_overview_refuses_what_is_none(wrong: dict[str, Any]) -> None:
+    told = {**performance(), "start": 1.0, "seconds": 4.0, **wrong}
+    start, seconds = told.pop("start"), told.pop("seconds")
     with pytest.raises(ValueError):
-        plots.overview(**{**performance(), "start": 1.0, "seconds": 4.0, **wrong})
+        plots.overview(plots.Overview(**told), start, seconds)
 
 
 # ---------------------------------------------------------------------------------------------------------- saving
@@ -319,7 +321,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
     points, labels = rng.standard_normal((40, 2)), rng.integers(0, 4, 40)
     made = {"curves": lambda: plots.delta_curves({"ours": [1.0, 2.0, 3.0]}, DELTAS),
             "panels": lambda: plots.embedding_panels({"a": (points, labels)}, 4),
-            "overview": lambda: plots.overview(**performance(), start=0.0, seconds=8.0, silent=[2])}
+            "overview": lambda: plots.overview(plots.Overview(**performance(), silent=[2]), 0.0, 8.0)}
     for name, draw in made.items():
         for suffix in ("svg", "png"):
             files = [tmp_path / f"{name}{i}.{suffix}" for i in range(2)]

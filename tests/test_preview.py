@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
@@ -18,11 +19,9 @@ import numpy as np
 import pytest
 from performances import perform
 
-from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.skeletons import CHARACTER, standing
 from gesticulator.export import html, write
-from gesticulator.export.bvh import standing
 
 ASSETS = Path(html.__file__).parent.parent / "assets"
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
@@ -100,21 +99,31 @@ def test_words_and_names_cannot_break_out() -> None:
     assert "<title>a &quot;&lt;img src=x&gt;&quot; &amp; {{three}} " in page
 
 
-def test_long_recordings_become_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(html, "LONGEST_PAGE", 2.0)
-    opened = write(tmp_path / "talk.html", perform())
-    assert opened == tmp_path / "talk" / "index.html"
-    assert sorted(path.name for path in opened.parent.iterdir()) == ["index.html", "motion.js", "speech.ogg"]
-    assert list(tmp_path.iterdir()) == [opened.parent]
-    assert opened.stat().st_size < 900_000, "the page itself must not hold the motion"
-    # Again over its own folder, but never over somebody else's.
-    assert write(tmp_path / "talk.html", perform(seed=8)) == opened
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.txt").write_text("ten years")
-    with pytest.raises(InputError, match="not a preview"):
-        write(tmp_path / "mine.html", perform())
-    assert (tmp_path / "mine" / "thesis.txt").read_text() == "ten years"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "talk"]
+def test_a_long_recording_is_one_page_with_fewer_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    performance = perform(fps=60.0)
+    whole = _data(html.page(performance, "talk"))
+    monkeypatch.setattr(html, "LONG", 2.0)
+    assert write(tmp_path / "talk.html", performance) == tmp_path / "talk.html"
+    assert [path.name for path in tmp_path.iterdir()] == ["talk.html"]
+    told = _data((tmp_path / "talk.html").read_text())
+    assert told["fps"] == 30.0 and told["duration"] == whole["duration"] and told["sound"] == whole["sound"]
+
+    def poses(page: dict[str, Any]) -> np.ndarray:
+        steps = np.frombuffer(base64.b64decode(page["rotations"]), "<i2").reshape(page["frames"], len(CHARACTER), 4)
+        return rotation.normalise(steps / page["steps"])
+
+    assert rotation.angle_between(poses(told), poses(whole)[::2]).max() < 2e-4, "every second frame, at its own time"
+
+
+def test_a_name_of_bytes_that_are_no_text_is_written(tmp_path: Path) -> None:
+    target = tmp_path / os.fsdecode(b"caf\xe9 \xc3\xa9.html")
+    write(target, perform())
+    assert "<title>caf\ufffd \u00e9 " in target.read_text(encoding="utf-8")
+
+
+def test_the_page_tells_what_a_score_is() -> None:
+    told = _data(html.page(replace(perform(), score_is="Q value"), "talk"))
+    assert told["scoreIs"] == "Q value"
 
 
 # ---------------------------------------------------------------- in a browser
@@ -241,8 +250,13 @@ def test_buttons_and_keys(opened: _Opened) -> None:
     assert opened.complaints == []
 
 
-def test_folder_plays_from_the_disk(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(html, "LONGEST_PAGE", 2.0)
+def test_the_score_is_named_under_its_bars(opened: _Opened) -> None:
+    assert opened.page.text_content("#score-is") == "score: log-probability"
+
+
+def test_a_long_recordings_page_plays_from_the_disk(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+                                                    ) -> None:
+    monkeypatch.setattr(html, "LONG", 2.0)
     shown = _Opened(browser, write(tmp_path / "talk.html", perform(seconds=4.0)))
     shown.page.click("#play")
     shown.page.wait_for_function("() => preview.clock.time > 0.3", timeout=20_000)

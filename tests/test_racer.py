@@ -14,20 +14,12 @@ from data_module.motion.bvh import read_bvh
 from data_module.store import Store
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
-from gesticulator import infer, train
+from gesticulator import infer, presets, train
 from gesticulator.pipeline import Gesticulator
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.racer import (
-    RewardWindows,
-    block_audio,
-    decoded_blocks,
-    decoded_lexemes,
-    groups,
-    q_batch,
-    reward_table,
-    takes_of,
-    token_labels,
-)
+from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.lexicon import decoded_blocks, decoded_lexemes, token_labels
+from gesticulator.stages.q_network import q_batch, takes_of
+from gesticulator.stages.reward import RewardWindows, block_audio, groups, reward_table
 from interpreters.episodes import Episodes
 from interpreters.reward import RewardConfig
 from lexicon.racer import RacerCodec
@@ -65,8 +57,8 @@ def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: 
     frames = corpus.motion.shape[1]
     windows = RewardWindows(corpus, audio, shown, corpus.recordings("train"),
                             RewardConfig(shortest=2, window=4, longest=6), labels)
-    batch = windows.drawn(np.random.default_rng(0), 64)
-    again = windows.drawn(np.random.default_rng(0), 64)
+    batch = windows.sample(np.random.default_rng(0), 64)
+    again = windows.sample(np.random.default_rng(0), 64)
     assert all(torch.equal(batch[key], again[key]) for key in batch)
     lengths = batch["valid"].sum(1)
     assert set(lengths.tolist()) == {2.0, 3.0, 4.0, 5.0, 6.0}
@@ -94,7 +86,7 @@ def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundl
     config = RewardConfig(shortest=2, window=4, longest=6, rivals=3)
     windows = RewardWindows(corpus, block_audio(corpus), decoded_blocks(bundle.lexicon, labels, corpus),
                             corpus.recordings("train"), config, labels, lexemes, bundle.inventory.transitions)
-    batch = windows.drawn(np.random.default_rng(1), 48, 1.0)
+    batch = windows.sample(np.random.default_rng(1), 48, 1.0)
     assert batch["rivalled"].all() and batch["rival"].shape[:3] == (48, 3, 6)
     other = (batch["rival"] != batch["motion"][:, None]).flatten(3).any(3)  # [B, H, W]
     lengths = batch["valid"].sum(1)
@@ -174,7 +166,7 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
     frames = codec.decode(codec.vectors[codes])[0, 8:].numpy().astype(np.float64)
     poses = system.bundle.statistics.denormalise(frames, system.speaker_index(None))
     # The frames of the motion at 20 fps are the decoded ones, but for the smoothing.
-    from gesticulator.prepare import representation_of
+    from gesticulator.statistics import representation_of
 
     wanted = representation_of(system.bundle.config).motion(poses[:-16], 20.0)
     gap = np.abs(np.einsum("tjq,tjq->tj", made.motion.rotations[1:len(wanted) + 1], wanted.rotations))
@@ -184,7 +176,7 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
-    (["--interpreter", "lstm"], r"--interpreter lstm: is not in the bundle.*cql, statistical"),
+    (["--interpreter", "lstm"], r"interpreter lstm: is not in the bundle.*cql, statistical"),
     (["--hand-height", "high"], "not heard by this bundle")])
 def test_what_racer_has_not_is_said(arguments: list[str], said: str, native: Path, tmp_path: Path,
                                     capfd: pytest.CaptureFixture[str]) -> None:
@@ -200,15 +192,14 @@ def test_what_racer_has_not_is_said(arguments: list[str], said: str, native: Pat
     assert not (tmp_path / "o.bvh").exists()
 
 
-def test_a_codec_needs_its_frame_rate(tiny_store: Path, tmp_path: Path) -> None:
-    config = configs.with_settings(configs.preset("tiny"), ["tokens=racer", "front_end.name=mel"])
+def test_a_codec_needs_its_frame_rate() -> None:
     with pytest.raises(InputError, match="fixed rate"):
-        train.train(config, Store.open(tiny_store), tmp_path / "b", tmp_path / "w", progress=False)
+        configs.with_settings(presets.preset("tiny"), ["tokens=racer", "front_end.name=mel"])
 
 
 def test_published_sizes(tmp_path: Path) -> None:
     for name, steps in (("racer-trinity", 13_000), ("racer-chinese", 2_800)):
-        config = configs.preset(name)
+        config = presets.preset(name)
         assert (config.racer.width, config.racer.size, config.cql.width, config.cql.heads) == (512, 512, 768, 12)
         assert config.cql.decisions == 15 and config.cql.decisions * config.rhythm.frames == 120
         assert config.rhythm.frames / config.rhythm.fps == pytest.approx(0.4) and config.schedules.cql.steps == steps

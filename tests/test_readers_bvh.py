@@ -356,7 +356,7 @@ def test_nothing_but_motion_is_refused_with_the_file_that_is_missing(name: str, 
 @pytest.mark.parametrize("name", LAYOUTS)
 @pytest.mark.parametrize(("kind", "content", "message"), [
     (".bvh", b"HIERARCHY\nROOT Hips\n{\nMOTION\nFrame Time: 0.1\n", "is not a BVH file"),
-    (".bvh", b"\xff\xfe\x00", "is not a BVH file"),
+    (".bvh", b"\xff\xfe\x00", "is not text"),
     (".bvh", None, "its header says 120 frames at 60 fps but 119 rows follow"),
     (".wav", b"RIFF", ""),
 ])

@@ -169,7 +169,7 @@ def test_a_clip_cut_short_is_named_and_nothing_is_left(published: Path, tmp_path
 
 @pytest.mark.parametrize(("part", "content", "message"), [
     ("motions/ChrBrad@Idle01_Shrug01.skm", b"hello\n", r"Shrug01\.skm: is not a SmartBody motion"),
-    ("motions/ChrBrad@Idle01_Shrug01.skm", b"\xff\xfe\x00\x81", r"Shrug01\.skm: is not text"),
+    ("motions/ChrBrad@Idle01_Shrug01.skm", b"\xfa\xfe\x00\x81", r"Shrug01\.skm: line 1: is not text"),
     ("skeletons/ChrBrad.sk", b"root A { offset 0 0 x }", r"ChrBrad\.sk: has '0 0 x' where 3 numbers belong"),
     ("skeletons/ChrBrad.sk", b"root A { offset 0 0 0 }", r"no joint JtRoot"),
     ("skeletons/ChrBrad.sk", b"root A { offset 0 0 0", r"ChrBrad\.sk: is not a SmartBody skeleton"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,17 @@ from untrained import PLAIN, untrained
 from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.store import Store
-from eval import rewards
-from eval.rewards import Asked
+from eval.commands import PROBE
+from eval.context import EvalContext
+from eval.probes import rewards
+from eval.probes.rewards import RewardProbe
+from eval.stats import Interval
+from eval.table import load
 from gesticulator import bundle as bundles
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.racer import takes_of, token_labels
-from interpreters.episodes import Take
+from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.lexicon import token_labels
+from gesticulator.stages.q_network import takes_of
+from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
 
 # ------------------------------------------------------------------------------------------------------- quantities
@@ -79,7 +83,7 @@ def test_recordings_are_the_unit() -> None:
     np.testing.assert_array_equal(means, [2, np.nan, 8])
     assert weights.tolist() == [2, 0, 1]
     got = rewards.mean_of(values, owner, 3)
-    assert (got["mean"], got["low"], got["high"], got["clips"]) == (4.0, 2.0, 8.0, 2)
+    assert (got.mean, got.low, got.high, got.n) == (4.0, 2.0, 8.0, 2)
 
 
 def test_rank_and_share_of_the_true_action() -> None:
@@ -109,16 +113,17 @@ def test_two_models_agree_over_actions_and_not_over_states() -> None:
 def test_the_gap_beside_the_reach() -> None:
     owner = np.array([0, 0, 1])
     got = rewards.domain_gap(np.array([0.9, 0.8, 0.7]), np.array([0.8, 0.8, 0.8]), np.array([0.1, 0.2, 0.3]), owner, 2)
-    assert got["gap"]["mean"] == pytest.approx(0.0) and got["reach"]["mean"] == pytest.approx(0.6)
+    assert got["gap"].mean == pytest.approx(0.0) and got["reach"].mean == pytest.approx(0.6)
     assert got["ratio"] == pytest.approx(0.0)
     flat, one = np.full(3, 0.5), np.array([0, 0, 0])
     assert rewards.domain_gap(flat - 0.2, flat, flat - 0.4, one, 1)["ratio"] == pytest.approx(0.5), "either way"
     assert np.isnan(rewards.domain_gap(flat, flat, flat, one, 1)["ratio"])
 
 
-def take(lexemes: list[int], silent: list[int], recording: int = 0) -> Take:
+def take(lexemes: list[int], silent: list[int], recording: int = 0) -> Demonstration:
     count = len(lexemes)
-    return Take(recording, 0, np.arange(count) + 100 * recording, np.array(lexemes), np.isin(np.arange(count), silent))
+    return Demonstration(recording, 0, np.arange(count) + 100 * recording, np.array(lexemes),
+                         np.isin(np.arange(count), silent))
 
 
 def test_actions_of_spoken_decisions_alone() -> None:
@@ -126,12 +131,12 @@ def test_actions_of_spoken_decisions_alone() -> None:
     every = [np.array([[0.0, 1.0, 0.5], [9.0, 9.0, 9.0], [0.6, 0.2, 1.0]]), np.array([[0.3, 0.2, 0.1]])]
     got = rewards.of_actions(every, takes)
     assert (got["actions"], got["decisions"], got["chance_rank"]) == (3, 3, 2.0)
-    assert got["median_rank"] == 2.0 and got["median_rank_of_recordings"]["mean"] == pytest.approx((2 * 1.5 + 2) / 3)
-    assert got["share_of_range"]["mean"] == pytest.approx((1.0 + 0.5 + 0.5) / 3)
-    assert got["spread_actions"]["clips"] == 1, "one decision has no spread over states"
-    assert got["spread_states"]["mean"] == pytest.approx(0.05)
-    assert rewards.agreed(every, every, takes)["mean"] == pytest.approx(1.0)
-    assert rewards.agreed(every, [-rows for rows in every], takes)["mean"] == pytest.approx(-1.0)
+    assert got["median_rank"] == 2.0 and got["median_rank_of_recordings"].mean == pytest.approx((2 * 1.5 + 2) / 3)
+    assert got["share_of_range"].mean == pytest.approx((1.0 + 0.5 + 0.5) / 3)
+    assert got["spread_actions"].n == 1, "one decision has no spread over states"
+    assert got["spread_states"].mean == pytest.approx(0.05)
+    assert rewards.agreed(every, every, takes).mean == pytest.approx(1.0)
+    assert rewards.agreed(every, [-rows for rows in every], takes).mean == pytest.approx(-1.0)
 
 
 def values(*line: float, other: float, random: float) -> dict[str, np.ndarray]:
@@ -143,22 +148,22 @@ def values(*line: float, other: float, random: float) -> dict[str, np.ndarray]:
 
 def test_differences_by_shift_are_paired() -> None:
     got = rewards.compared(values(0.9, 0.5, 0.4, 0.3, 0.2, 0.1, other=0.05, random=0.0), 2)
-    assert got["mean"]["0"]["mean"] == pytest.approx(0.95)
-    assert got["matched - shifted"]["1"] == pytest.approx({"mean": 0.4, "low": 0.4, "high": 0.4, "clips": 2})
+    assert got["mean"]["0"].mean == pytest.approx(0.95)
+    assert got["matched - shifted"]["1"].to_dict() == pytest.approx({"mean": 0.4, "low": 0.4, "high": 0.4, "n": 2})
     assert list(got["matched - shifted"]) == ["1", "2", "4", "8", "16", "another recording", "random"]
-    assert [row["mean"] for row in got["falls"].values()] == pytest.approx([0.4, 0.1, 0.1, 0.1, 0.1])
-    assert {shift: row["low"] for shift, row in got["shifted - random"].items()} == pytest.approx({"4": 0.3, "16": 0.1})
+    assert [row.mean for row in got["falls"].values()] == pytest.approx([0.4, 0.1, 0.1, 0.1, 0.1])
+    assert {shift: row.low for shift, row in got["shifted - random"].items()} == pytest.approx({"4": 0.3, "16": 0.1})
 
 
 def test_what_is_accepted() -> None:
     def verdict(*line: float, hit: float = 50.0, gap: float = 0.1, rank: float = 10.0) -> dict[str, bool]:
-        sure = {"mean": hit, "low": hit, "high": hit, "clips": 2}
-        hits = {"motion_r1": sure, "audio_r1": sure, "chance_r1": {"mean": 5.0}}
+        sure = Interval(hit, hit, hit, 2)
+        hits = {"motion_r1": sure, "audio_r1": sure, "chance_r1": Interval.exact(5.0, 2)}
         own = rewards.compared(values(*line, other=0.05, random=0.0), 2)
         return rewards.acceptance({
             "retrieval": {"rows": {"decoded": {"same recording": hits}}}, "shift": {"captured": own, "decoded": own},
             "domain_gap": {"ratio": gap},
-            "actions": {"median_rank_of_recordings": {"high": rank}, "chance_rank": 50.5}}, window=8)
+            "actions": {"median_rank_of_recordings": Interval(rank, rank, rank, 2), "chance_rank": 50.5}}, window=8)
 
     assert all(verdict(0.9, 0.5, 0.4, 0.3, 0.2, 0.1).values())
     rises = verdict(0.9, 0.5, 0.4, 0.45, 0.2, 0.1)
@@ -186,7 +191,7 @@ def bundle(tiny_store: Path, work: Path) -> bundles.Bundle:
                           corpus.motion.shape[-1], corpus.low.shape[-1]) for _ in range(2)]
     for model in models:
         freeze(model)
-    return dataclasses.replace(own, statistics=corpus.statistics, reward=models[0], reward_judge=models[1])
+    return dataclasses.replace(own, statistics=corpus.statistics).with_parts(reward=models[0], reward_judge=models[1])
 
 
 @pytest.fixture(scope="module")
@@ -194,30 +199,30 @@ def corpus(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> Corpus:
     return prepare(Store.open(tiny_store), bundle.config, work, progress=False)
 
 
-def test_what_is_asked_is_the_reward_of_the_model(bundle: bundles.Bundle, corpus: Corpus) -> None:
+def test_a_probe_gives_the_reward_of_the_model(bundle: bundles.Bundle, corpus: Corpus) -> None:
     labels = token_labels(bundle.lexicon, corpus)
     assert bundle.reward is not None
-    asked, own = Asked.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")[0]
+    probe, own = RewardProbe.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")[0]
     at = rewards.windows(own.blocks, 4)
-    decoded = asked.score("decoded", at, at)
-    np.testing.assert_allclose(decoded, asked.played(labels[at], at), atol=1e-5)
-    along = asked.table.sequence(torch.as_tensor(own.lexemes), torch.as_tensor(own.blocks)).numpy()
+    decoded = probe.score("decoded", at, at)
+    np.testing.assert_allclose(decoded, probe.played(labels[at], at), atol=1e-5)
+    along = probe.table.sequence(torch.as_tensor(own.lexemes), torch.as_tensor(own.blocks)).numpy()
     np.testing.assert_allclose(decoded, along[3:], atol=1e-5)
-    np.testing.assert_allclose(asked.every(own)[np.arange(len(own.blocks) - 1), own.lexemes[1:]], along[1:], atol=1e-5)
+    np.testing.assert_allclose(probe.every(own)[np.arange(len(own.blocks) - 1), own.lexemes[1:]], along[1:], atol=1e-5)
     for kind in ("captured", "decoded"):
         for retimed in (False, True):
-            np.testing.assert_allclose(np.diagonal(asked.pairs(kind, at[:5], retimed)),
-                                       asked.score(kind, at[:5], at[:5]), atol=1e-5)
-    moved = asked.pairs("captured", at[:5], retimed=True)
-    np.testing.assert_allclose(moved[3, 1:2], asked.score("captured", at[3:4], at[1:2]), atol=1e-5)
-    no_pose = asked.pairs("durations alone", at[:5], retimed=True)
+            np.testing.assert_allclose(np.diagonal(probe.pairs(kind, at[:5], retimed)),
+                                       probe.score(kind, at[:5], at[:5]), atol=1e-5)
+    moved = probe.pairs("captured", at[:5], retimed=True)
+    np.testing.assert_allclose(moved[3, 1:2], probe.score("captured", at[3:4], at[1:2]), atol=1e-5)
+    no_pose = probe.pairs("durations alone", at[:5], retimed=True)
     np.testing.assert_allclose(no_pose, np.broadcast_to(no_pose[:1], (5, 5)), atol=1e-5)  # nothing left to match
     with torch.no_grad():
         as_trained, heard = bundle.reward.embed({
             "motion": corpus.motion[torch.as_tensor(at)],
             "audio": corpus.low[torch.as_tensor(at), bundle.reward.frames:2 * bundle.reward.frames].float(),
             "log_duration": torch.as_tensor(np.log(corpus.durations[at])).float(), "valid": torch.ones(at.shape)})
-    np.testing.assert_allclose((as_trained * heard).sum(-1).numpy(), asked.score("captured", at, at), atol=1e-5)
+    np.testing.assert_allclose((as_trained * heard).sum(-1).numpy(), probe.score("captured", at, at), atol=1e-5)
 
 
 class Knows:
@@ -249,12 +254,12 @@ def test_a_reward_that_knows_the_moment_passes() -> None:
     assert got["retrieval"]["windows"] == 3 * 19, "the first of twenty is silent"
     for against in ("same recording", "other recordings"):
         hits = got["retrieval"]["rows"]["decoded"][against]
-        assert hits["motion_r1"]["mean"] == hits["audio_r5"]["mean"] == 100.0
-        assert got["retrieval"]["rows"]["durations alone"][against]["motion_r1"]["mean"] == 0.0
-    assert got["retrieval"]["rows"]["decoded"]["same recording"]["chance_r1"]["mean"] == pytest.approx(100 / 19)
-    assert got["shift"]["decoded"]["matched - shifted"]["8"]["mean"] == pytest.approx(0.008)
-    assert got["shift"]["decoded"]["mean"]["another recording"]["mean"] < -0.1
-    assert got["domain_gap"]["ratio"] == 0.0 and got["domain_gap"]["reach"]["mean"] == 1.0
+        assert hits["motion_r1"].mean == hits["audio_r5"].mean == 100.0
+        assert got["retrieval"]["rows"]["durations alone"][against]["motion_r1"].mean == 0.0
+    assert got["retrieval"]["rows"]["decoded"]["same recording"]["chance_r1"].mean == pytest.approx(100 / 19)
+    assert got["shift"]["decoded"]["matched - shifted"]["8"].mean == pytest.approx(0.008)
+    assert got["shift"]["decoded"]["mean"]["another recording"].mean < -0.1
+    assert got["domain_gap"]["ratio"] == 0.0 and got["domain_gap"]["reach"].mean == 1.0
     assert got["actions"]["median_rank"] == 1.0
     assert all(got["acceptance"].values()), got["acceptance"]
 
@@ -262,43 +267,51 @@ def test_a_reward_that_knows_the_moment_passes() -> None:
 def test_random_motion_repeats_and_differs_between_recordings(bundle: bundles.Bundle, corpus: Corpus) -> None:
     labels = token_labels(bundle.lexicon, corpus)
     assert bundle.reward is not None
-    asked, takes = Asked.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")
+    probe, takes = RewardProbe.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")
     for kind in rewards.MOTIONS:
-        first, again = (rewards.shift_values(asked, kind, takes, 0) for _ in range(2))
+        first, again = (rewards.shift_values(probe, kind, takes, 0) for _ in range(2))
         for name, own in first.items():
             np.testing.assert_array_equal(own, again[name])
-        alone = rewards.shift_values(asked, kind, takes[:1], 0)
+        alone = rewards.shift_values(probe, kind, takes[:1], 0)
         assert np.isnan(alone["another recording"]).all(), "there is none"
         np.testing.assert_array_equal(alone["4"], first["4"])
 
 
-def test_the_tables_of_random_models(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> None:
-    result = rewards.rewards(Store.open(tiny_store), bundle, work, progress=False)
+@pytest.fixture(scope="module")
+def context(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> EvalContext:
+    return EvalContext(Store.open(tiny_store), bundle, work, progress=False)
+
+
+def test_the_tables_of_random_models(context: EvalContext) -> None:
+    result = rewards.rewards(context)
     assert list(result["models"]) == ["reward", "judge"] and result["store"]["test_recordings"] == 2
     for own in result["models"].values():
-        assert own["actions"]["actions"] == len(bundle.lexicon.vectors)
+        assert own["actions"]["actions"] == len(context.bundle.lexicon.vectors)
         assert list(own["shift"]["decoded"]["mean"]) == ["0", "1", "2", "4", "8", "16", "another recording", "random"]
         for part in own["retrieval"]["rows"].values():
             # Nobody trained it: what it finds is not far from what guessing would.
-            assert part["same recording"]["motion_r1"]["mean"] < 50 and part["same recording"]["chance_r1"]["mean"] < 50
+            assert part["same recording"]["motion_r1"].mean < 50 and part["same recording"]["chance_r1"].mean < 50
     assert result["models"]["reward"]["shift"] != result["models"]["judge"]["shift"]
-    assert abs(result["agreement"]["mean"]) < 0.9
-    text = rewards.markdown(json.loads(json.dumps(result)))
-    assert text.count("| same recording |") == 8 and "| 16 - random |" in text and "is chance" in text
+    assert abs(result["agreement"].mean) < 0.9
+    found, shifts, single, claims = rewards.tables(result)
+    assert len(found.rows) == 16 and sum("same recording" in row for row in found.rows) == 8
+    assert shifts.rows["16 - random"]["judge: decoded"] == result["models"]["judge"]["shift"]["decoded"][
+        "shifted - random"]["16"]
+    assert set(single.rows) == set(claims.columns) == {"reward", "judge"}
+    assert {row["judge"] for row in claims.rows.values()} <= {"yes", "no"}
 
 
 def test_the_command(tiny_store: Path, bundle: bundles.Bundle, work: Path, tmp_path: Path,
                      monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bundles, "load", lambda path: bundle)
     out = tmp_path / "rewards.json"
-    assert rewards.main(["--data", str(tiny_store), "--work", str(work), "--out", str(out)]) == 0
-    assert set(json.loads(out.read_text())) == {"store", "settings", "models", "agreement"}
-    assert "| asked of a reward | reward | judge |" in out.with_suffix(".md").read_text()
+    assert PROBE.main("gesticulator probe", ["rewards", "--data", str(tiny_store), "--work", str(work), "--quiet",
+                                             "--out", str(out)]) == 0
+    assert load(out)[0].facts["settings"]["window"] == 4
 
 
 @pytest.mark.parametrize("lacking", ["reward", "reward_judge"])
-def test_a_bundle_without_both_models_is_refused(tiny_store: Path, bundle: bundles.Bundle, work: Path, lacking: str
-                                                 ) -> None:
+def test_a_bundle_without_both_models_is_refused(context: EvalContext, lacking: str) -> None:
     without: dict[str, Any] = {lacking: None}
     with pytest.raises(InputError, match="reward models"):
-        rewards.rewards(Store.open(tiny_store), dataclasses.replace(bundle, **without), work, progress=False)
+        rewards.rewards(dataclasses.replace(context, bundle=context.bundle.with_parts(**without)))

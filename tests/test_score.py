@@ -33,13 +33,13 @@ from eval.foreign import Clip, read_motion
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.gesture_features import RawFeatures
-from eval.rewards import Asked
+from eval.probes.rewards import RewardProbe
 from eval.score import FLOOR, STILL, TRUTH, Flag, Scores, flags, mean_of, tables
 from eval.stats import Interval
 from eval.table import Marked, load, save
 from gesticulator import bundle as bundles
-from gesticulator.prepare import prepare
-from gesticulator.racer import token_labels
+from gesticulator.stages.corpus import prepare
+from gesticulator.stages.lexicon import token_labels
 
 SECONDS, FPS, RATE = 4.0, 20.0, 16000
 NETWORKS = {"raw, 12 frames": RawFeatures(12), "raw, 20 frames": RawFeatures(20)}
@@ -54,7 +54,7 @@ def clip(seed: int) -> Clip:
     corners = np.concatenate([[0.0], beats, [SECONDS]])
     angles = rng.uniform(0.2, 1.0, len(corners)) * np.resize([1, -1], len(corners))
     maps = np.zeros((len(time), len(CHARACTER), 3))
-    for name, sign in (("RightArm", 1.0), ("LeftArm", -1.0)):
+    for name, sign in (("RightArm", 1.0), ("LeftArm", -0.8)):
         maps[:, CHARACTER.index(name), 2] = sign * np.interp(time, corners, angles)
     maps[:, CHARACTER.index("Spine"), 0] = 0.05 * np.sin(time)
     samples = np.zeros(round(SECONDS * RATE), np.float32)
@@ -90,7 +90,8 @@ def test_perfect_input_gets_the_perfect_score(result: Scores) -> None:
 
 
 def test_controls_stand_beside_and_flag_what_they_beat(result: Scores) -> None:
-    assert set(result.figures) == {TRUTH, "same", "held", FLOOR, STILL, "shuffled", "reversed", "jitter"}
+    assert set(result.figures) == {TRUTH, "same", "held", FLOOR, STILL, "shuffled", "reversed", "jitter", "mirrored",
+                                   "bobbing"}
     said = {(flag.metric, flag.control): flag.says for flag in result.flags}
     assert "not told from the truth" in said["jerk", "reversed"]
     assert "beats held" in said["jerk", "shuffled"], "the real speed of another clip is nearer than no speed"
@@ -143,7 +144,7 @@ def test_the_tables_hold_every_figure_and_come_back(result: Scores, tmp_path: Pa
 
 def test_a_jitter_that_wins_is_told_of() -> None:
     def judged(jitter: float) -> list[Flag]:
-        rows = {name: score.Row(name, kind, [], [], {"consistency": np.array(values)}) for name, kind, values in (
+        rows = {name: score.ScoreRow(name, kind, [], [], {"consistency": np.array(values)}) for name, kind, values in (
             (TRUTH, TRUTH, [0.5, 0.6]), ("ours", "system", [0.4, 0.5]), ("jitter", "control", [jitter, jitter + 0.1]))}
         figures = {name: {"consistency": Marked(Interval.exact(float(row.values["consistency"].mean()), 2))}
                    for name, row in rows.items()}
@@ -279,9 +280,9 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
         folder.mkdir()
         write_bvh(folder / f"{file.stem}.bvh", own)
     shutil.copy(file.with_suffix(".wav"), real / f"{file.stem}.wav")
-    result = score.run(Namespace(
+    result = score.scored(Namespace(
         truth=real, system=[f"itself={real}", f"shaken={shaken}"], speech=None, fgd=None, work=None, bundle=None,
-        piece="8", rate=None, fps=[], no_controls=False, seed=0,
+        piece="8", rate=None, fps=[], no_controls=False, seed=0, units=None,
         split="test"))
     itself, off = ({name: mean_of(result.figures, row, name) for name in METRICS} for row in ("itself", "shaken"))
     assert len(result.clips) == 3 and result.fps == 15.0
@@ -335,7 +336,7 @@ def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, 
         motion.rotations + 0.02 * np.sin(np.arange(len(motion)) / 7)[:, None, None])))
     in_three_formats(off, tmp_path)
     shutil.copy(file.with_suffix(".wav"), real / "a.wav")
-    result = score.run(asked(real, [f"{name}={tmp_path / name}" for name in ("bvh", "smplx", "npy")], piece="5"))
+    result = score.scored(asked(real, [f"{name}={tmp_path / name}" for name in ("bvh", "smplx", "npy")], piece="5"))
     distances = [key for key, column in result.metrics.items() if column.part == "fgd"]
     assert mean_of(result.figures, "bvh", "maje_length") > 5
     for other in ("smplx", "npy"):
@@ -350,7 +351,7 @@ def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, 
 
 def asked(truth: Path, systems: list[str], **others: Any) -> Namespace:
     told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "rate": None,
-                            "fps": [], "no_controls": False, "seed": 0, "split": "test"}
+                            "fps": [], "no_controls": False, "seed": 0, "units": None, "split": "test"}
     return Namespace(truth=truth, system=systems, **{**told, **others})
 
 
@@ -384,10 +385,10 @@ def test_a_speech_folder_without_the_sound_is_an_error(truth: dict[str, Clip], t
     real = write_clips(tmp_path / "real", {"clip0": truth["clip0"]}, sound=False)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="empty: has no sound for clip0"):
-        score.run(asked(real, [f"ours={real}"], speech=tmp_path / "empty"))
+        score.scored(asked(real, [f"ours={real}"], speech=tmp_path / "empty"))
     with pytest.raises(InputError, match=r"name the folder of the Human3\.6M"):
-        score.run(asked(real, [f"ours={real}"], fgd=tmp_path / "none"))
-    row = score.run(asked(real, [f"ours={real}"])).figures["ours"]
+        score.scored(asked(real, [f"ours={real}"], fgd=tmp_path / "none"))
+    row = score.scored(asked(real, [f"ours={real}"])).figures["ours"]
     assert row["pmb_A"].reason == "1 of 1 clips: its speech is not known"
 
 
@@ -494,13 +495,13 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     figures = score.score(common, {}, bundle).figures
     assert mean_of(figures, TRUTH, "lexeme_accuracy") == 100.0 > mean_of(figures, "shuffled", "lexeme_accuracy")
     assert -1.0 <= mean_of(figures, TRUTH, "reward") == mean_of(figures, "same", "reward") <= 1.0
-    deaf = score.score(common, {}, replace(bundle, reward_judge=None), with_controls=False).figures
+    deaf = score.score(common, {}, bundle.with_parts(reward_judge=None), with_controls=False).figures
     assert "the bundle has no judging reward model" in deaf["same"]["reward"].reason
     assert mean_of(deaf, "same", "lexeme_accuracy") == 100.0
     # By another way: the corpus as the stages train on it.
     assert bundle.reward_judge is not None
     corpus = prepare(store, bundle.config, tmp_path, bundle.encoder, progress=False)
-    asks = Asked.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
+    asks = RewardProbe.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
     blocks = corpus.blocks_of(corpus.names.index(next(iter(some))))
     values = []
     for end in range(len(blocks)):

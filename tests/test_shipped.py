@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from data_module.speech.audio import load_speech
-from eval import figures
+from eval.clip import measure
+from eval.table import load, markdown
 from gesticulator import bundle as bundles
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
@@ -34,8 +34,8 @@ def test_the_bundle_is_small_and_says_what_it_was_trained_on() -> None:
 
 
 def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Performance) -> None:
-    clip = figures.measure(example.motion, example.speech, example.blocks.edges)
-    speech = float(clip.hand_speed[~clip.silent].mean())
+    clip = measure(example.motion, example.speech, example.blocks.edges)
+    speech = clip.speech_speed
     # The long pause, between coming to rest and getting ready for the next phrase, half a second each.
     frames = np.flatnonzero(clip.silent)
     pause = max(np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1), key=len)
@@ -50,14 +50,14 @@ def test_no_activity_is_a_person_who_listens(example: Performance) -> None:
     system = Gesticulator.from_pretrained()
     still = system(EXAMPLE, activity=0.0)
     assert set(still.lexemes.tolist()) <= set(system.bundle.silent.tolist())
-    quiet, lively = (figures.measure(made.motion, made.speech, made.blocks.edges).hand_speed.mean()
+    quiet, lively = (measure(made.motion, made.speech, made.blocks.edges).hand_speed.mean()
                      for made in (still, example))
     assert quiet < 0.05, "m/s: stillness"
     assert quiet < 0.2 * lively
 
 
 def test_the_example_looks_like_a_person(example: Performance) -> None:
-    clip = figures.measure(example.motion, example.speech, example.blocks.edges)
+    clip = measure(example.motion, example.speech, example.blocks.edges)
     assert np.percentile(clip.hand_speed, 99) < 4.0, "no faster than the fastest real take (3.1 m/s), give or take"
     assert clip.heights.max() < 0.9, "hands below the top of the head"
     assert len(set(example.lexemes.tolist())) >= 8
@@ -77,10 +77,9 @@ def test_every_shipped_performer_moves_differently(example: Performance) -> None
 
 
 def test_the_stored_figures_are_those_of_the_shipped_weights() -> None:
-    result = json.loads((ROOT / "docs/results/figures.json").read_text())
-    table = figures.markdown(result)
-    assert table == (ROOT / "docs/results/figures.md").read_text()
-    assert result["store"]["fingerprint"] == bundles.read_index(bundles.SHIPPED)["provenance"]["fingerprint"]
+    tables = load(ROOT / "docs/results/quality.json")
+    assert markdown(tables) == (ROOT / "docs/results/quality.md").read_text(), "what is read is what is kept"
+    assert tables[0].facts["store"]["fingerprint"] == bundles.read_index(bundles.SHIPPED)["provenance"]["fingerprint"]
 
 
 def test_nobody_named_means_the_default_performer(example: Performance) -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from data_module.errors import InputError
 from gesticulator import bundle as bundles
 from gesticulator import silent
+from gesticulator.commands import BUNDLE
 
 SIZE = 9
 some = st.sets(st.integers(0, SIZE - 1))
@@ -26,20 +27,24 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path / "mine"
 
 
+def command(*arguments: str) -> int:
+    return BUNDLE.main("gesticulator bundle", ["silent", *arguments])
+
+
 def hashes(folder: Path) -> dict[str, str]:
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     with pytest.raises(SystemExit) as stopped:
-        silent.main(list(arguments))
+        command(*arguments)
     said = capsys.readouterr().err
     assert stopped.value.code == 2 and said.count("\n") == 1, said
     return said
 
 
 def test_lists_what_the_bundle_says(capsys: pytest.CaptureFixture[str]) -> None:
-    assert silent.main([]) == 0
+    assert command(*[]) == 0
     own = bundles.load(bundles.SHIPPED)
     assert f"silent: {','.join(map(str, own.silent))} ({len(own.silent)} of {own.config.lexicon.size}" in \
         capsys.readouterr().out
@@ -47,8 +52,8 @@ def test_lists_what_the_bundle_says(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_edits_and_the_product_follows(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before, files = json.loads((copy / "bundle.json").read_text()), hashes(copy)
-    assert silent.main([str(copy), "--set", "9, 3,7,3"]) == 0
-    assert silent.main([str(copy), "--add", "0", "--remove", "7"]) == 0
+    assert command(*[str(copy), "--set", "9, 3,7,3"]) == 0
+    assert command(*[str(copy), "--add", "0", "--remove", "7"]) == 0
     assert "silent: 0,3,9 (3 of" in capsys.readouterr().out
     after = json.loads((copy / "bundle.json").read_text())
     assert after.pop("silent_lexemes") == [0, 3, 9]
@@ -67,7 +72,7 @@ def test_copy_beside_the_shipped_bundle(tmp_path: Path, capsys: pytest.CaptureFi
     link = tmp_path / "link"
     link.symlink_to(bundles.SHIPPED)
     assert "comes with the package" in refused(capsys, str(link), "--set", "1")
-    assert silent.main(["--set", "1,2", "--out", str(out)]) == 0
+    assert command(*["--set", "1,2", "--out", str(out)]) == 0
     assert bundles.load(out).silent.tolist() == [1, 2]
     assert hashes(bundles.SHIPPED) == files
     assert "exists" in refused(capsys, "--set", "1", "--out", str(out))

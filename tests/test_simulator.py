@@ -7,17 +7,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from interpreters.episodes import EpisodeConfig, Episodes, SilentLexemes, Take, build
+from interpreters.episodes import Demonstration, EpisodeConfig, Episodes, SilentLexemes, build
 from interpreters.reward import RewardConfig, RewardModel, RewardTable
 from interpreters.simulator import Choose, Replay, Simulator, collect
 
 SIZE, WINDOW, LENGTHS = 5, 4, (20, 7, 1)
 
 
-def takes() -> list[Take]:
+def takes() -> list[Demonstration]:
     rng = np.random.default_rng(0)
     begins = np.cumsum(LENGTHS) - LENGTHS
-    return [Take(number, number, np.arange(begin, begin + length), rng.integers(SIZE, size=length),
+    return [Demonstration(number, number, np.arange(begin, begin + length), rng.integers(SIZE, size=length),
                  rng.random(length) < 0.4) for number, (begin, length) in enumerate(zip(begins, LENGTHS, strict=True))]
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.store import Store
-from gesticulator.sounds import Crops, folder_digest, sound_files
+from gesticulator.stages.sounds import Crops, folder_digest, sound_files
 
 RATE = 16000
 
@@ -26,7 +26,7 @@ def end_to_end(sizes: list[int], length: int) -> Crops:
 
 @given(st.lists(st.integers(3, 40), min_size=1, max_size=6), st.integers(0, 2**31))
 def test_a_crop_never_runs_over_two_recordings(sizes: list[int], seed: int) -> None:
-    drawn = end_to_end(sizes, 3).drawn(np.random.default_rng(seed), 200)
+    drawn = end_to_end(sizes, 3).sample(np.random.default_rng(seed), 200)
     assert drawn.shape == (200, 3) and drawn.dtype == np.float32
     assert (drawn == drawn[:, :1]).all() and set(drawn[:, 0]) <= set(range(1, len(sizes) + 1))
 
@@ -36,7 +36,7 @@ def test_every_beginning_is_drawn_and_none_more_often_than_another() -> None:
     samples = np.arange(sum(sizes), dtype=np.float16)
     own = end_to_end(sizes, length)
     crops = Crops(samples, own.first, own.room, length)
-    starts = crops.drawn(np.random.default_rng(0), 11_000)[:, 0].astype(int)
+    starts = crops.sample(np.random.default_rng(0), 11_000)[:, 0].astype(int)
     allowed = [0, 1, 2, 5, *range(8, 15)]  # 3 + 1 + 7
     counts = np.bincount(starts, minlength=sum(sizes))
     assert np.flatnonzero(counts).tolist() == allowed

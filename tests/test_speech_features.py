@@ -16,9 +16,10 @@ from data_module.text.word_vectors import WordEncoder
 from data_module.types import Speech, Word
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
+from gesticulator import presets
 from gesticulator import speech_features as hearing
-from gesticulator.prepare import Corpus, prepare
 from gesticulator.speech_features import encode, encode_speech, front_end_for, tempo_column, three_blocks, word_table
+from gesticulator.stages.corpus import Corpus, prepare
 
 WORDS = (Word("one", 0.5, 1.0), Word("two", 1.1, 1.5), Word("", 1.5, 2.2), Word("three", 2.2, 2.9))
 
@@ -68,7 +69,7 @@ def test_the_tempo_column_is_the_logarithm_of_each_blocks_own_duration() -> None
 
 
 def test_words_sit_on_the_frames_at_which_they_sound() -> None:
-    config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
+    config = configs.with_settings(presets.preset("tiny"), ["front_end.name=mel"])
     speech = Speech(babble(3.3), SAMPLE_RATE, WORDS)
     heard = encode_speech(speech, config, words=Numbers())  # type: ignore[arg-type]
     blocks, frames = heard.blocks, config.rhythm.frames
@@ -91,13 +92,13 @@ def test_words_sit_on_the_frames_at_which_they_sound() -> None:
 
 
 def test_without_words_or_without_an_encoder_there_is_no_text() -> None:
-    config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
+    config = configs.with_settings(presets.preset("tiny"), ["front_end.name=mel"])
     assert encode_speech(Speech(babble(1.0), SAMPLE_RATE, WORDS[:1]), config).text is None
     assert encode_speech(Speech(babble(1.0), SAMPLE_RATE), config, words=Numbers()).text is None  # type: ignore[arg-type]
 
 
 def test_a_long_recording_heard_in_pieces_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel"])
+    config = configs.with_settings(presets.preset("tiny"), ["front_end.name=mel"])
     speech = Speech(babble(9.0), SAMPLE_RATE)
     whole = encode_speech(speech, config)
     for size in (1, 4, len(whole.blocks) - 1):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,14 +15,27 @@ from data_module.errors import InputError
 from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.store import RecordingInfo, Store
 from data_module.types import Array
-from eval import audio_clusters, speech_levels
-from eval.linear_probes import Judged, Spoken, Tokens, grouped, probe_frames, probe_words, same_word, tokens_of
+from eval.commands import PROBE
+from eval.linear_probes import (
+    LevelFeatures,
+    ProbeScore,
+    Tokens,
+    grouped,
+    probe_frames,
+    probe_words,
+    same_word,
+    tokens_of,
+)
+from eval.metrics import audio_clusters
+from eval.probes import speech_levels
+from eval.table import load
 from gesticulator import config as configs
+from gesticulator import presets
 
 BLOCKS, FRAMES = 60, 10
 
 
-def spoken(number: int, voice: str, vocabulary: list[str], seed: int = 0) -> Spoken:
+def spoken(number: int, voice: str, vocabulary: list[str], seed: int = 0) -> LevelFeatures:
     """A recording of words of 5 frames. Row "content": the word's own vector, with noise; "sound": energy and pitch in
     a mix of columns, and the voice; "noise": nothing."""
     rng = np.random.default_rng([seed, number])
@@ -39,7 +51,7 @@ def spoken(number: int, voice: str, vocabulary: list[str], seed: int = 0) -> Spo
     sound = np.stack([energy, pitch, timbre], axis=-1) @ mixing + 0.3 * rng.standard_normal((BLOCKS, FRAMES, 24))
     pitch = np.where(rng.random(pitch.shape) < 0.3, np.nan, pitch)
     features = {"content": content, "sound": sound, "noise": rng.standard_normal((BLOCKS, FRAMES, 24))}
-    return Spoken(f"r{number}", f"g{number // 2}", voice, {k: v.astype(np.float16) for k, v in features.items()},
+    return LevelFeatures(f"r{number}", f"g{number // 2}", voice, {k: v.astype(np.float16) for k, v in features.items()},
                   energy, pitch, word_at, tuple(words), np.arange(BLOCKS) % 10 == 0)
 
 
@@ -48,7 +60,7 @@ TRAIN = [spoken(i, f"voice{'x' * (i % 4)}", OLD) for i in range(8)]
 TEST = [spoken(10 + i, f"other{'x' * (i % 3)}", NEW + OLD[:20]) for i in range(6)]
 
 
-def mean(judged: Judged) -> float:
+def mean(judged: ProbeScore) -> float:
     there = np.isfinite(judged.values)
     return float(np.average(judged.values[there], weights=judged.weights[there]))
 
@@ -70,10 +82,10 @@ def test_energy_and_pitch_are_found_where_they_are_and_nowhere_else() -> None:
 
 
 def test_r2_is_one_less_error_over_variance_of_the_frames_that_count() -> None:
-    def target(own: Spoken) -> Array:
+    def target(own: LevelFeatures) -> Array:
         return own.pitch
 
-    def stacked(parts: list[Spoken]) -> tuple[Array, Array]:
+    def stacked(parts: list[LevelFeatures]) -> tuple[Array, Array]:
         xs, ys = [], []
         for own in parts:
             kept = np.isfinite(own.pitch) & ~own.silent[:, None]
@@ -130,18 +142,18 @@ def test_too_little_to_fit_is_no_figure() -> None:
 
 
 def test_recordings_of_a_group_count_once_and_differences_are_paired() -> None:
-    judged = Judged(np.array([0.2, 0.4, np.nan, 0.9]), np.array([1.0, 3.0, 0.0, 2.0]))
+    judged = ProbeScore(np.array([0.2, 0.4, np.nan, 0.9]), np.array([1.0, 3.0, 0.0, 2.0]))
     both = grouped(judged, ["a", "a", "b", "c"])
     assert np.allclose(both.values, [0.35, np.nan, 0.9], equal_nan=True)
     assert both.weights.tolist() == [4, 0, 2]
-    low = Judged(judged.values - 0.1, judged.weights)
+    low = ProbeScore(judged.values - 0.1, judged.weights)
     rows = {"level 8": dict.fromkeys(speech_levels.TASKS, judged), "level 2": dict.fromkeys(speech_levels.TASKS, low)}
     found = speech_levels.summary(rows, ["a", "a", "b", "c"])
-    assert found["table"]["level 8"]["pitch"]["mean"] == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)
+    assert found["table"]["level 8"]["pitch"].mean == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)
     by_task = {own["task"]: own for own in found["differences"]}
     assert by_task["new_words"]["more"] == "level 8" and by_task["pitch"]["more"] == "level 2"
     for task, sign in (("known_words", 1), ("energy", -1)):
-        assert [by_task[task]["difference"][end] for end in ("low", "high")] == pytest.approx([sign * 0.1] * 2)
+        assert [by_task[task]["difference"].low, by_task[task]["difference"].high] == pytest.approx([sign * 0.1] * 2)
 
 
 @pytest.mark.parametrize("hertz", [90.0, 210.0])
@@ -188,14 +200,14 @@ def test_association_finds_the_tie_and_no_other() -> None:
                                        recording // 2, draws=60, turns=40)
     assert found["same"]["entropy"] == 0
     assert found["same"]["by_chance"] == pytest.approx(np.log(6), abs=0.05)
-    assert abs(found["loose"]["gain"]["mean"]) < 0.02 and found["loose"]["p"] > 0.05
-    assert found["tied"]["gain"]["low"] > 0.4 and found["tied"]["p"] == pytest.approx(1 / 41)
-    assert found["gain_differences"]["tied - loose"]["low"] > 0.4
-    assert found["tied"]["gain"]["clips"] == 4
+    assert abs(found["loose"]["gain"].mean) < 0.02 and found["loose"]["p"] > 0.05
+    assert found["tied"]["gain"].low > 0.4 and found["tied"]["p"] == pytest.approx(1 / 41)
+    assert found["gain_differences"]["tied - loose"].low > 0.4
+    assert found["tied"]["gain"].n == 4
     assert found["lexeme_entropy"] == pytest.approx(np.log(6), abs=0.01)
     # who performs is no tie: lexemes and clusters that only differ between recordings gain nothing
     own = audio_clusters.association({"who": recording}, recording % 3, recording, recording, draws=10, turns=20)
-    assert own["who"]["entropy"] == 0 and own["who"]["gain"]["mean"] == pytest.approx(0)
+    assert own["who"]["entropy"] == 0 and own["who"]["gain"].mean == pytest.approx(0)
 
 
 def test_turning_keeps_each_recordings_lexemes_in_their_order() -> None:
@@ -228,7 +240,7 @@ def test_figure_14_leaves_silence_out_and_sees_which_level_is_tied() -> None:
         rows.append(replace(own, features={"a": own.features["noise"], "b": tied.astype(np.float16)}))
     found = speech_levels.figure_14(rows, labels, "a", "b", clusters=12)["performer"]
     assert found["blocks"] == sum(int((~own.silent).sum()) for own in TEST)
-    assert found["gain_differences"]["high, b - low, a"]["low"] > 0.5
+    assert found["gain_differences"]["high, b - low, a"].low > 0.5
     assert found["lexeme_entropy"] == pytest.approx(np.log(6), abs=0.05)  # and not the seventh, of silence
 
 
@@ -260,11 +272,11 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     store = Store.open(tiny_store)
     recording = store.load(store.names[0])
     recording = replace(recording, speech=replace(recording.speech, samples=recording.speech.samples[:16000 * 8]))
-    config = configs.preset("tiny")
+    config = presets.preset("tiny")
     torch.manual_seed(1)
     encoder = SpeechEncoder(EncoderConfig(width=4)).eval()
     heard = speech_levels.listen(recording, config, {"": encoder})
-    from data_module.speech.features import front_end
+    from data_module.speech.front_ends import front_end
     from gesticulator.speech_features import encode_speech
 
     front = front_end("vqwav2vec", bands=32, frames=30, samples_per_frame=800, sample_rate=16000, encoder=encoder)
@@ -281,22 +293,25 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     assert torch.equal(fresh.convolutions[3].weight, again.convolutions[3].weight)
 
 
-def test_the_command_measures_a_bundle(tiny_store: Path, tiny_bundle: Path, tmp_path: Path,
-                                       capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_measures_a_bundle(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     out = tmp_path / "figures" / "levels.json"
-    asked = ["--bundle", str(tiny_bundle), "--data", str(tiny_store), "--train", "2"]
-    assert speech_levels.main([*asked, "--limit", "1", "--out", str(out)]) == 0
-    found = json.loads(out.read_text())
+
+    def ask(*more: str) -> int:
+        return PROBE.main("gesticulator probe", [
+            "speech-levels", "--bundle", str(tiny_bundle), "--data", str(tiny_store), "--train", "2", *more])
+
+    assert ask("--limit", "1", "--out", str(out)) == 0
+    probes, differences, *figure_14 = load(out)
     rows = [f"{kind}level {level}" for kind in ("", "untrained ") for level in range(1, 9)] + ["mel"]
-    assert sorted(found["table"]) == sorted(rows)
-    assert found["table"]["mel"]["energy"]["mean"] > 0.99  # one of its columns
-    assert set(found["figure_14"]) == {"performer", "generated"}
-    printed = capsys.readouterr().out
-    assert out.with_suffix(".md").read_text() in printed + "\n"
-    assert "| level 8 |" in printed
+    assert sorted(probes.rows) == sorted(rows)
+    assert probes.rows["mel"]["energy"].mean > 0.99, "one of its columns"  # type: ignore[union-attr]
+    assert len(figure_14) == 2 and "performer" in figure_14[0].title and "generated" in figure_14[1].title
+    gain = next(row["gain"] for name, row in figure_14[1].rows.items() if name.endswith(", gain"))
+    assert probes.facts["claim"] == [gain.to_dict()]  # type: ignore[union-attr]
+    assert len(differences.rows) >= 4
     for wrong in (["--train", "0"], ["--limit", "0"]):
         with pytest.raises(SystemExit) as left:
-            speech_levels.main([*asked, *wrong])
+            ask(*wrong)
         assert left.value.code == 2
 
 
@@ -304,6 +319,7 @@ def test_a_bundle_without_an_encoder_is_refused(tiny_bundle: Path) -> None:
     from gesticulator import bundle as bundles
 
     bundle = bundles.load(tiny_bundle)
-    bare = replace(bundle, encoder=None, config=replace(bundle.config, front_end=configs.FrontEndConfig(name="mel")))
+    config = replace(bundle.config, front_end=configs.FrontEndConfig(name="mel"))
+    bare = replace(bundle, config=config).with_parts(encoder=None)
     with pytest.raises(InputError, match="'mel' and has no speech encoder"):
         speech_levels.encoder_of(bare, "bundle")

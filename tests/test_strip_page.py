@@ -80,7 +80,7 @@ def test_the_take_brings_its_credit_and_a_page_without_it_does_not(outside_data:
                                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GESTICULATOR_DATA", str(outside_data))
     drawn = []
-    monkeypatch.setattr(strip_page, "save_strip", lambda figure, path: drawn.append(texts(figure)))
+    monkeypatch.setattr(strip_page, "save_strip", lambda figure, path, dpi: drawn.append(texts(figure)))
     DRAW.main("gesticulator draw", ["strip", "--take", "--seconds", "0.5", "--out", "page.png"])
     assert "real take" in drawn[0] and BEAT_CREDIT in drawn[0] and "CC BY-NC 4.0" in BEAT_CREDIT
     monkeypatch.setenv("GESTICULATOR_DATA", str(outside_data / "absent"))

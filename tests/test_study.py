@@ -23,10 +23,17 @@ from data_module.motion import bvh
 from data_module.types import Array, Speech
 from eval import anova, study
 from eval.anova import Key
+from eval.commands import STUDY
 from eval.draw import strips
+from eval.stats import crossed_means
+from eval.table import load
 
 NAMES = ("zebrafish", "quokka", "marmoset")
 RATE = 16000
+
+
+def ask(arguments: list[str]) -> int:
+    return STUDY.main("gesticulator study", arguments)
 
 
 def _voice(seconds: float, seed: int) -> Array:
@@ -53,7 +60,7 @@ def systems(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def made(systems: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a study of 4 clips of 2 s."""
     out = tmp_path_factory.mktemp("study")
-    assert study.main(["make", "--out", str(out), "--clips", "4", "--seconds", "2", "--raters", "24", "--systems",
+    assert ask(["make", "--out", str(out), "--clips", "4", "--seconds", "2", "--raters", "24", "--systems",
                        *(f"{name}={folder}" for name, folder in systems.items())]) == 0
     return out
 
@@ -106,10 +113,10 @@ def test_items_hold_the_motion_and_the_sound_that_the_key_says(made: Path, syste
 
 def test_same_input_gives_the_same_page_and_another_seed_another(made: Path, systems: dict[str, Path],
                                                                  tmp_path: Path) -> None:
-    again = study.make(systems, tmp_path / "again", clips=4, seconds=2, raters=24)
+    again = study.make(systems, tmp_path / "again", study.StudyOptions(clips=4, seconds=2, raters=24))
     # Not the texts themselves: pytest would explain at length how two megabytes differ.
     assert hash(again.read_bytes()) == hash((made / "page" / "index.html").read_bytes())
-    other = _data(study.make(systems, tmp_path / "other", clips=4, seconds=2, raters=24, seed=1))
+    other = _data(study.make(systems, tmp_path / "other", study.StudyOptions(clips=4, seconds=2, raters=24, seed=1)))
     first = _data(again)
     assert other["study"] != first["study"] and other["orders"] != first["orders"]
     assert not {item["id"] for item in other["items"]} & {item["id"] for item in first["items"]}
@@ -124,7 +131,7 @@ def test_clips_do_not_overlap_have_speech_and_are_spread(systems: dict[str, Path
         assert a.take != b.take or abs(a.start - b.start) >= 2.0 - 1e-3
     quiet = Speech(np.full(9 * RATE, 1e-6, np.float32), RATE)
     with pytest.raises(InputError, match="only 0 stretches"):
-        study.choose_clips([study.Take("still", quiet, takes[0].motions)], 1, 2.0, seed=0)
+        study.choose_clips([study.StudyTake("still", quiet, takes[0].motions)], 1, 2.0, seed=0)
 
 
 # ---------------------------------------------------------------- the order
@@ -215,13 +222,13 @@ def test_bootstrap_draws_raters_and_clips() -> None:
     # All of the spread lies between raters: the interval must be that of 12 raters, not of 12 * 10 answers.
     strictness = rng.normal(size=(12, 1, 1))
     values = np.broadcast_to(strictness, (12, 10, 2)).copy()
-    drawn = anova.bootstrap_means(values, seed=0)
+    drawn = crossed_means(values, seed=0)
     assert drawn[:, 0].std() == pytest.approx(strictness.std() / np.sqrt(12), rel=0.1)
     assert np.abs(drawn[:, 0] - drawn[:, 1]).max() < 1e-12, "differences are paired"
-    by_clip = anova.bootstrap_means(values.transpose(1, 0, 2).copy(), seed=0)
+    by_clip = crossed_means(values.transpose(1, 0, 2).copy(), seed=0)
     assert by_clip[:, 0].std() == pytest.approx(drawn[:, 0].std(), rel=0.1)
     values[0, 0, 1] = np.nan
-    assert np.isfinite(anova.bootstrap_means(values, seed=0)).all()
+    assert np.isfinite(crossed_means(values, seed=0)).all()
 
 
 def test_rank_counts_share_the_better_place() -> None:
@@ -248,7 +255,7 @@ def test_what_is_odd_is_named_and_what_is_undefined_is_none() -> None:
     assert own["anova"]["F"] is None and "fewer than two" in own["anova"]["reason"]
     assert own["systems"]["A"]["t"] is None and own["systems"]["B"]["mean"] is None
     json.dumps(result, allow_nan=False)
-    assert "not defined" in anova.markdown(result)
+    assert "not defined" in anova.tables(ratings)[0].notes[-1]
     alike = anova.analyse(_table(np.full((3, 4, 2), 4.0)))["aspects"]["beat_match"]["anova"]
     assert alike["F"] is None and "differ" in alike["reason"]
 
@@ -277,19 +284,20 @@ def _files(made: Path, folder: Path, raters: int = 4) -> list[Path]:
     return files
 
 
-def test_analyse_command_writes_json_and_markdown(made: Path, tmp_path: Path, capsys: Any) -> None:
+def test_analyse_command_writes_tables(made: Path, tmp_path: Path, capsys: Any) -> None:
     files = [str(file) for file in _files(made, tmp_path)]
-    out = tmp_path / "figures" / "study.json"
-    assert study.main(["analyse", "--key", str(made / "key.json"), "--out", str(out), *files]) == 0
-    result = json.loads(out.read_text())
-    assert result["raters"] == 4 and result["notes"] == []
-    own = result["aspects"]["human_likeness"]
-    assert own["systems"]["quokka"]["ratings"] == 16 and own["anova"]["p"] < 0.001
-    assert [row["p"] < 0.01 for row in own["pairs"]] == [True, False, True]
-    printed = capsys.readouterr().out
-    assert out.with_suffix(".md").read_text().strip() == printed.strip()
-    assert "| quokka - marmoset |" in printed and "\\*\\*\\*" in printed and "place 1" in printed
-    assert study.main(["analyse", "--key", str(made / "key.json"), "--without", "2", "--", *files]) == 0
+    out, analyse = tmp_path / "figures" / "study.json", ["analyse", "--key", str(made / "key.json")]
+    assert ask([*analyse, "--out", str(out), *files]) == 0
+    systems, pairs, *_ = load(out)
+    assert systems.title == "human likeness" and systems.facts["raters"] == 4 and systems.facts["notes"] == []
+    quokka: Any = systems.rows["quokka"]
+    values = systems.facts["aspects"]["human_likeness"]["systems"]["quokka"]
+    assert quokka["ratings"] == 16 == sum(quokka[f"rated {score}"] for score in range(1, 6))
+    assert quokka["bootstrap"].mean == values["mean"] and quokka["bootstrap"].low == values["bootstrap"][0]
+    assert "p < 0.0001 ***" in systems.notes[-1]
+    assert ["**" in str(row["p"]) for row in pairs.rows.values()] == [True, False, True]
+    capsys.readouterr()
+    assert ask([*analyse, "--without", "2", "--", *files]) == 0
     assert "3 raters" in capsys.readouterr().out
 
 
@@ -315,7 +323,7 @@ def _bad(folder: Path, told: Any) -> Path:
 def test_bad_ratings_are_one_line_and_exit_2(made: Path, tmp_path: Path, capsys: Any, change: Any, says: str) -> None:
     told = json.loads(_files(made, tmp_path, raters=1)[0].read_text())
     with pytest.raises(SystemExit) as left:
-        study.main(["analyse", "--key", str(made / "key.json"), str(_bad(tmp_path, change(told)))])
+        ask(["analyse", "--key", str(made / "key.json"), str(_bad(tmp_path, change(told)))])
     line = capsys.readouterr().err
     assert left.value.code == 2 and line.count("\n") == 1 and says in line
 
@@ -342,7 +350,7 @@ def test_other_bad_input_is_one_line_and_exit_2(made: Path, systems: dict[str, P
         ([*analyse, str(made / "key.json"), rated, "--without", "9"], "rater 9"),
     ]:
         with pytest.raises(SystemExit) as left:
-            study.main(command)
+            ask(command)
         line = capsys.readouterr().err
         assert left.value.code == 2 and line.count("\n") == 1 and says in line, line
     assert not (tmp_path / "out").exists()
@@ -358,7 +366,7 @@ def films(systems: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) ->
     out = {}
     for kind in ("mp4", "webm"):
         out[kind] = tmp_path_factory.mktemp(f"films{kind}")
-        assert study.main(["make", "--out", str(out[kind]), "--clips", "2", "--seconds", "1", "--raters", "12",
+        assert ask(["make", "--out", str(out[kind]), "--clips", "2", "--seconds", "1", "--raters", "12",
                            "--videos", kind, "--systems",
                            *(f"{name}={folder}" for name, folder in systems.items())]) == 0
     return out
@@ -412,7 +420,7 @@ def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str
 
 def test_videos_keep_ids_and_orders(films: dict[str, Path], systems: dict[str, Path], tmp_path: Path) -> None:
     """Ratings of the drawn figures and of the videos may be put together."""
-    drawn = study.make(systems, tmp_path / "drawn", clips=2, seconds=1, raters=12)
+    drawn = study.make(systems, tmp_path / "drawn", study.StudyOptions(clips=2, seconds=1, raters=12))
     told, keys = _data(drawn), (tmp_path / "drawn" / "key.json", films["webm"] / "key.json")
     own = _data(films["webm"] / "page" / "index.html")
     assert keys[0].read_text() == keys[1].read_text()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,22 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter
 from data_module.types import Motion, Speech, Word
-from eval import style_editing
-from eval.bootstrap import Interval
-from eval.style_editing import FREE, MEASURED, REFERENCE, Excerpt, excerpt, excerpts, figures, markdown, realised, rises
+from eval.commands import PROBE
+from eval.probes import style_editing
+from eval.probes.style_editing import (
+    FREE,
+    MEASURED,
+    REFERENCE,
+    Excerpt,
+    excerpt,
+    excerpts,
+    figures,
+    realised,
+    rises,
+    tables,
+)
+from eval.stats import Interval
+from eval.table import Marked, load
 
 FPS, RATE = 60.0, 16000
 SHOULDER_HEIGHT, ARM = 0.49, 0.53
@@ -61,6 +73,11 @@ def obedient(clip: Excerpt, controls: Controls) -> Motion:
     return motion_of(asked(controls, "height", 0.2) + off, asked(controls, "speed", 0.4))
 
 
+def apart(told: Any, name: str) -> Any:
+    """What the table says of a feature's levels."""
+    return next(row["apart"] for title, row in tables(told)[0].rows.items() if title.startswith(name))
+
+
 def test_realised_is_what_the_motion_does() -> None:
     got = dict(zip(MEASURED, realised(motion_of(0.25, 0.6)), strict=True))
     assert got["height"] == pytest.approx(0.25) and got["speed"] == pytest.approx(0.6)
@@ -74,19 +91,19 @@ def test_an_obedient_player_rises_and_a_deaf_feature_does_not() -> None:
     told = figures(obedient, clips(), LEVEL_TABLE)
     height, speed, radius = (told["editing"][name] for name in FEATURES)
     for level, value in zip(LEVELS, (0.1, 0.3, 0.6), strict=True):
-        assert height["realised"][level]["mean"] == pytest.approx(value)
-        assert height["error"][level]["mean"] == pytest.approx(0, abs=1e-9)
-        assert -0.025 <= height["error"][level]["low"] < 0 < height["error"][level]["high"] <= 0.025
-        assert speed["realised"][level]["mean"] == pytest.approx(told["asked"]["speed"][level])
-    assert height["low_to_mid"] == pytest.approx({"mean": 0.2, "low": 0.2, "high": 0.2, "clips": 6}), "clips are paired"
-    assert height["mid_to_high"]["mean"] == pytest.approx(0.3) and height["share"]["mean"] == pytest.approx(1)
+        assert height["realised"][level].mean == pytest.approx(value)
+        assert height["error"][level].mean == pytest.approx(0, abs=1e-9)
+        assert -0.025 <= height["error"][level].low < 0 < height["error"][level].high <= 0.025
+        assert speed["realised"][level].mean == pytest.approx(told["asked"]["speed"][level])
+    assert height["low_to_mid"].to_dict() == pytest.approx({"mean": 0.2, "low": 0.2, "high": 0.2, "n": 6}), "paired"
+    assert height["mid_to_high"].mean == pytest.approx(0.3) and height["share"].mean == pytest.approx(1)
     assert height["rises"] and speed["rises"] and height["in_order"] == 1
-    assert speed["steady"] == pytest.approx(1, abs=0.02) and "only by tremor" not in markdown(told)
-    assert not radius["rises"] and radius["in_order"] == 0 and radius["share"]["mean"] == pytest.approx(0, abs=1e-9)
+    assert speed["steady"] == pytest.approx(1, abs=0.02) and apart(told, "hand speed") == "yes"
+    assert not radius["rises"] and radius["in_order"] == 0 and radius["share"].mean == pytest.approx(0, abs=1e-9)
     assert radius["overlap_low_mid"] and radius["overlap_mid_high"]
-    assert told["rows"][FREE]["height"]["mean"] == pytest.approx(0.2)
-    assert told["rows"][FREE]["speed"]["mean"] == pytest.approx(0.4)
-    assert told["rows"][REFERENCE]["height"] == pytest.approx({"mean": 0.2, "low": 0.2, "high": 0.2, "clips": 6})
+    assert told["rows"][FREE]["height"].mean == pytest.approx(0.2)
+    assert told["rows"][FREE]["speed"].mean == pytest.approx(0.4)
+    assert told["rows"][REFERENCE]["height"].to_dict() == pytest.approx({"mean": 0.2, "low": 0.2, "high": 0.2, "n": 6})
 
 
 def test_what_was_not_asked_for_is_told_where_it_changes() -> None:
@@ -95,11 +112,14 @@ def test_what_was_not_asked_for_is_told_where_it_changes() -> None:
         return motion_of(0.2, 1.5 * asked(controls, "height", 0.2))
 
     told = figures(crossed, clips(3), LEVEL_TABLE)
-    assert told["elsewhere"]["height"]["speed"]["mean"] == pytest.approx(1.5 * (0.6 - 0.1))
-    assert told["elsewhere"]["height"]["height"]["mean"] == pytest.approx(0, abs=1e-9)
-    assert told["elsewhere"]["speed"]["speed"]["mean"] == pytest.approx(0, abs=1e-9)
+    assert told["elsewhere"]["height"]["speed"].mean == pytest.approx(1.5 * (0.6 - 0.1))
+    assert told["elsewhere"]["height"]["height"].mean == pytest.approx(0, abs=1e-9)
+    assert told["elsewhere"]["speed"]["speed"].mean == pytest.approx(0, abs=1e-9)
     assert not told["editing"]["height"]["rises"] and not told["editing"]["speed"]["rises"]
-    assert "+0.750 [+0.750, +0.750] (+3.0)" in markdown(told), "three spreads of training"
+    cell = tables(told)[2].rows["right hand height"]["speed"]
+    assert isinstance(cell, Marked) and cell.mark == "(+3.0)", "three spreads of training"
+    claim = tables(told)[0].facts["claim"]
+    assert len(claim) == 6 and claim[0]["mean"] == pytest.approx(0)
 
 
 def test_a_speed_that_is_all_tremor_does_not_pass_for_movement() -> None:
@@ -108,7 +128,7 @@ def test_a_speed_that_is_all_tremor_does_not_pass_for_movement() -> None:
 
     told = figures(trembling, clips(3), LEVEL_TABLE)
     assert told["editing"]["speed"]["rises"] and abs(told["editing"]["speed"]["steady"]) < 0.1
-    assert "only by tremor" in markdown(told)
+    assert apart(told, "hand speed") == "only by tremor"
 
 
 def test_clips_that_scatter_more_than_the_levels_differ_overlap() -> None:
@@ -117,8 +137,8 @@ def test_clips_that_scatter_more_than_the_levels_differ_overlap() -> None:
 
     height = figures(scattered, clips(), LEVEL_TABLE)["editing"]["height"]
     assert not height["rises"] and height["overlap_low_mid"]
-    assert height["in_order"] == 1 and height["low_to_mid"]["low"] == pytest.approx(0.02), "paired, each clip rises"
-    assert height["share"]["mean"] == pytest.approx(0.1)
+    assert height["in_order"] == 1 and height["low_to_mid"].low == pytest.approx(0.02), "paired, each clip rises"
+    assert height["share"].mean == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(("bounds", "expected"), [
@@ -209,23 +229,21 @@ def test_rhythm_is_measured_in_every_row() -> None:
     voice = Excerpt("waves twice a second", "anyone", Speech(sound.astype(np.float32), RATE), waving)
     told = figures(lambda clip, controls: waving, [voice], LEVEL_TABLE, rhythm=True)
     assert set(told["rhythm"]) == set(told["rows"])
-    assert told["rhythm"]["height low"]["motion_beats_per_second"]["mean"] == pytest.approx(4, abs=0.5)
-    assert told["rhythm"]["height low"]["0.1"]["pmb"]["mean"] > 40, "every other beat of the hand has its burst"
-    assert "| height low | " in markdown(told).split("in time with the voice")[1]
+    assert told["rhythm"]["height low"]["beats"].mean == pytest.approx(4, abs=0.5)
+    assert told["rhythm"]["height low"]["pmb"].mean > 40, "every other beat of the hand has its burst"
+    assert list(tables(told)[-1].rows) == list(told["rhythm"])
 
 
-def test_the_command_writes_table_figures_and_picture(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
+def test_the_command_writes_tables_and_picture(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     out, image = tmp_path / "new" / "style.json", tmp_path / "style.png"
-    arguments = ["--data", str(tiny_store), "--bundle", str(tiny_bundle), "--out", str(out), "--quiet",
+    arguments = ["style-editing", "--data", str(tiny_store), "--bundle", str(tiny_bundle), "--out", str(out), "--quiet",
                  "--clips", "2", "--seconds", "5"]
-    assert style_editing.main([*arguments, "--picture", str(image)]) == 0
-    told = json.loads(out.read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
-    assert len(told["clips"]) == 2 and len(told["rows"]) == 2 + len(FEATURES) * len(LEVELS)
-    assert told["values"]["height low"]["height"] != told["values"]["height high"]["height"], "the bundle hears it"
-    assert "| right hand height, m |" in out.with_suffix(".md").read_text()
+    assert PROBE.main("gesticulator probe", [*arguments, "--picture", str(image)]) == 0
+    edited, rows, *_ = load(out)
+    assert len(edited.facts["clips"]) == 2 and len(rows.rows) == 2 + len(FEATURES) * len(LEVELS)
+    values = edited.facts["values"]
+    assert values["height low"]["height"] != values["height high"]["height"], "the bundle follows it"
     assert image.read_bytes().startswith(b"\x89PNG")
     with pytest.raises(SystemExit) as error:
-        style_editing.main([*arguments, "--picture", str(tmp_path / "style.jpg")])
+        PROBE.main("gesticulator probe", [*arguments, "--picture", str(tmp_path / "style.jpg")])
     assert error.value.code == 2
-
-

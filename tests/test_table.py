@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,6 +46,11 @@ def same(given: object, back: object) -> None:
         assert isinstance(back, float) and math.isnan(back)
     else:
         assert back == given
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    assert loads(dumps({"n": np.int64(3), "yes": np.bool_(True), "x": [np.float32(0.5)]})) == {
+        "n": 3, "yes": True, "x": [0.5]}
 
 
 def test_a_table_comes_back_from_its_file_and_markdown_stands_beside_it(tmp_path: Path) -> None:

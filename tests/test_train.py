@@ -6,16 +6,17 @@ import dataclasses
 import json
 import pickle
 import shutil
-from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import soundfile
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
 from data_module.errors import InputError
+from data_module.files import lock
 from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import from_vector
@@ -23,18 +24,26 @@ from data_module.store import Store
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
-from gesticulator import infer, train
-from gesticulator.prepare import Windows, prepare, sequences, with_silence
+from gesticulator import infer, presets, train
+from gesticulator.stages import BLOCKS, LABELS, STAGES, Run, Stage, closure, training
+from gesticulator.stages.corpus import prepare
+from gesticulator.stages.labels import lexeme_speeds
+from gesticulator.stages.training import TrainOptions
+from gesticulator.stages.windows import Windows, sequences, with_silence
 
-SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter_text": 10, "interpreter": 10, "gate": 6,
-         "reward": 6, "reward_judge": 6, "cql": 14, "generator": 12, "style": 8, "style_text": 8}
+SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter": 10, "interpreter_text": 10, "gate": 6,
+         "reward": 6, "reward_judge": 6, "q_network": 14, "generator": 12, "style": 8, "style_text": 8}
 """Steps of every stage of a short run, in the order in which the stages are trained."""
-SHORT = [f"schedules.{stage}.steps={steps}" for stage, steps in SIZES.items()
+SCHEDULES = [STAGES[stage].schedule for stage in SIZES if not stage.endswith(("_text", "_judge"))]
+SHORT = [f"schedules.{STAGES[stage].schedule}.steps={steps}" for stage, steps in SIZES.items()
          if not stage.endswith(("_text", "_judge"))]
+BATTERY = set(STAGES) - {"codec"}
+"""The stages of the tiny preset."""
+QUIET = TrainOptions(progress=False)
 
 
 def short() -> configs.Config:
-    return configs.with_settings(configs.preset("tiny"), SHORT)
+    return configs.with_settings(presets.preset("tiny"), SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +55,14 @@ def test_every_stage_learned(work: Path) -> None:
     # The generator is fed the truth at first and its own past later, so its training loss rises; what it does on
     # unseen speech, always with its own past, must get better.
     for stage, term in (("speech", "predictive"), ("contrast", "contrast"), ("lexicon", "reconstruction"),
-                        ("generator", "val_reconstruction"), ("interpreter", "cross_entropy"),
-                        ("interpreter_text", "cross_entropy"), ("style", "code"), ("style_text", "code"),
+                        ("generator", "val_reconstruction"), ("interpreter", "nll"),
+                        ("interpreter_text", "nll"), ("style", "code"), ("style_text", "code"),
                         ("gate", "activity"), ("reward", "contrast"), ("reward_judge", "contrast"),
-                        ("cql", "conservative")):
+                        ("q_network", "conservative")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
         values = [row[term] for row in rows if term in row]
-        few = min(5, len(values) // 4)
+        few = 1 if term.startswith("val_") else min(5, len(values) // 4)
         # Twenty steps are enough for the first two to have begun.
         most = 0.99 if stage in ("speech", "contrast") else 0.95
         assert np.mean(values[-few:]) < most * np.mean(values[:few]), f"{stage}: {values[0]} to {values[-1]}"
@@ -81,9 +90,11 @@ def with_caches(work: Path, folder: Path) -> Path:
 def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
         tiny_store: Path, work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store.open(tiny_store)
-    train.train(short(), store, tmp_path / "whole", with_caches(work, tmp_path / "whole.work"), progress=False)
-    broken, one_step = with_caches(work, tmp_path / "broken.work"), fitting._one_step
-    monkeypatch.setattr(fitting, "fit", partial(fitting.fit, checkpoint_seconds=-1.0))  # a checkpoint each step
+    training.train(short(), store, tmp_path / "whole", with_caches(work, tmp_path / "whole.work"), QUIET)
+    broken, one_step = with_caches(work, tmp_path / "broken.work"), fitting._Learner.step
+    plain = fitting.fit
+    monkeypatch.setattr(fitting, "fit", lambda *given: plain(
+        *given[:-1], dataclasses.replace(given[-1], checkpoint_seconds=-1.0)))  # a checkpoint each step
     left = 0
     for stage, size in SIZES.items():
         count, limit = 0, left + size // 2  # the rest of the stage before, and half of this one
@@ -96,14 +107,14 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
                 raise Killed
             return one_step(*arguments)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(fitting, "_one_step", counted)
+        monkeypatch.setattr(fitting._Learner, "step", counted)
         with pytest.raises(Killed):
-            train.train(short(), store, tmp_path / "broken", broken, progress=False)
+            training.train(short(), store, tmp_path / "broken", broken, QUIET)
         folder = next(iter(broken.glob(f"{stage}-*")))
         assert (folder / f"{stage}.ckpt").exists() and not (folder / "figures.json").exists(), stage
         assert not (tmp_path / "broken").exists(), "no bundle before the end"
-    monkeypatch.setattr(fitting, "_one_step", one_step)
-    train.train(short(), store, tmp_path / "broken", broken, progress=False)
+    monkeypatch.setattr(fitting._Learner, "step", one_step)
+    training.train(short(), store, tmp_path / "broken", broken, QUIET)
     names = sorted(file.name for file in (tmp_path / "whole").glob("*.safetensors"))
     assert len(names) == 12 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
     for name in names:
@@ -114,22 +125,27 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
 
 
 HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "generator", "style", "style_text", "reward",
-         "reward_judge", "cql"}
+         "reward_judge", "q_network"}
 """What follows the first stage of the speech encoder."""
 MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_text"}
+
+
+def keys(store: Store, work: Path, *settings: str, speech: tuple[Path, ...] = ()) -> dict[str, str]:
+    run = Run(configs.with_settings(presets.preset("tiny"), settings), store, work, speech=speech)
+    return {name: run.key(stage) for name, stage in STAGES.items()}
 
 
 @pytest.mark.parametrize(("setting", "stages"), [
     ("style.width=33", {"style", "style_text"}),
     ("generator.lstm_width=50", MADE),
     ("silence.augmentation=0.1", MADE),
-    ("silence.lexemes=[1,2]", {*MADE, *READ, "gate", "cql"}),
-    ("control.asked=0.6", {*MADE, *READ, "cql"}),  # the interpreter acts in the Q-network's data set
-    ("interpreter.width=49", {*READ, "cql"}),
-    ("statistical.gain=2.0", {"cql"}),
-    ("reward.width=17", {"reward", "reward_judge", "cql"}),
-    ("episodes.replace=0.3", {"cql"}),
-    ("cql.width=18", {"cql"}), ("schedules.cql.steps=31", {"cql"}), ("selection.q_temperature=1.0", set()),
+    ("silence.lexemes=[1,2]", HEARD - {"contrast"}),  # rivals of the reward models follow the hinted lexemes
+    ("control.asked=0.6", {*MADE, *READ, "q_network"}),  # the interpreter acts in the Q-network's data set
+    ("interpreter.width=49", {*READ, "q_network"}),
+    ("statistical.gain=2.0", {"q_network"}),
+    ("reward.width=17", {"reward", "reward_judge", "q_network"}),
+    ("episodes.replace=0.3", {"q_network"}),
+    ("cql.width=18", {"q_network"}), ("schedules.cql.steps=31", {"q_network"}), ("selection.q_temperature=1.0", set()),
     ("gate.width=17", {"gate"}),
     ("interpreter.text_features=9", {"interpreter_text"}),
     ("style.text_features=9", {"style_text"}),
@@ -140,33 +156,54 @@ MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_
     ("front_end.name=mel", HEARD - {"contrast"}),
     ("lexicon.size=13", {"lexicon", *HEARD} - {"contrast"}),
     ("motion.representation=positions", {"lexicon", *HEARD} - {"contrast"}),
-    ("rhythm.beats.d_max=0.6", set(train.STAGES)),
-    ("seed=2", set(train.STAGES)),
+    ("rhythm.beats.d_max=0.6", BATTERY),
+    ("seed=2", BATTERY),
     ("selection.temperature=0.5", set()), ("selection.activity=0.5", set()),
 ])
 def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[str], tiny_store: Path, work: Path
                                                      ) -> None:
     store = Store.open(tiny_store)
-    base = train.Run(configs.preset("tiny"), store, work)
-    assert len({base.key(stage) for stage in train.STAGES}) == len(train.STAGES)
-    other = train.Run(configs.with_settings(base.config, [setting]), store, work)
-    assert {stage for stage in train.STAGES if base.key(stage) != other.key(stage)} == stages
+    base, other = keys(store, work), keys(store, work, setting)
+    assert len(set(base.values())) == len(base)
+    assert {stage for stage in BATTERY if base[stage] != other[stage]} == stages
 
 
 def test_the_hint_shapes_what_is_taught_with_it(tiny_store: Path, work: Path) -> None:
-    base, other = (train.Run(configs.with_settings(configs.preset("tiny"), [f"silence.hint={hint}"]),
-                             Store.open(tiny_store), work) for hint in ("true", "false"))
-    changed = {stage for stage in train.STAGES if base.key(stage) != other.key(stage)}
-    assert changed >= READ and not changed & {*MADE, "lexicon", "speech", "contrast"}
+    on, off = (keys(Store.open(tiny_store), work, f"silence.hint={hint}") for hint in ("true", "false"))
+    changed = {stage for stage in on if on[stage] != off[stage]}
+    assert changed == {*READ, "reward", "reward_judge", "q_network"}
 
 
 def test_with_mel_bands_the_words_shape_only_what_reads_them(tiny_store: Path, work: Path) -> None:
-    keys = []
-    for setting in ("text.bridge=0.15", "text.bridge=0.2"):
-        config = configs.with_settings(configs.preset("tiny"), ["front_end.name=mel", setting])
-        run = train.Run(config, Store.open(tiny_store), work)
-        keys.append({stage: run.key(stage) for stage in train.STAGES if stage not in ("speech", "contrast")})
-    assert {stage for stage in keys[0] if keys[0][stage] != keys[1][stage]} == {"interpreter_text", "style_text"}
+    one, two = (keys(Store.open(tiny_store), work, "front_end.name=mel", f"text.bridge={bridge}")
+                for bridge in (0.15, 0.2))
+    changed = {stage for stage in one if one[stage] != two[stage]}
+    assert changed == {"contrast", "interpreter_text", "style_text"}, "the contrast is not wanted with mel bands"
+
+
+def test_a_stage_more_changes_no_seed_of_another(tiny_store: Path, work: Path) -> None:
+    store = Store.open(tiny_store)
+    run = Run(presets.preset("tiny"), store, work)
+    seeds = {name: run.seed(stage) for name, stage in STAGES.items()}
+    assert len(set(seeds.values())) == len(seeds), "no two stages draw the same numbers"
+    # By hand: the seed is of the run's seed and the name, so the place in the table cannot matter.
+    assert seeds["gate"] == int(configs.digest(1, "gate")[:12], 16) % 2**31
+    assert all(Run(presets.preset("tiny"), store, work).seed(Stage(name, ())) == seed for name, seed in seeds.items())
+    other = Run(configs.with_settings(presets.preset("tiny"), ["seed=2"]), store, work)
+    assert all(other.seed(stage) != seeds[name] for name, stage in STAGES.items())
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_every_entry_of_the_table_is_whole(name: str, tiny_store: Path, work: Path) -> None:
+    stage = STAGES[name]
+    preset = presets.preset("racer-native" if name == "codec" else "tiny")
+    assert stage.name == name and stage.wanted(preset) and stage.build is not None and stage.train is not None
+    run = Run(preset, Store.open(tiny_store), work)
+    assert run.schedule(stage).steps > 0
+    before = [one.name for one in closure([stage], preset)]
+    assert before[-1] == name and len(before) == len(set(before))
+    order = list(STAGES)
+    assert all(order.index(one) <= order.index(name) for one in before), "the table is in the order of the needs"
 
 
 def tone(path: Path, hertz: float) -> Path:
@@ -179,22 +216,20 @@ def tone(path: Path, hertz: float) -> Path:
 def test_more_speech_shapes_the_encoder_and_what_follows(tiny_store: Path, work: Path, tmp_path: Path) -> None:
     store = Store.open(tiny_store)
 
-    def keys(*folders: Path) -> dict[str, str]:
-        run = train.Run(configs.preset("tiny"), store, work, speech=folders)
-        return {stage: run.key(stage) for stage in train.STAGES}
-
-    none, one, copy, other = (keys(), keys(tone(tmp_path / "a" / "x.wav", 200)),
-                              keys(tone(tmp_path / "b" / "x.wav", 200)), keys(tone(tmp_path / "c" / "x.wav", 300)))
+    none, one, copy, other = (keys(store, work, speech=folders) for folders in (
+        (), (tone(tmp_path / "a" / "x.wav", 200),), (tone(tmp_path / "b" / "x.wav", 200),),
+        (tone(tmp_path / "c" / "x.wav", 300),)))
     assert one == copy
     for pair in ((none, one), (one, other)):
-        assert {stage for stage in train.STAGES if pair[0][stage] != pair[1][stage]} == {"speech", *HEARD}
+        assert {stage for stage in BATTERY if pair[0][stage] != pair[1][stage]} == {"speech", *HEARD}
 
 
 def test_more_speech_is_heard(tiny_store: Path, work: Path, tmp_path: Path) -> None:
     store, heard = Store.open(tiny_store), []
     own = with_caches(work, tmp_path / "work")
     for speech in ([], [tone(tmp_path / "a" / "x.wav", 200)]):
-        assert train.train(short(), store, tmp_path / "b", own, progress=False, only="speech", speech=speech) is None
+        assert training.train(short(), store, tmp_path / "b", own, TrainOptions(
+            progress=False, only="speech", speech=tuple(speech))) is None
         made = set(own.glob("speech-*")) - {folder for folder, _ in heard}
         assert len(made) == 1
         heard.append((made.pop(), 0))
@@ -208,13 +243,17 @@ def test_another_store_is_refused_in_a_used_work_folder(tiny_store: Path, work: 
         path, fingerprint = tiny_store, "another"
 
     with pytest.raises(InputError, match="not the store"):
-        train._claim(work, Other())  # type: ignore[arg-type]
+        training.claim(work, Other())  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
     (["--data", "nowhere"], "nowhere"), (["--preset", "huge"], "huge"), (["--set", "lexicon.siez=3"], "siez"),
     (["--set", "motion.representation=dance"], "dance"), (["--speech", "nowhere"], "nowhere"),
     (["--set", "front_end.name=ears"], "ears"), (["--set", "encoder.temperature=0"], "encoder.temperature"),
+    (["--set", "schedules.lexicon.steps=-3"], "schedules.lexicon.steps"), (["--set", "lexicon.size=0"], "lexicon.size"),
+    (["--set", "front_end.bands=0"], "front_end.bands"), (["--set", "generator.velocity=NaN"], "generator.velocity"),
+    (["--threads", "0"], "--threads 0"), (["--threads", "100000"], "--threads 100000"), (["--seed", "-1"], "--seed -1"),
+    (["--seed", str(2**31)], "--seed"), (["--stage", "song"], "song"), (["--redo", "song"], "song"),
 ])
 def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, work: Path, tmp_path: Path,
                                                     arguments: list[str], said: str,
@@ -230,15 +269,120 @@ def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, work: Path
 
 def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: Path, tmp_path: Path,
                                                        monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.prepare.read_words", lambda *_, **__: {})
+    monkeypatch.setattr("gesticulator.stages.corpus.read_words", lambda *_, **__: {})
     own = with_caches(work, tmp_path / "work")
     with pytest.raises(InputError, match=r"no recording with words.*text\.encoder"):
-        train.train(short(), Store.open(tiny_store), tmp_path / "b", own, progress=False)
+        training.train(short(), Store.open(tiny_store), tmp_path / "b", own, QUIET)
     assert not list(own.glob("speech-*"))
 
 
+def test_a_second_training_in_the_same_folder_is_told(tiny_store: Path, work: Path, tmp_path: Path) -> None:
+    own = with_caches(work, tmp_path / "work")
+    with lock(own, "a training"), pytest.raises(InputError, match="work"):
+        training.train(short(), Store.open(tiny_store), tmp_path / "b", own, QUIET)
+    assert not (own / "store.json").exists()
+
+
+class Small(torch.nn.Module):
+    """One number that learns to be 3."""
+
+    weights = {"error": 1.0}  # noqa: RUF012
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.number = torch.nn.Parameter(torch.zeros(1))
+
+    def losses(self, batch: fitting.Batch, progress: float = 1.0) -> dict[str, torch.Tensor]:
+        return {"error": (self.number - 3).pow(2).sum()}
+
+
+def small_stage(times: list[int]) -> Stage[Small]:
+    def train(run: Run, model: Small, folder: Path) -> dict[str, float]:
+        times.append(1)
+        return run.fit(stage, model, fitting.Task(lambda rng: {}, validate=lambda: {"left": float(
+            (model.number - 3).abs())}), folder)
+
+    stage: Stage[Small] = Stage("gate", (), schedule="gate", build=lambda run: Small(), train=train)
+    return stage
+
+
+@pytest.mark.parametrize(("name", "damage"), [
+    ("figures.json", b""), ("figures.json", b"[1]"), ("figures.json", b'{"left": 0.'), ("weights.safetensors", b""),
+    ("weights.safetensors", b"\x00" * 40), ("weights.safetensors", None), ("figures.json", None)])
+def test_a_damaged_stage_is_told_from_a_whole_one_and_done_again(name: str, damage: bytes | None, tiny_store: Path,
+                                                                 tmp_path: Path) -> None:
+    times: list[int] = []
+    stage = small_stage(times)
+
+    def value() -> float:
+        run = Run(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
+        found = float(run.get(stage).number)
+        assert run.finished(stage) and run.figures["gate"]["left"] == pytest.approx(3 - found)
+        return found
+
+    first = value()
+    assert value() == first and len(times) == 1, "a whole one is read"
+    file = next(tmp_path.glob(f"gate-*/{name}"))
+    file.unlink() if damage is None else file.write_bytes(damage)
+    assert value() == first and len(times) == 2
+
+
+def test_weights_of_another_shape_or_without_numbers_are_trained_again(tiny_store: Path, tmp_path: Path) -> None:
+    times: list[int] = []
+    stage = small_stage(times)
+    for bad in (torch.zeros(2), torch.tensor([float("nan")])):
+        run = Run(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
+        run.get(stage)
+        save_file({"number": bad}, run.folder(stage) / "weights.safetensors")
+        again = Run(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
+        assert again.get(stage).number.shape == (1,) and torch.isfinite(again.get(stage).number).all()
+    assert len(times) == 3
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK", b"\x80\x04." * 9, b"{}"])
+def test_a_damaged_cache_of_blocks_is_made_again(damage: bytes, tiny_store: Path, work: Path, tmp_path: Path) -> None:
+    own = with_caches(work, tmp_path / "work")
+    file = next(iter(sorted(own.glob("blocks-*/*.npz"))))
+    was = file.read_bytes()
+    file.write_bytes(damage)
+    prepare(Store.open(tiny_store), presets.preset("tiny"), own, progress=False)
+    assert file.read_bytes() == was
+
+
+def test_bytes_that_turned_over_in_a_cache_are_one_line(tiny_store: Path, work: Path, tmp_path: Path) -> None:
+    own = with_caches(work, tmp_path / "work")
+    file = next(iter(sorted(own.glob("blocks-*/*.npz"))))
+    data = bytearray(file.read_bytes())
+    data[4000] ^= 255  # of the motion, which is written first
+    file.write_bytes(bytes(data))
+    with pytest.raises(InputError, match=rf"{file.name}: is damaged"):
+        prepare(Store.open(tiny_store), presets.preset("tiny"), own, progress=False)
+
+
+def test_where_a_run_stands_is_said_and_what_is_not_measured_is_not_guessed(
+        tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    run = training.TimedRun(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
+    run.plan = [STAGES["lexicon"], STAGES["gate"], STAGES["style"]]
+    assert run.position(0) == "stage 1 of 3: lexicon, 200 steps; after it 2 stages not measured yet"
+    (tmp_path / "times.json").write_text(json.dumps({"lexicon": 3.0, "gate": 0.5, "style": "soon", "cql": -1}))
+    assert run.position(0) == "stage 1 of 3: lexicon, 200 steps, about 10 min; after it about 20 s, 1 stage not " \
+                              "measured yet"
+    assert run.position(2) == "stage 3 of 3: style, 60 steps"
+    # What is measured is the time that steps took, by a clock that is told.
+    clock = iter(range(0, 1000, 8))
+    monkeypatch.setattr(training, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
+    stage = small_stage([])
+    stage.train(run, Small(), tmp_path)  # type: ignore[misc]
+    assert run.times()["gate"] == pytest.approx(8 / 40) and run.times()["lexicon"] == 3.0
+    for text in ("", "[]", "{"):
+        (tmp_path / "times.json").write_text(text)
+        assert run.times() == {}
+    assert [training.about(s) for s in (0.2, 80, 91, 3600, 3 * 3600)] == ["about 1 s", "about 80 s", "about 2 min",
+                                                                         "about 60 min", "about 3.0 h"]
+
+
 def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, work: Path) -> None:
-    config = configs.preset("tiny")
+    config = presets.preset("tiny")
     corpus = prepare(Store.open(tiny_store), config, work, progress=False)
     labels = np.arange(len(corpus.silent)) % config.lexicon.size
     nearest = np.full(config.lexicon.size, 3)
@@ -260,7 +404,7 @@ def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, 
 
 
 def test_windows_tile_every_block_and_short_recordings_are_marked(tiny_store: Path, work: Path) -> None:
-    corpus = prepare(Store.open(tiny_store), configs.preset("tiny"), work, progress=False)
+    corpus = prepare(Store.open(tiny_store), presets.preset("tiny"), work, progress=False)
     labels = np.zeros(len(corpus.silent), dtype=np.int64)
     numbers = np.arange(len(labels)) + 1
     parts = sequences(corpus, labels, "train", numbers)
@@ -274,7 +418,7 @@ def test_windows_tile_every_block_and_short_recordings_are_marked(tiny_store: Pa
 
 
 def test_statistics_undo_themselves_and_centre_each_speaker(tiny_store: Path, work: Path) -> None:
-    corpus = prepare(Store.open(tiny_store), configs.preset("tiny"), work, progress=False)
+    corpus = prepare(Store.open(tiny_store), presets.preset("tiny"), work, progress=False)
     s = corpus.statistics
     poses = np.random.default_rng(0).normal(size=(7, s.deviation.size))
     np.testing.assert_allclose(s.denormalise(s.normalise(poses, 0), 0), poses, atol=1e-12)
@@ -285,14 +429,9 @@ def test_statistics_undo_themselves_and_centre_each_speaker(tiny_store: Path, wo
 
 
 def test_the_silent_hint_names_a_silent_lexeme_on_silent_blocks_alone(tiny_store: Path, work: Path) -> None:
-    config = configs.preset("tiny")
     for hint in (True, False):
-        own = configs.with_settings(config, [f"silence.hint={str(hint).lower()}"])
-        run = train.Run(own, Store.open(tiny_store), work, progress=False)
-        run.corpus = prepare(run.store, own, work, progress=False)
-        lexicon, _ = train.train_lexicon(run)
-        labelled = train.label(run, lexicon)
-        silent = run.corpus.silent
+        run = started(tiny_store, work, f"silence.hint={str(hint).lower()}")
+        labelled, silent = run.get(LABELS), run.get(BLOCKS).silent
         assert silent.any() and not silent.all()
         np.testing.assert_array_equal(labelled.hinted[~silent], labelled.labels[~silent])
         if hint:
@@ -302,36 +441,30 @@ def test_the_silent_hint_names_a_silent_lexeme_on_silent_blocks_alone(tiny_store
             np.testing.assert_array_equal(labelled.hinted, labelled.labels)
 
 
-def prepared(tiny_store: Path, work: Path, *settings: str) -> train.Run:
-    run = train.Run(configs.with_settings(configs.preset("tiny"), settings), Store.open(tiny_store), work,
-                    progress=False)
-    run.corpus = prepare(run.store, run.config, work, progress=False)
-    return run
+def started(tiny_store: Path, work: Path, *settings: str) -> Run:
+    return Run(configs.with_settings(presets.preset("tiny"), settings), Store.open(tiny_store), work, progress=False)
 
 
 def test_silent_lexemes_by_hand_are_taken_as_told(tiny_store: Path, work: Path) -> None:
-    run = prepared(tiny_store, work, "silence.lexemes=[7,2,7]")
-    lexicon, _ = train.train_lexicon(run)
-    labelled = train.label(run, lexicon)
+    run = started(tiny_store, work, "silence.lexemes=[7,2,7]")
+    labelled = run.get(LABELS)
     assert labelled.silent.tolist() == [2, 7]
-    assert set(labelled.hinted[run.corpus.silent].tolist()) <= {2, 7}
+    assert set(labelled.hinted[run.get(BLOCKS).silent].tolist()) <= {2, 7}
     np.testing.assert_array_equal(labelled.active, ~np.isin(labelled.labels, [2, 7]))
-    for wrong in ("[12]", "[0,-1]"):
-        other = prepared(tiny_store, work, f"silence.lexemes={wrong}")
-        with pytest.raises(InputError, match=r"silence\.lexemes.*0 to 11"):
-            train.silent_lexemes(other, labelled.labels)
+    with pytest.raises(InputError, match=r"silence\.lexemes.*0 to 11"):
+        started(tiny_store, work, "silence.lexemes=[12]").get(LABELS)
 
 
 def test_the_speed_of_a_lexeme_is_that_of_its_training_blocks(tiny_store: Path, work: Path) -> None:
-    run = prepared(tiny_store, work)
-    corpus, fps = run.corpus, run.config.rhythm.fps
+    run = started(tiny_store, work)
+    corpus, fps = run.get(BLOCKS), run.config.rhythm.fps
     labels = np.arange(len(corpus.silent)) % 4
     motion = corpus.motion.clone()
     motion[labels == 1] = motion[labels == 1][:, :1]  # held poses
     motion[labels == 2, 1::2] += 3.0  # to and fro on every frame
     outside = np.setdiff1d(np.arange(len(labels)), corpus.select("train"))
     motion[outside] += 50.0 * torch.randn(motion[outside].shape, generator=torch.Generator().manual_seed(0))
-    speeds = train.lexeme_speeds(dataclasses.replace(corpus, motion=motion), labels, 5, run.representation, fps)
+    speeds = lexeme_speeds(dataclasses.replace(corpus, motion=motion), labels, 5, run.config)
     assert speeds[1] < 1e-6 and speeds.argsort()[:4].tolist() == [1, *sorted([0, 3], key=lambda x: speeds[x]), 2]
     assert speeds[4] == np.inf, "a lexeme that is never used is no silent one"
     # Lexeme 3 by hand, all of its training blocks.
@@ -341,13 +474,13 @@ def test_the_speed_of_a_lexeme_is_that_of_its_training_blocks(tiny_store: Path, 
         poses = corpus.statistics.denormalise(motion[block].double().numpy(), 0)
         points = positions_of(from_vector(poses, fps))
         by_hand.append(np.linalg.norm(points[1:] - points[:-1], axis=-1).mean() * fps)
-    every = train.lexeme_speeds(dataclasses.replace(corpus, motion=motion), labels, 5, run.representation, fps, 10**6)
+    every = lexeme_speeds(dataclasses.replace(corpus, motion=motion), labels, 5, run.config, 10**6)
     assert every[3] == pytest.approx(np.mean(by_hand))
 
 
 def test_ten_joints_in_space_are_trained_on_and_become_a_skeleton(tiny_store: Path, tmp_path: Path) -> None:
     settings = ["motion.representation=positions", "lexicon.warm_up=0.5",
-                *(f"schedules.{stage}.steps=10" for stage in SIZES if not stage.endswith(("_text", "_judge")))]
+                *(f"schedules.{stage}.steps=10" for stage in SCHEDULES)]
     out = tmp_path / "bundle"
     assert train.main(["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet",
                        *(part for setting in settings for part in ("--set", setting))]) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from data_module.errors import InputError
 from data_module.speech.audio import load_speech
 from data_module.text import alignment as text
 from data_module.text.transcript import Transcript, read_transcript, with_transcript
+from data_module.text.word_vectors import _parted
 from data_module.types import Speech, Word
 
 RATE = 16000
@@ -243,15 +245,15 @@ def test_the_transcript_of_another_recording_is_refused(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_text(tmp_path: Path) -> None:
-    assert "line 2: is not written in UTF-8" in _refusal(tmp_path, "a.txt", b"good\nb\xe4d\n")
-    assert "is no text" in _refusal(tmp_path, "a.txt", b"RIFF\0\0\0")
+    assert "line 2: is not text in UTF-8" in _refusal(tmp_path, "a.txt", b"good\nb\xe4d\n")
+    assert "is not text" in _refusal(tmp_path, "a.txt", b"RIFF\0\0\0")
     assert "has no words" in _refusal(tmp_path, "a.txt", "")
     assert "has no words" in _refusal(tmp_path, "a.txt", "... -- !\n")
     assert "is no transcript that can be read; give one of .txt" in _refusal(tmp_path, "a.wav", b"RIFF")
     with pytest.raises(InputError, match="does not exist"):
         read_transcript(tmp_path / "none.txt")
     (tmp_path / "folder.json").mkdir()
-    with pytest.raises(InputError, match="is no file"):
+    with pytest.raises(InputError, match="is a folder"):
         read_transcript(tmp_path / "folder.json")
     assert _read(tmp_path, "a.txt", b"\xef\xbb\xbfhello\r\nthere").text == "hello\nthere"
 
@@ -350,3 +352,15 @@ def test_real_readings_in_other_languages_are_guessed(outside_data: Path, name: 
     assert timing.how == "guessed" and "the aligner reads English only" in timing.note
     starts = np.array([w.start for w in found.words or ()])
     assert len(starts) > 100 and (np.diff(starts) > 0).all() and starts[-1] > 0.9 * speech.duration
+
+
+def test_long_numbers_words_and_marks_cost_no_time(tmp_path: Path) -> None:
+    """Every reader is linear: 16,000 digits took seconds, and so did a word with as many dots in it."""
+    head = ('File type = "ooTextFile"\nObject class = "TextGrid"\n\n0\n1\n<exists>\n1\n"IntervalTier"\n"words"\n'
+            '0\n1\n1\n')
+    begun = time.monotonic()
+    assert "ends in line 15" in _refusal(tmp_path, "a.TextGrid", head + "0\n" + "1" * 200_000 + "x\n")
+    assert "a text in quotes" in _refusal(tmp_path, "b.TextGrid", head + "0\n1\n" + '"' * 200_001)
+    for words in ("a" + "." * 100_000 + "b", "a" * 100_000, "." * 100_000 + "a"):
+        assert _parted(words, 0)[-1][1] == 0 and text.letters_to_sounds(words)
+    assert time.monotonic() - begun < 2.0

@@ -6,37 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bursts import recording
 
 from data_module.blocks import BlockSettings, cut, normalise_motion
 from data_module.errors import InputError
 from data_module.motion import rotation
+from data_module.motion.bvh import write_bvh
 from data_module.motion.skeletons import CHARACTER
-from data_module.store import Recording, RecordingInfo, Store, StoreWriter
-from data_module.types import Motion, Speech
+from data_module.store import Store, StoreWriter
 from eval import unit_selection
+from eval.commands import SCORE
+from eval.metrics.eye import figures
+from eval.stats import Interval
+from eval.table import Marked, load
 from eval.unit_selection import FADE, Sounds, UnitDatabase, UnitSelection, joined
-
-RATE, FPS = 16000, 60.0
-
-
-def recording(name: str, seed: int, seconds: float = 20.0, split: str = "train") -> Recording:
-    """Bursts of different loudness, and arms and a head on slow paths of their own."""
-    rng = np.random.default_rng(seed)
-    samples = 1e-4 * rng.normal(size=round(seconds * RATE))
-    at = 0.3
-    while at < seconds - 2.6:
-        length = rng.uniform(0.15, 0.5)
-        piece = slice(int(at * RATE), int((at + length) * RATE))
-        samples[piece] += 10 ** rng.uniform(-1.6, -0.4) * rng.normal(size=piece.stop - piece.start)
-        at += length + rng.choice([0.08, 0.2, 1.6], p=[0.5, 0.4, 0.1])
-    time = np.arange(round(seconds * FPS)) / FPS
-    maps = np.zeros((len(time), len(CHARACTER), 3))
-    for joint in ("LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head"):
-        speed, phase, size = rng.uniform(0.3, 2.0, (3, 3)), rng.uniform(0, 6, (3, 3)), rng.normal(0, 0.3, (3, 3))
-        maps[:, CHARACTER.index(joint)] = (size * np.sin(speed * time[:, None, None] + phase)).sum(axis=1)
-    motion = Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((len(time), 3)), FPS)
-    info = RecordingInfo(name, split, "anna", "voice", "en")  # type: ignore[arg-type]
-    return Recording(info, Speech(samples.clip(-1, 1).astype(np.float32), RATE), motion)
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +114,29 @@ def test_the_kept_database_is_the_same_and_a_damaged_one_is_made_again(store: St
         file.write_bytes(file.read_bytes()[:1000])
     UnitDatabase.of(store, BlockSettings(fps=25.0), tmp_path)
     assert len(list(tmp_path.glob("units.*.npz"))) == 2
+
+
+def test_the_score_has_a_row_of_it(store: Store, tmp_path: Path) -> None:
+    test = store.load("test")
+    (tmp_path / "same").mkdir()
+    write_bvh(tmp_path / "same" / "test.bvh", test.motion)
+    out = tmp_path / "score.json"
+    assert SCORE.main("gesticulator score", ["--truth", str(store.path), "--system", f"same={tmp_path / 'same'}",
+                                             "--units", str(store.path), "--seed", "3", "--out", str(out)]) == 0
+    tables = {table.title: table for table in load(out)}
+    row = tables["What the eye sees: two hands"].rows
+    expected = figures(UnitSelection(UnitDatabase.of(store))(test.speech, seed=3).motion)
+    for name, title in (("eye_hand_speed_correlation", "unit selection"), ("eye_speed_95", "unit selection")):
+        cell = row[title][name]
+        assert isinstance(cell, Marked) and isinstance(cell.value, Interval)
+        assert cell.value.mean == pytest.approx(expected[name], rel=0.02)
+    same, truth = row["same"]["eye_speed_50"], row["truth"]["eye_speed_50"]
+    assert isinstance(same, Marked) and isinstance(truth, Marked)
+    assert isinstance(same.value, Interval) and isinstance(truth.value, Interval)
+    assert same.value.mean == pytest.approx(truth.value.mean, rel=1e-3)
+    # What is known to be wrong and passes is marked in the heading of its figure.
+    assert tables["What the eye sees: in time with the voice"].columns["eye_above_1"].title.endswith("(!)")
+    assert {"mirrored", "bobbing", "still", "jitter", "reversed"} <= set(row)
 
 
 def test_a_store_without_training_split_is_refused(tmp_path: Path) -> None:

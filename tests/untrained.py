@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,18 +12,20 @@ from data_module.controls import Levels
 from data_module.layers import freeze
 from data_module.speech.features import Normaliser
 from data_module.speech.speech_encoder import SpeechEncoder
-from generator.model import Generator
-from gesticulator.bundle import Bundle, TextSource
-from gesticulator.config import Config, preset, with_settings
-from gesticulator.prepare import CONTROL_WIDTH, Statistics, representation_of
+from data_module.store import Store
+from gesticulator import models
+from gesticulator.bundle import Bundle, TextSource, rest_distances
+from gesticulator.config import with_settings
+from gesticulator.models import Sizes
+from gesticulator.presets import preset
 from gesticulator.speech_features import front_end_for
-from gesticulator.train import Run
+from gesticulator.stages import wanted
+from gesticulator.stages.corpus import prepare
+from gesticulator.stages.reward import block_audio
+from gesticulator.statistics import Statistics, representation_of
 from interpreters.cql import QNetwork
-from interpreters.gate import ActivityGate
-from interpreters.lstm import LstmInterpreter
 from interpreters.reward import RewardModel
-from interpreters.style import StyleInterpreter
-from lexicon.autoencoder import Lexicon
+from interpreters.settings import QConfig, RewardConfig
 from lexicon.inventory import Inventory
 
 SPEAKERS = ("ann", "bob")
@@ -52,44 +55,42 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     levels = Levels(np.array([[-0.1, 0.1, 0.3], [0.1, 0.4, 0.8], [0.2, 0.3, 0.4]]), np.array([0.1, 0.4, 0.3]),
                     np.array([0.15, 0.3, 0.1])) if config.generator.use_control else None
     as_stored = [np.float32(a).astype(np.float64) for a in (pose, pose + 0.01, np.full(width, 0.1))]
+    apart = float(learned)  # two levels of audio are normalised each by its own mean
     statistics = Statistics(
         SPEAKERS, *as_stored, np.stack([np.full(width, -3.0), np.full(width, 3.0)]),
-        Normaliser(np.zeros(low), np.ones(low)), Normaliser(np.zeros(high), np.ones(high)),
+        Normaliser(np.zeros(low), np.ones(low)), Normaliser(np.full(high, 1e-3 * apart), np.ones(high)),
         np.zeros((3 * frames, low)), np.zeros((3 * frames, high)), levels)
-    lexicon = Lexicon(config.lexicon, frames, width, statistics.present)
+    sizes = Sizes(config, width, low, high, learned, len(SPEAKERS), words, statistics.present, silent=SILENT)
+    lexicon = models.lexicon(sizes)
     lexicon.quantizer.set_vectors(torch.randn(size, config.lexicon.code_width))
     half(lexicon)
-    shared = frames, low, lexicon.vectors, config.generator.style_width, len(SPEAKERS), words
-
-    def lexemes(stage: str) -> LstmInterpreter:
-        run = Run(config, None, None)  # type: ignore[arg-type]
-        return half(LstmInterpreter(run.sized(stage), frames, high, lexicon.vectors, len(SPEAKERS), words,
-                                    CONTROL_WIDTH))  # type: ignore[return-value]
-
-    def style(stage: str) -> StyleInterpreter:
-        return half(StyleInterpreter(Run(config, None, None).sized(stage), *shared))  # type: ignore[arg-type, return-value]
-
+    sizes = dataclasses.replace(sizes, vectors=lexicon.vectors)
+    parts = {stage.part: half(models.BUILDERS[stage.part](sizes)) for stage in wanted(config)
+             if stage.part and stage.part != "lexicon" and (words or not stage.part.endswith("_text"))}
+    parts["lexicon"] = lexicon
+    if encoder is not None:
+        parts["encoder"] = encoder
     frequencies = rng.dirichlet(np.ones(size), size=2).astype(np.float32).astype(np.float64)
     moves = np.full((size, size), 1 / 16) if size == 16 else np.eye(size)
     return Bundle(
-        config, statistics, lexicon,
-        half(Generator(config.generator, frames, width, low, config.lexicon.code_width, control_width=CONTROL_WIDTH,
-                       present=statistics.present)),  # type: ignore[arg-type]
-        lexemes("interpreter"), style("style"), Inventory(dict(zip(SPEAKERS, frequencies, strict=True)), moves),
-        np.array(SILENT), {"store": "none", "fingerprint": "0" * 64, "licence": "none", "hours": {"train": 0.0}}, {},
-        encoder=encoder,  # type: ignore[arg-type]
-        gate=half(ActivityGate(config.gate, frames, low, len(SPEAKERS))) if config.schedules.gate.steps else None,  # type: ignore[arg-type]
-        interpreter_text=lexemes("interpreter_text") if words and config.interpreter.reads else None,
-        style_text=style("style_text") if words and config.style.text_features else None,
-        text=TextSource.of(config, words), **racer(config, lexicon, low, high, learned))
+        config, statistics, np.array(SILENT), Inventory(dict(zip(SPEAKERS, frequencies, strict=True)), moves),
+        lexicon.vectors, rest_distances(lexicon, statistics), parts,
+        {"store": "none", "fingerprint": "0" * 64, "licence": "none", "hours": {"train": 0.0}}, {},
+        TextSource.of(config, words))
 
 
-def racer(config: Config, lexicon: Lexicon, low: int, high: int, two_levels: bool) -> dict[str, Any]:
-    """Q-network and reward models, where the settings train them."""
-    if not config.schedules.cql.steps:
-        return {}
-    heard = low + high - 1 if two_levels else low
-    return {"q_network": half(QNetwork(config.cql, config.rhythm.frames, high, len(lexicon.vectors), len(SPEAKERS),
-                                       SILENT)),
-            **{name: half(RewardModel(config.reward, config.rhythm.frames, lexicon.motion_width, heard))
-               for name in ("reward", "reward_judge")}}
+def with_policies(store: Store, work: Path) -> Bundle:
+    """A bundle of a store's performers that nobody trained, reward models and Q-network included."""
+    bundle = untrained(*PLAIN, "selection.temperature=0.7")
+    corpus = prepare(store, bundle.config, work, progress=False)
+    names, frames, audio = corpus.statistics.speakers, bundle.config.rhythm.frames, block_audio(corpus).shape[-1]
+    table = next(iter(bundle.inventory.frequencies.values()))
+    reward, judge = (RewardModel(RewardConfig(width=16, projection=8), frames, corpus.motion.shape[-1], audio)
+                     for _ in range(2))
+    network = QNetwork(QConfig(width=16, heads=2, layers=1, audio_features=4, audio_bottleneck=4), frames,
+                       corpus.high.shape[-1], len(bundle.vectors), len(names), bundle.silent.tolist())
+    for module in (reward, judge, network):
+        freeze(module)
+    inventory = dataclasses.replace(bundle.inventory, frequencies=dict.fromkeys(names, table))
+    return dataclasses.replace(bundle, statistics=corpus.statistics, inventory=inventory).with_parts(
+        q_network=network, reward=reward, reward_judge=judge)

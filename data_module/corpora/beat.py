@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import DroppedError, Imported, Item, Options, split_of, trimmed
+from data_module.corpora.base import DroppedError, Imported, Item, Options, split_of, trimmed
 from data_module.corpora.takes import Take, find_takes, read_motion, with_text
 from data_module.errors import InputError
 from data_module.motion.bvh import CENTIMETRES, BvhWarning
@@ -27,7 +27,7 @@ from data_module.speech.audio import load_speech
 from data_module.store import RecordingInfo, Split
 from data_module.types import Motion, Word
 
-NAME = re.compile(r"(?P<id>\d+)_(?P<name>[A-Za-z]+)_(?P<record>[0-7])_(?P<start>\d+)_(?P<end>\d+)")
+NAME = re.compile(r"(?P<id>\d{1,9})_(?P<name>[A-Za-z]{1,40})_(?P<record>[0-7])_(?P<start>\d{1,9})_(?P<end>\d{1,9})")
 LANGUAGES = ("en", "zh", "es", "ja")
 """Recording types come in pairs, speech and conversation, in this order of languages."""
 

@@ -10,17 +10,17 @@ DIR is `beat_english_v2.0.0` (or that of another language):
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import DroppedError, Imported, Item, Options
+from data_module.corpora.base import DroppedError, Imported, Item, Options
 from data_module.corpora.beat import NAME, info_of
 from data_module.corpora.takes import with_text
 from data_module.errors import InputError
+from data_module.files import read_table
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import load_speech
 from data_module.store import Split
@@ -88,13 +88,9 @@ class Beat2:
 
 def _listed(path: Path) -> list[tuple[str, str]]:
     """The recordings of the published list and what it calls them."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            rows = [(row.get("id") or "", row.get("type") or "") for row in csv.DictReader(lines)]
-    except FileNotFoundError:
-        raise InputError(path, "does not exist", "--source is BEAT2's folder beat_english_v2.0.0") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, f"cannot be read ({error})", "fetch it again") from None
+    if not path.exists():
+        raise InputError(path, "does not exist", "--source is BEAT2's folder beat_english_v2.0.0")
+    rows = [(row.get("id") or "", row.get("type") or "") for _, row in read_table(path, "fetch it again")]
     wrong = [name or kind or "an empty line" for name, kind in rows if kind not in _SPLITS or not NAME.fullmatch(name)]
     if not rows or wrong or len({name for name, _ in rows}) != len(rows):
         raise InputError(path, f"has entries that are not read ({', '.join(wrong[:3])})" if wrong else

@@ -18,7 +18,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import DroppedError, Imported, Item, Options, spread
+from data_module.corpora.base import DroppedError, Imported, Item, Options, spread
 from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError, shown
 from data_module.files import read_text, write_text

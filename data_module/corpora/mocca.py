@@ -10,8 +10,8 @@ the split; else the last recordings of each speaker test.
 
 The subtitles time whole utterances, and some of them wrongly by seconds; the words of each share out its loud parts,
 so they count as guessed. The hand-labelled gesture beats of speaker01 come in a download of their own, whose layout is
-not published. They are no part of a store: `python -m eval.beat_labels --labels DIR` finds the file of each recording
-below DIR by its name and scores the beats that are found in the store against it.
+not published. They are no part of a store: `gesticulator probe beat-labels --labels DIR` finds the file of each
+recording below DIR by its name and scores the beats that are found in the store against it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import Imported, Item, Options
+from data_module.corpora.base import Imported, Item, Options
 from data_module.corpora.takes import Take, find_takes, read_take
 from data_module.errors import InputError
 from data_module.store import RecordingInfo, Split
@@ -57,7 +57,7 @@ class Mocca:
         if absent:
             self._notes.append(f"not there: {', '.join(absent)}")
         texts = {take.text for take in self._takes.values()}
-        self._notes += [f"left out {file}: no motion, sound or subtitles (for labelled beats: eval.beat_labels)"
+        self._notes += [f"left out {file}: no motion, sound or subtitles (for labelled beats: `probe beat-labels`)"
                         for file in sorted(source.rglob("speaker??_clip??*"))
                         if file.is_file() and file.suffix.lower() not in (".bvh", ".wav") and file not in texts]
         if any(self._folder_split(take) is None for take in self._takes.values()):

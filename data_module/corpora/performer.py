@@ -16,7 +16,6 @@ of both.
 
 from __future__ import annotations
 
-import csv
 import functools
 import hashlib
 import importlib.util
@@ -27,8 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from data_module.corpora import Item, Options, split_of
+from data_module.corpora.base import Item, Options, split_of
 from data_module.errors import InputError
+from data_module.files import read_text
 from data_module.performer import text, voices
 from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split
@@ -217,7 +217,7 @@ class Performer:
     @functools.cached_property
     def _strokes(self) -> Any:
         if self._source is None:
-            from data_module.performer.strokes import procedural_strokes
+            from data_module.performer.procedural import procedural_strokes
 
             return procedural_strokes()
         from data_module.performer.borrowed import load_borrowed, with_borrowed
@@ -295,8 +295,9 @@ class Performer:
     def _manifest(self) -> list[dict[str, str]]:
         if self._source is None:
             return []
-        with (self._source / "strokes" / "manifest.csv").open(encoding="utf-8", newline="") as lines:
-            return list(csv.DictReader(lines))
+        from data_module.performer.strokes import read_manifest
+
+        return read_manifest(self._source / "strokes")
 
     @property
     def _performers(self) -> tuple[str, ...]:
@@ -401,7 +402,7 @@ class Performer:
             samples = speech.samples[:at] if reading.part == "head" else speech.samples[at:]
             speech = replace(speech, samples=np.ascontiguousarray(samples))
         if item.info.language == "en":
-            transcript = (self._source / "speech" / f"{reading.stem}.txt").read_text(encoding="utf-8")
+            transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
             speech = replace(speech, words=transcripts.align(speech, transcript))
         return find_syllables(item.info.name, speech, item.info.voice, item.info.language)
 

@@ -14,16 +14,15 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from data_module.corpora import Options
+from data_module.corpora.base import Options
 from data_module.errors import InputError
-from data_module.files import write_bytes, write_text
+from data_module.files import rename, write_bytes, write_text
 from data_module.motion import skeletons, smartbody
 from data_module.motion.bvh import CENTIMETRES, bvh_text
 
@@ -103,7 +102,7 @@ class SmartBody:
                 write_bytes(partial / "LICENSE", (self._source / "LICENSE").read_bytes())
             if out.exists():
                 out.rmdir()
-            os.replace(partial, out)
+            rename(partial, out)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
         return len(rows)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from data_module.corpora import DroppedError, Imported, Options
+from data_module.corpora.base import DroppedError, Imported, Options
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.bvh import CENTIMETRES, FRAME_RATE_ADVICE, BvhWarning, read_bvh

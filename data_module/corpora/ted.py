@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from data_module.corpora import DroppedError, Item, Options, serialised
+from data_module.corpora import serialised
+from data_module.corpora.base import DroppedError, Item, Options
 from data_module.errors import InputError
 from data_module.motion.representation import rotations_from_positions
 from data_module.store import SPLITS, Recording, RecordingInfo, Split

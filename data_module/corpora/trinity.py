@@ -18,9 +18,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import DroppedError, Imported, Item, Options
+from data_module.corpora.base import DroppedError, Imported, Item, Options
 from data_module.corpora.takes import find_takes, read_take
 from data_module.errors import InputError
+from data_module.files import read_text
 from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 from data_module.types import Word
@@ -85,7 +86,7 @@ def read_words(path: Path) -> tuple[Word, ...]:
     `InputError` names the file, and the place in it that is wrong.
     """
     try:
-        told = json.loads(path.read_text(encoding="utf-8-sig"))
+        told = json.loads(read_text(path, "fetch it again"))
     except (ValueError, RecursionError):
         raise InputError(path, "is no JSON", "fetch it again") from None
     if not isinstance(told, list):

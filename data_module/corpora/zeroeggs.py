@@ -13,15 +13,15 @@ time-stretched copies, which its authors train on besides, are left out.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora import Imported, Item, Options
+from data_module.corpora.base import Imported, Item, Options
 from data_module.corpora.takes import find_takes, read_take
 from data_module.errors import InputError
+from data_module.files import read_table
 from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 
@@ -91,12 +91,8 @@ def _number(name: str) -> int:
 
 def _held_out(path: Path) -> frozenset[int]:
     """Numbers of the recordings that info.csv marks TRUE in its column `validation`."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            rows = [(row.get("anim_bvh") or "", (row.get("validation") or "").strip().upper())
-                    for row in csv.DictReader(lines)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, f"cannot be read ({error})", "fetch it again") from None
+    rows = [(row.get("anim_bvh") or "", (row.get("validation") or "").strip().upper())
+            for _, row in read_table(path, "fetch it again")]
     wrong = [name or told or "an empty line" for name, told in rows
              if not re.match(r"\d{3}_", name) or told not in ("TRUE", "FALSE")]
     if wrong or not rows:

@@ -11,12 +11,11 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from data_module.errors import InputError
-from data_module.files import write_text
+from data_module.errors import InputError, shown
+from data_module.files import read_text, write_text
 from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion, Skeleton
 
@@ -24,6 +23,11 @@ _AXES = {"Xrotation": "X", "Yrotation": "Y", "Zrotation": "Z"}
 _PLACES = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
 _WRITTEN_ORDER = "ZXY"
 CENTIMETRES = 0.01
+"""Metres."""
+_LARGEST = 1e9
+"""Degrees or units of length, of which none is smaller than a millimetre: a number beyond it is none of a body's."""
+_LARGEST_FILE = 1 << 30
+"""Bytes (1 GiB): an hour of a body with fingers at 120 frames a second."""
 FRAME_RATE_ADVICE = "give the frame rate"
 """What to do about a file whose frame rate is in doubt; commands name their own option for it."""
 
@@ -53,7 +57,7 @@ class _Tokens:
         word = self.peek()
         if not word or (expected is not None and word.lower() != expected.lower()):
             wanted = f"'{expected}'" if expected else "more"
-            raise InputError(self.path, f"is not a BVH file ({wanted} expected, found '{word or 'the end'}')",
+            raise InputError(self.path, f"is not a BVH file ({wanted} expected, found '{shown(word) or 'the end'}')",
                              "export it again")
         self._at += 1
         return word
@@ -63,9 +67,9 @@ class _Tokens:
         try:
             value = float(word)
         except ValueError:
-            raise InputError(self.path, f"has '{word}' where a number belongs", "export it again") from None
-        if not np.isfinite(value):
-            raise InputError(self.path, f"has '{word}' where a finite number belongs", "export it again")
+            raise InputError(self.path, f"has '{shown(word)}' where a number belongs", "export it again") from None
+        if not abs(value) <= _LARGEST:
+            raise InputError(self.path, f"has '{shown(word)}' where a finite number belongs", "export it again")
         return value
 
 
@@ -94,7 +98,7 @@ def _parse_header(text: str, path: str) -> _Header:
                 own = [tokens.take() for _ in range(int(tokens.number()))]
                 unknown = [c for c in own if c not in _AXES and c not in _PLACES]
                 if unknown:
-                    raise InputError(path, f"has unknown channels {', '.join(unknown)}", "export it again")
+                    raise InputError(path, f"has unknown channels {shown(', '.join(unknown), 100)}", "export it again")
             channels.append(tuple(own))
             pending = None
             continue
@@ -110,7 +114,7 @@ def _parse_header(text: str, path: str) -> _Header:
             tips[stack[-1]] = np.array([tokens.number() for _ in range(3)])
             tokens.take("}")
         else:
-            raise InputError(path, f"is not a BVH file ('{word}' in its hierarchy)", "export it again")
+            raise InputError(path, f"is not a BVH file ('{shown(word)}' in its hierarchy)", "export it again")
     tokens.take("MOTION")
     tokens.take("Frames:")
     frames = int(tokens.number())
@@ -146,8 +150,8 @@ def _rows(body: str, width: int, path: str) -> Array:
     if values.shape[1] != width or len(values) == 0:
         raise InputError(path, f"has {len(values)} motion rows of {values.shape[1]} values where its skeleton needs "
                          f"{width}", "export it again")
-    if not np.isfinite(values).all():
-        raise InputError(path, "has motion values that are not numbers", "export it again")
+    if not (np.abs(values) <= _LARGEST).all():
+        raise InputError(path, "has motion values that are not numbers, or far too large", "export it again")
     return values
 
 
@@ -163,15 +167,7 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
     for name, value in (("frame rate", fps), ("unit", unit)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise InputError(where, f"cannot be read with a {name} of {value}", "give a positive number")
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig", errors="strict")
-    except UnicodeDecodeError:
-        raise InputError(where, "is not a BVH file (not text)", "give a .bvh file") from None
-    except FileNotFoundError:
-        raise InputError(where, "does not exist", "check the path") from None
-    except OSError as error:
-        wrong = "is a folder" if Path(path).is_dir() else f"cannot be read ({error.strerror})"
-        raise InputError(where, wrong, "give a .bvh file") from None
+    text = read_text(path, "give a .bvh file", _LARGEST_FILE)
     at = text.find("Frame Time:")
     if at < 0:
         raise InputError(where, "is not a BVH file (no 'Frame Time:')", "give a .bvh file")

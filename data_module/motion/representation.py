@@ -8,6 +8,7 @@ and where neither tells, as with a straight arm, the turn that was is kept.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Protocol
@@ -161,7 +162,7 @@ def bone_directions(positions: Array) -> Array:
     if not np.isfinite(points).all():
         raise ValueError("positions must be finite")
     start, end = np.array(TED_BONES).T
-    ways = np.concatenate([_REST[None], points[:, end] - points[:, start]])
+    ways = np.concatenate([_rest_directions()[None], points[:, end] - points[:, start]])
     lengths = np.linalg.norm(ways, axis=-1)
     last = np.where(lengths > _EPS, np.arange(len(ways))[:, None], 0)
     last = np.maximum.accumulate(last, axis=0)
@@ -207,7 +208,7 @@ def rotations_from_positions(positions: Array, fps: float) -> Motion:
 
 def _torso(bones: Array, fps: float) -> Array:
     """[T, 4] the chest's rotation: up along spine to neck, sideways from shoulder to shoulder."""
-    up, rest_up = bones[:, _TO_NECK], _REST[_TO_NECK]
+    up, rest_up = bones[:, _TO_NECK], _rest_directions()[_TO_NECK]
     across = 0.5 * (bones[:, _SHOULDER_BONES["Left"]] - bones[:, _SHOULDER_BONES["Right"]])
     first = rotation.rotate(_swing(rest_up[None], up[:1], _LEFT[None])[0], _LEFT)
     return _turned((rest_up, _LEFT), up, _followed(up, across, first, fps))
@@ -323,6 +324,7 @@ def _carried(along: Array, first: Array) -> Array:
     return axes / np.linalg.norm(axes, axis=-1, keepdims=True)
 
 
+@functools.cache
 def _rest_directions() -> Array:
     """[9, 3] the way along each of `TED_BONES` of the character at rest, metres."""
     identity = np.zeros((1, len(CHARACTER), 4))
@@ -332,4 +334,3 @@ def _rest_directions() -> Array:
     return ways / np.linalg.norm(ways, axis=-1, keepdims=True)
 
 
-_REST = _rest_directions()

@@ -119,6 +119,12 @@ def scaled(motion: Motion, unit: float) -> Motion:
     return replace(motion, skeleton=skeleton, root_positions=motion.root_positions * unit)
 
 
+_EPS = 1e-9
+"""Metres: what is closer is in one place."""
+_NEEDED_BONES = (("Hips", "Head"), ("RightArm", "LeftArm"), *((side + bone, side + tip) for side in _SIDES
+                 for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand"))))
+
+
 def _rest_positions(skeleton: Skeleton) -> Array:
     identity = np.zeros((len(skeleton), 4))
     identity[:, 0] = 1.0
@@ -134,7 +140,10 @@ def _axes(rest: Array, table: Mapping[str, int]) -> Array:
 
     up = dominant(rest[table["Head"]] - rest[table["Hips"]])
     across = rest[table["LeftArm"]] - rest[table["RightArm"]]
-    left = dominant(across - (across @ up) * up)
+    across = across - (across @ up) * up
+    if np.linalg.norm(across) < _EPS:
+        raise InputError("skeleton", "has one arm above the other", "check its offsets")
+    left = dominant(across)
     matrix = np.stack([left, up, np.cross(left, up)])
     return Rotation.from_matrix(matrix).as_quat(scalar_first=True)
 
@@ -148,6 +157,9 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None) -> Moti
     """
     source, table = motion.skeleton, table or find_table(motion.skeleton.names)
     rest = _rest_positions(source)
+    for bone, tip in _NEEDED_BONES:
+        if np.linalg.norm(rest[table[tip]] - rest[table[bone]]) < _EPS:
+            raise InputError("skeleton", f"has {bone} and {tip} in one place", "check its offsets")
     ours_rest = _rest_positions(CHARACTER)
     change = _axes(rest, table)
     world = kinematics.global_rotations(source, motion.rotations)
@@ -179,6 +191,15 @@ def facing(motion: Motion) -> Motion:
     rotations = motion.rotations.copy()
     rotations[:, 0] = rotation.remove_yaw(rotations[:, 0])
     return replace(motion, rotations=rotations, root_positions=np.zeros_like(motion.root_positions))
+
+
+def standing(motion: Motion) -> Motion:
+    """The motion lifted (or lowered) so that the root's median height is `HIP_HEIGHT`; doing it twice changes nothing.
+
+    Models work with the root at the origin; a viewer's floor is at zero.
+    """
+    lift = np.array([0.0, HIP_HEIGHT - float(np.median(motion.root_positions[:, 1])), 0.0])
+    return replace(motion, root_positions=motion.root_positions + lift)
 
 
 def to_vector(motion: Motion) -> Array:

@@ -14,11 +14,11 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.files import read_text
 from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
@@ -32,6 +32,10 @@ _TRUNK = {"Hips": "JtRoot", "Spine": "JtSpineA", "Spine1": "JtSpineB", "Spine2":
 _SIDES = {"Left": "Lf", "Right": "Rt"}
 _ARM = {"Shoulder": "Clavicle", "Arm": "Shoulder", "ForeArm": "Elbow", "Hand": "Wrist"}
 _LEG = {"UpLeg": "Hip", "Leg": "Knee", "Foot": "Ankle", "ToeBase": "Ball"}
+_LONGEST = 600.0
+"""Seconds of a clip; those published last twenty at most."""
+_LARGEST = 1e6
+"""Metres, radians or seconds: a number beyond it is none of a clip's."""
 _TIP_SHARE = 0.8
 """The bone beyond the last joint of a chain, as a share of the one before it."""
 
@@ -121,7 +125,7 @@ def read_skm(path: str | os.PathLike[str]) -> Clip:
     where = str(path)
     text = _text(path)
     head, mark, body = text.partition("\nkt ")
-    told = re.search(r"^channels\s+(\d+)\s*$", head, re.MULTILINE)
+    told = re.search(r"^channels[ \t]+(\d{1,6})[ \t]*$", head, re.MULTILINE)
     channels = re.findall(r"^[ \t]*(\S+)[ \t]+([A-Z]\w+)[ \t]*$", head[told.end():] if told else "", re.MULTILINE)
     if told is None or not mark:
         raise InputError(where, "is not a SmartBody motion (no channels or no frames)", "fetch it again")
@@ -136,11 +140,13 @@ def read_skm(path: str | os.PathLike[str]) -> Clip:
     values = np.array([_numbers([line[1], *line[3:]], 1 + width, where) for line in lines])
     if (np.diff(values[:, 0]) <= 0).any():
         raise InputError(where, "has frames whose times do not rise", "fetch it again")
+    if values[-1, 0] - values[0, 0] > _LONGEST:
+        raise InputError(where, f"lasts {values[-1, 0] - values[0, 0]:g} s, more than a gesture", "fetch it again")
     ends = np.cumsum([1] + [_WIDTHS[kind] for _, kind in channels])
     columns = {channel: values[:, start:stop]
                for channel, start, stop in zip(channels, ends[:-1], ends[1:], strict=True)}
     sync = {name: _numbers([value], 1, where)[0]
-            for name, value in re.findall(r"^\s*(\w+) time:\s*(\S+)", body, re.MULTILINE)}
+            for name, value in re.findall(r"^[ \t]*+(\w++) time:[ \t]*+(\S++)", body, re.MULTILINE)}
     return Clip(values[:, 0], columns, sync)
 
 
@@ -208,15 +214,8 @@ def _down(parents: tuple[int, ...], local: Array) -> Array:
 
 
 def _text(path: str | os.PathLike[str]) -> str:
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(path, "does not exist", "check the path") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "is not text", "give SmartBody's text files, not its binary ones") from None
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})", "give a file") from None
-    return "\n".join(line.split("#", 1)[0] for line in text.splitlines())
+    text = read_text(path, "give SmartBody's text files, not its binary ones")
+    return "\n".join(line.split("#", 1)[0] for line in text.split("\n"))
 
 
 def _numbers(words: list[str], count: int, path: str) -> list[float]:
@@ -224,6 +223,6 @@ def _numbers(words: list[str], count: int, path: str) -> list[float]:
         values = [float(word) for word in words]
     except ValueError:
         raise InputError(path, f"has '{' '.join(words[:4])}' where {count} numbers belong", "fetch it again") from None
-    if len(values) != count or not np.isfinite(values).all():
-        raise InputError(path, f"lacks {count} finite numbers in one place", "fetch it again: it is cut short")
+    if len(values) != count or not (np.abs(values) < _LARGEST).all():
+        raise InputError(path, f"lacks {count} usable numbers in one place", "fetch it again: it is cut short")
     return values

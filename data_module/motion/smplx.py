@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.arrays import read_npz
+from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE
@@ -86,8 +86,8 @@ def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Mot
     rate = fps if fps is not None else _rate(arrays)
     if rate is None or not 0 < rate < 1000:
         raise InputError(path, "has no usable mocap_frame_rate", FRAME_RATE_ADVICE)
-    values = poses.reshape(frames, -1)[:, :joints * 3].astype(np.float64)
-    root = trans.astype(np.float64)
+    values = as_floats(poses.reshape(frames, -1)[:, :joints * 3])
+    root = as_floats(trans)
     if not (np.isfinite(values).all() and np.isfinite(root).all()):
         raise InputError(path, "has poses that are not numbers", "export it again")
     if np.abs(values).max() > _MOST_TURN or np.abs(root).max() > _FARTHEST:

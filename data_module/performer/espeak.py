@@ -35,6 +35,9 @@ class Line:
     range: int
 
 
+_CHILD = "from data_module.performer.espeak_child import main; main()"
+
+
 def available() -> bool:
     """True when the library of espeak-ng can be loaded."""
     return library() is not None
@@ -47,7 +50,7 @@ def sound_phrases(lines: Sequence[Line]) -> list[Sounded]:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "spoken.npz"
-        done = subprocess.run([sys.executable, "-m", "data_module.performer.espeak_child", str(path)],
+        done = subprocess.run([sys.executable, "-c", _CHILD, str(path)],
                               input=json.dumps([asdict(line) for line in lines]), capture_output=True, text=True,
                               timeout=600, cwd=Path(__file__).parents[2])
         if done.returncode == NO_VOICE:

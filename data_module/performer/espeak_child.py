@@ -86,7 +86,8 @@ def speak_all(phrases: list[dict[str, Any]]) -> dict[str, np.ndarray]:
     return result
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Speak what standard input asks for into the file that the command line names, and end the process."""
     spoken_phrases = speak_all(json.load(sys.stdin))
     with open(sys.argv[1], "wb") as stream:
         np.savez(stream, **spoken_phrases)  # type: ignore[arg-type]

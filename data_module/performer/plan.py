@@ -24,13 +24,21 @@ REST_PAUSE = 1.6
 BRAKE = 0.789
 """A minimum-jerk movement brakes hardest at this share of its length."""
 _MIN_GAP = 0.5
+"""Seconds between the beats of two strokes at least."""
 _MIN_PREPARATION = 0.3
+"""Seconds from the start of a stroke to its beat at least; where there is less room, the stroke is not played."""
 _AFTER_BEAT = 0.12
+"""Seconds after a beat in which its arm takes no new stroke: the brake ends in them."""
 _JOIN = 1.2
+"""Seconds between a hold's end and the next stroke below which the hold goes on until then, instead of a retraction."""
 _STRETCH = 1.6
+"""Times that a hold may be stretched for it."""
 _LONGEST_HOLD = 1.0
+"""Seconds of a hold after stretching."""
 _RECENT = 3
+"""Clips of a performer's past that are not repeated at once."""
 _RECENT_WEIGHT = 0.1
+"""Times as likely as others they are chosen."""
 _SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
 """Log of the gain by the vigour of the syllable and by amplitude; log of the speed, and eagerness, by tempo."""
 _LARGEST = 1.4

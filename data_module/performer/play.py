@@ -29,38 +29,77 @@ from data_module.truth import PlayedStroke
 from data_module.types import Array, Motion
 
 FPS = 60.0
+"""Frames per second of the finished motion: twice that of the clips, so that a brake can be moved by half a frame."""
+
+# How the motion is fitted to its plan.
 _PASSES = 6
+"""Times at most that the motion is made to bring the brakes to their beats; each costs a rendering of both arms."""
 _ROUNDS = 4
+"""Times at most that strokes which cannot be put in time are left out and the others fitted again."""
 _DETOURS = 2
+"""Times at most that the arms are led around the body, each time with a new fit."""
 _CLEAR = 0.1
+"""Share of the way to the home pose; an arm that needs to be led by less is left as it is."""
 _REACHING = 4
+"""Joints of an arm, from the shoulder to the hand, that place the hand; the fingers do not."""
 _MISS = 0.35
+"""Seconds around a planned beat in which its brake is looked for: less than the shortest gap between strokes."""
 _CLEARLY = 1.2
+"""Half standard deviations of the arm's deceleration (see `_brakes`) below which a brake is faint and accented more."""
 _ACCURATE = 0.008
+"""Seconds: half a frame, and no try moves a beat that is closer."""
 _TOLERANCE = 0.018
+"""Seconds: about one frame; a stroke that still misses by more is left out."""
 _ACCENT = 0.12
+"""Share by which the excursion of a beat is raised before it falls on the beat, at first."""
 _MOST_ACCENT = 0.48
+"""The same at most, after the steps of `_tuned`: half as far again would throw the arm up."""
 _FARTHEST = 0.15
+"""Seconds that the clip's own beat may be moved to meet the planned one, so that its preparation keeps its shape."""
 _FADE_SHARE = 0.65
+"""Share of the preparation in which the old motion dies away, so that the last third is the clip's own."""
+
+# When the arms go up and down.
 _RAISE = 0.7
-_HIPS_SHARE = 0.4
+"""Seconds in which an arm goes up before the first word of a run of phrases."""
 _DROP = 1.0
-_MICRO = 0.42
-_FALL = 0.22
-_BEFORE_SMALL = 0.18
-_SMALL_GAP = 0.36
-_LEAST_SMALL = -0.3
-_SYMPATHY = 0.4
+"""Seconds in which it goes down after the last, slower than it goes up."""
 _HANGING_LEVEL = 0.1
-_NOD_GAIN = 1.3
+"""Share of the home pose at which the arm that takes no part hangs, so that its elbow is not quite straight."""
+_SYMPATHY = 0.4
+"""Share of the other arm's motion that a hanging arm follows."""
+
+# Small beats between strokes.
+_MICRO = 0.42
+"""Share by which the excursion of an arm is raised for a small beat on an ordinary syllable."""
+_FALL = 0.22
+"""Seconds in which a raised arm falls; it brakes, and has its beat, at the share `BRAKE` of them."""
+_BEFORE_SMALL = 0.18
+"""Seconds in which it rises before."""
+_SMALL_GAP = 0.36
+"""Seconds between small beats at least: about a rise and a fall."""
+_LEAST_SMALL = -0.3
+"""Prominence from which a syllable gets a small beat, where no manner says otherwise."""
 _SMALL_OF_STYLE = np.array([0.5, 0.3])
 """Log of the size of small movements, by amplitude and tempo."""
+_NOD_GAIN = 1.3
+"""Times a performer's nods on a real person's trunk: what was laid under the speech is not tied to it."""
+
+# Where an arm may be.
+_HIPS_SHARE = 0.4
+"""Share of a clip's own turn of the hips that is played: the feet stand still here."""
 _MIRRORED = np.array([1.0, -1.0, -1.0])
+"""Signs of log rotations in a mirror at x = 0."""
 TORSO_RADIUS = 0.115
+"""Metres of the capsule that stands for the torso: half the depth of an adult's chest."""
 HEAD_RADIUS = 0.105
+"""Metres of the sphere that stands for the head, hair counted."""
 _BEHIND = 0.08
+"""Metres that an elbow may be behind its shoulder."""
 _HIGH, _HIGH_SHARE = 0.10, 0.3
+"""Metres above the shoulder from which a hand counts as too high, and the share of the rest that counts as trespass."""
 _FULL_TRESPASS = 0.06
+"""Metres inside the body at which an arm is led to the home pose altogether."""
 
 
 _Levels = tuple[list[tuple[float, float]], list[tuple[float, float]]]

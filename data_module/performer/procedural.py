@@ -25,8 +25,11 @@ from data_module.types import Array
 
 PERFORMER = "puppet"
 _FPS = 30.0
+"""Frames per second, as the recorded clips have."""
 _LEAD = 0.2
+"""Seconds at rest before a clip's preparation."""
 _HANGING = np.array([0.06, -0.50, 0.04])
+"""Metres from the shoulder (left, up, forward) of a hand that hangs."""
 
 # Where the left hand goes, metres from the left shoulder (left, up, forward): from where it sets out (ready), and where
 # it arrives. `both` tells whether the other hand does the same in the mirror.
@@ -42,6 +45,7 @@ _REACHES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]
     "All": ((0.00, -0.28, 0.30), (0.30, -0.16, 0.34), True),
 }
 _PREPARATION, _STROKE, _HOLD, _BACK = 0.42, 0.28, 0.40, 0.75
+"""Seconds of the phases of a clip: up, stroke, hold, back to rest."""
 
 
 def _ease(times: Array, start: float, duration: float) -> Array:
@@ -92,7 +96,7 @@ def _clip(paths: dict[int, Array], frames: int) -> Array:
     return rotation.continuous(kinematics.local_rotations(CHARACTER, world))
 
 
-def make() -> StrokeSet:
+def procedural_strokes() -> StrokeSet:
     """A performer, "puppet", with three sizes of nine strokes and their mirror images; the third of each is held out.
 
     Lexemes: BeatLow, BeatMid, BeatHigh, You, Me, Left, Right, Negate, All.

@@ -7,26 +7,27 @@ from a label.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
+from data_module.files import read_table
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
-from data_module.types import Array, Skeleton
+from data_module.types import Array, Motion, Skeleton
 
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
 HELD_OUT_SHARE = 0.15
+"""Share of each person's clips that are kept for test."""
 
 # Retargeted from one another: the same person, who must not stand on both sides of a split.
 _PERSON = {"brad2": "brad"}
@@ -44,11 +45,19 @@ _NO_STROKE = frozenset({
 })
 _NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_Idle01_BeatFistMidLf02",
                          "connor_IdleStand01_NegateRightMidBt01"})
+_COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
+_LONGEST = 600.0
+"""Seconds of a clip; those published last twenty at most."""
 _MIN_REACH = 0.05
+"""Metres that a hand must leave its place by, to be a stroke and no fidget."""
 _FINE_FPS = 120.0
+"""Frames per second at which a clip's times are measured: four to a frame of the clips."""
 _SMOOTH = 0.05
+"""Seconds that speed is smoothed over, as for motion beats."""
 _BEAT_DEPTH = 0.35
+"""Share of a clip's hardest brake that the brake of its beat must have."""
 _AFTER_EMPHASIS = 0.12
+"""Seconds that the beat may come after the author's mark of the emphasis."""
 
 
 @dataclass(frozen=True)
@@ -291,16 +300,8 @@ def load_strokes(folder: str | Path) -> StrokeSet:
 
     InputError when the manifest or a clip is absent or broken.
     """
-    manifest = Path(folder) / "manifest.csv"
-    if not manifest.is_file():
-        raise InputError(manifest, "does not exist", "give the folder that holds manifest.csv")
-    with manifest.open(encoding="utf-8", newline="") as lines:
-        rows = list(csv.DictReader(lines))
-    needed = {"file", "speaker", "posture", "lexeme", "hand", "emphasis"}
-    if not rows or not needed <= set(rows[0]):
-        raise InputError(manifest, f"lacks columns {', '.join(sorted(needed - set(rows[0] if rows else ())))}",
-                         "take the manifest that came with the clips")
-    rows = [row for row in rows if Path(row["file"]).stem not in _DROPPED and row["lexeme"] not in _NO_STROKE]
+    rows = [row for row in read_manifest(folder)
+            if Path(row["file"]).stem not in _DROPPED and row["lexeme"] not in _NO_STROKE]
     strokes: list[Stroke] = []
     figures: dict[str, Figure] = {}
     for speaker in sorted({row["speaker"] for row in rows}):
@@ -312,6 +313,39 @@ def load_strokes(folder: str | Path) -> StrokeSet:
     return StrokeSet(tuple(strokes), figures)
 
 
+def read_manifest(folder: str | Path) -> list[dict[str, str]]:
+    """The rows of `manifest.csv` in a folder of strokes, each with its `_COLUMNS`.
+
+    InputError with the line for a short row, a clip outside of the folder, or an emphasis that is no time.
+    """
+    manifest, advice = Path(folder) / "manifest.csv", "take the manifest that came with the clips"
+    if not manifest.is_file():
+        raise InputError(manifest, "does not exist", "give the folder that holds manifest.csv")
+    rows = read_table(manifest, advice)
+    lacking = sorted(_COLUMNS - set(rows[0][1] if rows else ()))
+    if lacking:
+        raise InputError(manifest, f"lacks columns {', '.join(lacking)}", advice)
+    return [_checked(f"{manifest}, line {line}", row, advice) for line, row in rows]
+
+
+def _checked(where: str, told: Mapping[str, str | None], advice: str) -> dict[str, str]:
+    """A row of the manifest when it can be used."""
+    row = {name: cell for name, cell in told.items() if isinstance(cell, str)}
+    if not set(row) >= _COLUMNS:
+        raise InputError(where, "has too few columns", advice)
+    file = PurePosixPath(row["file"].replace("\\", "/"))
+    if file.is_absolute() or ".." in file.parts or not file.name or ":" in file.parts[0] \
+            or not str(file).isprintable():
+        raise InputError(where, f"names {shown(row['file'])!r}, no file of this folder", advice)
+    try:
+        emphasis = float(row["emphasis"] or "nan")
+    except ValueError:
+        emphasis = -1.0
+    if row["emphasis"] and not 0 <= emphasis <= _LONGEST:
+        raise InputError(where, f"has {shown(row['emphasis'])!r} for the seconds of its emphasis", advice)
+    return row
+
+
 def _clip_key(stroke: Stroke) -> str:
     return stroke.base.removeprefix(stroke.speaker + "_")
 
@@ -319,6 +353,22 @@ def _clip_key(stroke: Stroke) -> str:
 def load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[Figure, list[Stroke]]:
     """The body of a speaker and the strokes of her clips (rows of the manifest), each with its mirror image."""
     motions = [read_bvh(folder / row["file"], unit=1.0) for row in rows]
+    skeleton = motions[0].skeleton
+    for row, motion in zip(rows, motions, strict=True):
+        if not motion.skeleton.same_joints(skeleton):
+            raise InputError(folder / row["file"], f"has other joints than {rows[0]['file']}",
+                             "take the clips that came with the manifest")
+    try:
+        return _figure_and_strokes(speaker, rows, motions)
+    except (KeyError, ValueError) as error:
+        raise InputError(folder / rows[0]["file"],
+                         f"and the other clips of {shown(speaker)} make no performer ({error})",
+                         "take the clips that came with the manifest") from None
+
+
+def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]
+                        ) -> tuple[Figure, list[Stroke]]:
+    """The body of a speaker and the strokes of its clips; KeyError or ValueError where they lack arms to move."""
     skeleton = motions[0].skeleton
     standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _POSTURE.get(speaker, "")]
     first = np.stack([m.rotations[0] for m in standing or motions])
@@ -352,10 +402,3 @@ def _measure(figure: Figure, row: Mapping[str, str], rotations: Array, fps: floa
     return Stroke(stem, stem, row["speaker"], row["posture"], row["lexeme"], hand, fps, logs,
                   logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
                   steady=stem in _NOT_FASTER)
-
-
-def procedural_strokes() -> StrokeSet:
-    """A small set by formula on the 16-joint character: one performer, "puppet", in need of no recording."""
-    from data_module.performer import procedural  # It builds on the nouns of this file.
-
-    return procedural.make()

@@ -15,7 +15,9 @@ from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Samples, Speech, Word
 
 HOP = 0.01
+"""Seconds between the measurements of loudness and pitch."""
 LOWEST, HIGHEST = 60.0, 420.0
+"""Hertz of the pitch that is looked for: a creaking bass to a high voice."""
 # Words that carry grammar rather than meaning; pointing words, negations and quantities are left out on purpose.
 _FUNCTION_WORDS = {"en": """
 a an the of to in on at by for from with into onto as than and or so if that which who whom whose what while until

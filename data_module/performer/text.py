@@ -18,6 +18,7 @@ SPLITS = ("train", "test")
 CHARACTERS_PER_SECOND = {"cmn": 7.5}
 """How fast our voices get through written text, where it is not the usual 17 letters and spaces a second."""
 _LETTERS_PER_SECOND = 17.0
+"""Letters and spaces a second that our voices get through."""
 # The longest pause, and what share of sentence ends gets one of a second or more.
 LONG_PAUSE, LONG_SHARE = 6.0, 0.21
 _VOWELS = "aeiou"

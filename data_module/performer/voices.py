@@ -19,6 +19,7 @@ from data_module.types import Array, Samples, Speech, Word
 # At effort 1: decibels louder, times faster, times the pitch range (log), semitones higher. At -1 the reverse.
 LOUDER, FASTER, WIDER, HIGHER = 9.0, 0.10, 0.55, 1.5
 LEAD = 0.4
+"""Seconds of silence before the first word."""
 
 
 @dataclass(frozen=True)

@@ -111,8 +111,7 @@ def level_note(speech: Speech) -> str | None:
     if level >= LOW_LEVEL:
         return None
     gain = round(TYPICAL_LEVEL - level)
-    return (f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB "
-            f"(ffmpeg -i IN -af volume={gain}dB OUT)")
+    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
 
 def resample(speech: Speech, sample_rate: int) -> Speech:
@@ -193,7 +192,7 @@ def _decoder(raw: BinaryIO, name: object) -> Iterator[tuple[Sound, Promise]]:
             yield replace(sound, frames=sound.frames if promise.known else 0), promise
         return
     # A WAV written to a pipe may say 0 bytes of sound; the decoder would believe it.
-    with sndfile(cast(BinaryIO, Patched(raw, promise.patch)) if promise.patch else raw) as sound:
+    with sndfile(cast(BinaryIO, Patched(raw, promise.patch))) as sound:
         yield sound, promise
 
 

@@ -21,16 +21,27 @@ LOOK_AHEAD = 0.25
 """Seconds of sound after an onset that `detect_onsets` needs to be sure of it."""
 
 _HOP = 0.01
+"""Seconds between spectra."""
 _WINDOW = 0.128
+"""Seconds of a spectrum, librosa's usual 2048 samples at 16 kHz."""
 _BANDS = 128
+"""Mel bands, librosa's usual number."""
 _LAG = 3
-_FAINTEST = 1e-6  # of mel power: what white noise of -80 dBFS has
+"""Spectra (30 ms) over which the rise is taken."""
+_FAINTEST = 1e-6
+"""Mel power that counts as nothing: what white noise of -80 dBFS has."""
 _AROUND = 0.1
+"""Seconds on both sides of a peak that make its surroundings."""
 _PEAK = 0.03
+"""Seconds on both sides in which a peak is the highest."""
 _RISE = 1.2
+"""Decibels that a peak stands above its surroundings."""
 _AUDIBLE = (-0.02, 0.08)
+"""Seconds about an onset in which a frame must be louder than the noise."""
 _PIECE = 4000
+"""Spectra (40 s) that are computed at a time: an hour's would not fit."""
 _EPS = 1e-9
+"""Seconds: what is closer is the same time."""
 
 
 @dataclass(frozen=True)

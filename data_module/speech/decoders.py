@@ -169,8 +169,9 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
         if not file.streams.audio:
             raise InputError(name, "has no sound", "give a video with sound, or its sound file")
         stream = file.streams.audio[0]
-        rate = int(stream.rate or 0)
-        if rate <= 0 or stream.codec_context is None:
+        # Of a codec that FFmpeg does not know there is no context, and then no rate either.
+        rate = int(stream.rate or 0) if stream.codec_context is not None else 0
+        if rate <= 0:
             raise NoSoundError
         known = stream.duration is not None and stream.time_base is not None
         seconds = float(stream.duration * stream.time_base) if known else (file.duration or 0) / av.time_base

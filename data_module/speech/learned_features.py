@@ -57,7 +57,7 @@ class LearnedFrontEnd:
                 states = self.states(torch.from_numpy(scaled))
             columns: Features = mel.rows(scaled)[..., -_LEVEL_COLUMNS:]
             for out, state in zip((low, high), states, strict=True):
-                out[part] = np.concatenate([state.numpy(), columns], axis=-1)
+                out[part] = np.concatenate([state.cpu().numpy(), columns], axis=-1)
         return Levels(low, high)
 
 
@@ -68,7 +68,8 @@ def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence
     _same_rate(16000, mel)
 
     def states(samples: Tensor) -> tuple[Tensor, Tensor]:
-        first, second = encoder.levels(samples, mel.frames, (low, high))
+        weights = next(encoder.parameters())
+        first, second = encoder.levels(samples.to(weights.device), mel.frames, (low, high))
         return first, second
 
     encoder.eval()

@@ -30,6 +30,7 @@ the first word last less (0.7 s at most in the recordings tried)."""
 SHORTEST_PAUSE = 0.35
 """Seconds: a shorter gap belongs to the speech around it (a stop consonant's closure lasts up to 0.2 s)."""
 LOOK_AHEAD = SHORTEST_PAUSE + 0.05
+"""Seconds of sound after a frame that are needed to be sure of it: a pause, and half a step of the noise floor."""
 
 _STEP = 10
 _PERCENTILE = 0.1

@@ -37,9 +37,13 @@ class Promise:
 
 
 class Patched(io.RawIOBase):
-    """A binary file read as if the four bytes at `place` were 0xFF."""
+    """A binary file read as if the four bytes at `place`, if that is not 0, were 0xFF; no seek in it fails.
 
-    def __init__(self, raw: BinaryIO, place: int) -> None:
+    A damaged file sends libsndfile to places before its beginning, and what Python raises there is printed on the
+    terminal, past everybody.
+    """
+
+    def __init__(self, raw: BinaryIO, place: int = 0) -> None:
         self._raw, self._place = raw, place
 
     def readable(self) -> bool:
@@ -49,7 +53,10 @@ class Patched(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        return self._raw.seek(offset, whence)
+        try:
+            return self._raw.seek(offset, whence)
+        except (OSError, ValueError):
+            return self._raw.tell()
 
     def tell(self) -> int:
         return self._raw.tell()
@@ -58,8 +65,9 @@ class Patched(io.RawIOBase):
         view = memoryview(target).cast("B")
         start = self._raw.tell()
         data = bytearray(self._raw.read(len(view)))
-        for place in range(max(start, self._place), min(start + len(data), self._place + 4)):
-            data[place - start] = 0xFF
+        if self._place:
+            for place in range(max(start, self._place), min(start + len(data), self._place + 4)):
+                data[place - start] = 0xFF
         view[:len(data)] = data
         return len(data)
 

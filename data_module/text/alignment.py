@@ -27,10 +27,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 ALIGNER_RATE = 16000
+"""Hertz that the aligner's acoustic model was trained on."""
 FRAME = 0.01
 """Seconds per frame of the aligner, and of the loudness that finds the pauses."""
 LONGEST_PIECE = 10.0
+"""Seconds of sound that are aligned at a time."""
 SHORTEST_PAUSE = 0.15
+"""Seconds of a pause at which the sound is cut."""
 LONGEST_WIDE = 180.0
 """Seconds; the wide beam costs about 0.15 s a second and grows with the length, so a longer recording goes without."""
 LEAST_COVERED = 0.85
@@ -78,14 +81,15 @@ def letters_to_sounds(word: str) -> str:
     sounds: list[str] = []
     at = 0
     while at < len(text):
-        if at and re.fullmatch("[aeiou][bcdfgklmnpstvz]e", text[at:]):  # a silent e: "mate", "use"
+        # A silent e: "mate", "use".
+        if at == len(text) - 3 and at and re.fullmatch("[aeiou][bcdfgklmnpstvz]e", text[at:]):
             sounds += [_LONG[text[at]], _SOUNDS[text[at + 1]]]
             break
         if text[at] in "cg" and text[at + 1:at + 2] in ("e", "i", "y") and at:
             sounds.append("S" if text[at] == "c" else "JH")
             at += 1
             continue
-        if text[at:] == "y" and at and len(sounds) > 1:
+        if at == len(text) - 1 and text[at] == "y" and at and len(sounds) > 1:
             sounds.append("IY")
             break
         size = next(size for size in (4, 3, 2, 1) if text[at:at + size] in _SOUNDS)

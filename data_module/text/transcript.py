@@ -6,7 +6,6 @@ not tell is heard by the aligner, in English, or guessed; the result says which.
 
 from __future__ import annotations
 
-import codecs
 import itertools
 import math
 import os
@@ -18,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.files import read_text
 from data_module.text import alignment as aligner
 from data_module.text import transcript_formats as formats
 from data_module.text.transcript_formats import Content, Entry
@@ -29,11 +29,10 @@ FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
 }
 """Readers by the ending of the file's name: (file, its text, speaker) to what it holds."""
 
-_LARGEST = 1 << 26
 _OVERLAP = 0.02
-_UNTIMED = 0.3  # seconds for a word without times where nothing bounds it
-# A file that another program wrote with a byte order mark: Praat writes UTF-16.
-_MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+"""Seconds by which words may overlap without a note: half of what an aligner's frames of 10 ms leave open."""
+_UNTIMED = 0.3
+"""Seconds for a word without times where nothing bounds it: the mean of spoken English."""
 
 How = Literal["given", "heard", "guessed"]
 
@@ -81,7 +80,7 @@ def read_transcript(path: str | os.PathLike[str], speech: Speech | None = None) 
     reader = FORMATS.get(name.suffix.lower())
     if reader is None:
         raise InputError(name, "is no transcript that can be read", f"give one of {', '.join(FORMATS)}")
-    content = reader(str(name), _text_of(name), speech.speaker if speech else None)
+    content = reader(str(name), read_text(name, "save it as text in UTF-8"), speech.speaker if speech else None)
     transcript = _transcript(str(name), content)
     if not (aligner.written_words(transcript.text) if transcript.words is None else _spoken(transcript.words)):
         raise InputError(name, "has no words", "give the text that is spoken")
@@ -123,24 +122,6 @@ def _summary(count: int, how: How, guessed: int, told: str) -> str:
 
 def _spoken(words: Sequence[Word]) -> int:
     return sum(bool(word.text) for word in words)
-
-
-def _text_of(path: Path) -> str:
-    """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one."""
-    if not path.is_file():
-        raise InputError(path, "is no file" if path.exists() else "does not exist", "check the path")
-    if path.stat().st_size > _LARGEST:
-        raise InputError(path, "is too large for a transcript", "give the text that is spoken")
-    data = path.read_bytes()
-    encoding = next((encoding for mark, encoding in _MARKED if data.startswith(mark)), "utf-8")
-    try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(path, f"line {line}: is not written in UTF-8", "save it as text in UTF-8") from None
-    if "\0" in text:
-        raise InputError(path, "is no text", "save it as text in UTF-8")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _transcript(source: str, content: Content) -> Transcript:

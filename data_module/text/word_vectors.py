@@ -34,9 +34,10 @@ BRIDGE = 0.15
 """Seconds: a shorter gap between two words is no silence."""
 
 _BATCH = 8
-_ROUNDING = 1e-9  # seconds: a word that ends on a frame has that frame
+"""Sentences at a time: few, so that they stay in the processor's cache."""
+_ROUNDING = 1e-9
+"""Seconds: a word that ends on a frame has that frame."""
 _SENTENCE_END = re.compile(r"[.!?…。！？][\"'’”»)\]]*$")
-_MARKS = re.compile(r"^([\W_]*)(.*?)([\W_]*)$", re.DOTALL)
 # What a BERT's file may lack: the layer above the last one, which is not used here.
 _UNUSED = ("pooler.", "cls.")
 
@@ -195,8 +196,10 @@ def text_rows(vectors: NDArray[np.floating], frames: NDArray[np.integer]) -> Vec
 
 def _parted(text: str, number: int) -> list[tuple[str, int]]:
     """A written word as (marks before, -1), (the word, its number), (marks after, -1), without the empty ones."""
-    match = _MARKS.match(text.strip())
-    before, core, after = match.groups() if match else ("", text, "")
+    word = text.strip()
+    letters = [place for place, mark in enumerate(word) if mark.isalnum()]
+    first, last = (letters[0], letters[-1] + 1) if letters else (0, 0)
+    before, core, after = word[:first], word[first:last], word[last:]
     if not core:
         return [(text, number)]
     return [(part, owner) for part, owner in ((before, -1), (core, number), (after, -1)) if part]

@@ -6,10 +6,10 @@ with the same lexeme is printed, in the picture and among the latents themselves
 
 `lexicon.html`, one page with nothing outside it: for each lexeme a sample gesture (the performed block whose latent
 lies nearest to it) beside what the decoder makes of it, how often each performer uses it, how fast the hands are, how
-much of it lies in pauses, the words and the strokes that go with it, and whether it is silent. Ticking that writes the
-command that tells the bundle so (`gesticulator.silent`). `lexicon.json` has the same in numbers. What fools it: the
-decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not; the speed
-that counts is the performed one.
+much of it lies in pauses, the words and the strokes that go with it, and whether it is silent. Ticking that writes
+the command that tells the bundle so (`gesticulator bundle silent`). `lexicon.json` has the same in numbers. What fools
+it: the decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not; the
+speed that counts is the performed one.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ import colorsys
 import html
 import json
 import math
+import re
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -41,7 +43,7 @@ from eval.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
-from gesticulator.prepare import representation_of
+from gesticulator.statistics import representation_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -121,7 +123,7 @@ def draw_latents(points: Array, labels: Labels, silent: Sequence[int], size: int
 # ---------------------------------------------------------------------------------------------- what goes with it
 
 @dataclass(frozen=True)
-class Word:
+class LexemeWord:
     """A word on the blocks of a lexeme: how often, and how many standard errors more often than elsewhere."""
 
     text: str
@@ -130,7 +132,7 @@ class Word:
 
 
 @dataclass(frozen=True)
-class Entry:
+class LexemeEntry:
     """One lexeme. share: of all blocks; shares: of each performer's; hand_speed: m/s on its blocks as performed (NaN
     where none was read); decoded_speed: m/s of the decoded lexeme in normalised time; in_silence: share of its blocks
     that lie in a pause; strokes: shares of its blocks; sample: where its sample gesture is from."""
@@ -143,13 +145,13 @@ class Entry:
     hand_speed: float
     decoded_speed: float
     in_silence: float
-    words: tuple[Word, ...]
+    words: tuple[LexemeWord, ...]
     strokes: dict[str, float]
     sample: str
 
 
 def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int = LEAST, sure: float = SURE,
-                most: int = MOST_WORDS) -> list[tuple[Word, ...]]:
+                most: int = MOST_WORDS) -> list[tuple[LexemeWord, ...]]:
     """For each lexeme the words that stand on its blocks more often than on others.
 
     counts: [S, W] of words on the blocks of each lexeme. The measure is the z-score of the difference in log odds
@@ -165,7 +167,7 @@ def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int
         z = difference / np.sqrt(1 / here + 1 / rest)
     z = np.where((counts >= least) & np.isfinite(z), z, -np.inf)
     chosen = [[w for w in np.argsort(-row, kind="stable")[:most] if row[w] >= sure] for row in z]
-    return [tuple(Word(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in own)
+    return [tuple(LexemeWord(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in own)
             for lexeme, own in enumerate(chosen)]
 
 
@@ -231,7 +233,7 @@ class Survey:
                 self.samples[lexeme] = Sample(float(distances[nearest]), f"{recording.info.name}, {start:.2f} s",
                                               _stretch(recording.motion, start, end))
 
-    def entries(self, silent: Sequence[int], decoded_speed: Array) -> list[Entry]:
+    def entries(self, silent: Sequence[int], decoded_speed: Array) -> list[LexemeEntry]:
         """The lexicon, lexeme by lexeme. decoded_speed: [S] m/s."""
         total = sum(self.blocks.values(), np.zeros(self.size))
         vocabulary = sorted({text for _, text in self.words})
@@ -241,7 +243,7 @@ class Survey:
             counts[lexeme, place[text]] = count
         words = distinctive(counts, vocabulary)
         speed = np.where(self.seconds > 0, self.way / np.maximum(self.seconds, 1), np.nan)
-        return [Entry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
+        return [LexemeEntry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
                       {name: float(own[i] / max(own.sum(), 1)) for name, own in sorted(self.blocks.items())},
                       float(speed[i]), float(decoded_speed[i]), float(self.silent[i] / max(total[i], 1)), words[i],
                       self._strokes_of(i), self.samples[i].source if i in self.samples else "")
@@ -268,6 +270,7 @@ def decoded(bundle: Bundle) -> list[Motion]:
 
 # ------------------------------------------------------------------------------------------------------ the page
 
+_SLOT = re.compile(r"\{\{([a-z]+)\}\}")
 _CROP = {"front": (-0.72, 1.44), "side": (-0.78, 1.14)}
 """View -> left edge and width of the picture in metres."""
 _TOP, _TALL = 1.8, 1.06
@@ -326,51 +329,14 @@ def _pose(now: Mapping[str, Array], near: Mapping[str, float]) -> str:
             f'{"".join(map(arm, front))}</g>')
 
 
-_STYLE = """
-body{font:14px/1.4 system-ui,sans-serif;color:INK;background:#f6f3ee;margin:0}
-header{position:sticky;top:0;background:#fffdf9;border-bottom:1px solid #d9d0c2;padding:10px 18px;z-index:1}
-h1{font-size:18px;margin:0 0 2px} p{margin:2px 0;color:#5c564c} button,select{font:inherit}
-#line{display:flex;gap:8px;margin-top:6px} #command{flex:1;font:13px ui-monospace,monospace;padding:4px 6px}
-main{display:grid;grid-template-columns:repeat(auto-fill,minmax(390px,1fr));gap:12px;padding:14px 18px}
-article{background:#fffdf9;border:1px solid #d9d0c2;border-radius:6px;padding:8px 10px}
-article.silent{background:#e9edf0;border-color:#9fb0bb}
-article h2{font-size:15px;margin:0;display:flex;align-items:center;gap:7px}
-h2 i{width:12px;height:12px;border-radius:50%;display:inline-block} h2 label{margin-left:auto;font-weight:400}
-.pictures{display:flex;gap:6px;margin:4px 0} figure{margin:0;flex:1.44;background:#fff} figure.sample{flex:2.58}
-figure svg{height:112px} figure .front{width:100%} figure.sample .front{width:55.8%} .sample .side{width:44.2%}
-figcaption{font-size:11px;color:#8d8578;text-align:center;padding:0 2px}
-dl{display:grid;grid-template-columns:auto 1fr;gap:1px 8px;margin:0} dt{color:#8d8578} dd{margin:0}
-.bar{display:inline-block;height:8px;background:#3d7a85;border-radius:2px;margin-right:5px}
-.who{display:grid;grid-template-columns:auto 1fr;gap:0 6px;font-size:12px;align-items:center}
-"""
-_SCRIPT = """
-const cards=[...document.querySelectorAll("article")],field=document.getElementById("command");
-const number=(card,key)=>Number(card.dataset[key]);
-function say(){
-  const on=cards.filter(c=>c.querySelector("input").checked).map(c=>number(c,"lexeme")).sort((a,b)=>a-b);
-  cards.forEach(c=>c.classList.toggle("silent",c.querySelector("input").checked));
-  field.value=on.length&&on.length<cards.length?field.dataset.head+" --set "+on.join(",")+field.dataset.tail
-    :on.length?"leave some lexemes to gesture with":"tick one lexeme at least: pauses need one";
-}
-cards.forEach(c=>c.querySelector("input").addEventListener("change",say));
-document.getElementById("copy").addEventListener("click",()=>{field.select();document.execCommand("copy")});
-document.getElementById("order").addEventListener("change",event=>{
-  const [key,way]=event.target.value.split(" ");
-  cards.sort((a,b)=>way*(number(a,key)-number(b,key))||number(a,"lexeme")-number(b,"lexeme"))
-    .forEach(c=>c.parentElement.append(c));
-});
-say();
-"""
-
-
-def pictures(entry: Entry, sample: Motion | None, own: Motion) -> str:
+def pictures(entry: LexemeEntry, sample: Motion | None, own: Motion) -> str:
     """The sample gesture of a lexeme beside the lexeme as decoded."""
     drawn, said = (picture(sample), entry.sample) if sample is not None else ("", "on no block that was read")
     return (f'<figure class="sample">{drawn}<figcaption>{html.escape(said)}</figcaption></figure>'
             f'<figure>{picture(own, ("front",))}<figcaption>as decoded</figcaption></figure>')
 
 
-def card(entry: Entry, drawing: str, colour: str, widest: float) -> str:
+def card(entry: LexemeEntry, drawing: str, colour: str, widest: float) -> str:
     """One lexeme of the page. widest: the share that fills a bar."""
     who = "".join(f'<span>{html.escape(name)}</span><span><span class="bar" style="width:'
                   f'{min(100.0, 80 * share / max(widest, 1e-9)):.0f}px"></span>{100 * share:.1f} %</span>'
@@ -392,26 +358,16 @@ def _plain(value: float) -> float:
     return value if math.isfinite(value) else -1.0
 
 
-def page(entries: Sequence[Entry], drawings: Sequence[str], command: tuple[str, str], title: str, note: str) -> str:
+def page(entries: Sequence[LexemeEntry], drawings: Sequence[str], command: tuple[str, str], title: str, note: str
+         ) -> str:
     """The contact sheet, nothing outside it. command: what stands before and after the list of ticked lexemes."""
     widest = max((share for own in entries for share in own.shares.values()), default=1.0)
     cards = "\n".join(card(own, drawing, colour, widest)
                       for own, drawing, colour in zip(entries, drawings, colours(len(entries)), strict=True))
     head, tail = (html.escape(part, quote=True) for part in command)
-    return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>
-<meta name="viewport" content="width=device-width,initial-scale=1">
-<style>{_STYLE.replace("INK", INK)}</style></head><body>
-<header><h1>{html.escape(title)}</h1><p>{html.escape(note)}</p>
-<p>Ticked lexemes count as stillness; this line makes it so. Order by <select id="order">
-<option value="lexeme 1">number</option><option value="share -1">frequency</option>
-<option value="speed 1">speed of the hands</option><option value="pause -1">share in pauses</option></select></p>
-<div id="line"><input id="command" readonly aria-label="command" data-head="{head}" data-tail="{tail}">
-<button id="copy">Copy</button></div></header>
-<main>
-{cards}
-</main><script>{_SCRIPT}</script></body></html>
-"""
+    parts = {"title": html.escape(title), "note": html.escape(note), "head": head, "tail": tail, "cards": cards}
+    text = (resources.files("eval") / "assets" / "lexicon.html").read_text(encoding="utf-8")
+    return _SLOT.sub(lambda found: parts[found[1]], text)
 
 
 # --------------------------------------------------------------------------------------------------- the command
@@ -448,7 +404,7 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     for suffix in ("png", "svg"):
         save_strip(figure, out / f"latents.{suffix}")
     shipped = folder is None or Path(folder).resolve() == bundles.SHIPPED.resolve()
-    command = (f"python -m gesticulator.silent{'' if shipped else ' ' + shlex.quote(str(folder))}",
+    command = (f"gesticulator bundle silent{'' if shipped else ' ' + shlex.quote(str(folder))}",
                " --out my-bundle" if shipped else "")
     note = (f"{len(infos)} recordings, {len(labels)} blocks of {store.corpus}; {used} of {size} lexemes used, "
             f"{len(silent)} silent. Words: at least {LEAST} times and {SURE:g} standard errors too often. Pictures: "

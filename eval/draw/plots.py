@@ -6,19 +6,20 @@
     beat_strips        motion beats beside onsets                       RG Fig. 16
     size_sweep         metrics against the size of the lexicon          RG Fig. 18
     overview           a few seconds of speech, blocks and motion       RG Fig. 2
-    differences        every claim of `eval.claims` with its interval
+    differences        every claim of `eval.rows.claims` with its interval
 
 Each takes numbers and gives a figure; nothing is computed here that is not said, so a picture holds what its numbers
 hold. The same input gives the same bytes (`save`). Colours are of the palette of Okabe and Ito (2008), which people
 with any colour vision tell apart, and no meaning hangs on colour alone: lines have markers, verdicts have shapes,
 lexemes, of which there are too many for any palette, have numbers. The other figures of the papers are drawn by
-`data_module.intervals` (5, 8a), `eval.draw.lexicon_map` (6, 8b), `eval.draw.strips` (9) and `eval.style_editing` (10).
+`data_module.intervals` (5, 8a), `lexicon_map` (6, 8b), `strips` (9) and `eval.probes.style_editing` (10).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -377,7 +378,7 @@ def _legend_below(figure: Figure, axes: Iterable[Axes]) -> None:
 def cluster_bars(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     """How much the cluster of a block's sound tells of its lexeme, for each level of the encoder (RG Fig. 14).
 
-    found: "figure_14" of `eval.speech_levels`: whose motion -> `eval.audio_clusters.association`. Left the entropy of
+    found: whose motion -> `eval.metrics.audio_clusters.association`. Left the entropy of
     the lexeme given the cluster beside what the same lexemes, turned round, have by chance, under the entropy of the
     lexeme alone; right the gain, which alone has an interval. Clusters of a few blocks have a low entropy whatever they
     hold, so a bar means something only beside its chance. ValueError without a level.
@@ -393,8 +394,8 @@ def cluster_bars(found: Mapping[str, Mapping[str, Any]]) -> Figure:
         bars.hlines(total, group - 0.45, group + 0.45, color=INK, linestyle=DASHES[0], linewidth=1.4,
                     label="lexeme alone" if group == 0 else "_lexeme alone")
         for number, name in enumerate(levels):
-            _draw_level(bars, gains, group, group + (2 * number + 1 - len(levels)) * wide, wide, name, own[name],
-                        PALETTE[number % len(PALETTE)])
+            _draw_level(bars, gains, (group + (2 * number + 1 - len(levels)) * wide, wide), name, own[name],
+                        PALETTE[number % len(PALETTE)], "" if group == 0 else "_")
     gains.axhline(0.0, color=INK, linewidth=0.9, zorder=0)
     gains.margins(y=0.12)
     for axis, title in ((bars, "entropy of the lexeme given the cluster, nats"),
@@ -413,14 +414,15 @@ def _is_level(value: object) -> bool:
     return isinstance(value, Mapping) and "entropy" in value
 
 
-def _draw_level(bars: Axes, gains: Axes, group: int, middle: float, wide: float, name: str, own: Mapping[str, Any],
-                colour: str) -> None:
-    """A level's bar, that of its chance beside it, and its gain. Only the first group's names come into the legend."""
-    hidden = "" if group == 0 else "_"
+def _draw_level(bars: Axes, gains: Axes, place: tuple[float, float], name: str, own: Mapping[str, Any], colour: str,
+                hidden: str) -> None:
+    """A level's bar, that of its chance beside it, and its gain. place: middle and width; hidden: "_" keeps the names
+    out of the legend."""
+    middle, wide = place
     bars.bar(middle - wide / 2, own["entropy"], 0.9 * wide, color=colour, label=f"{hidden}{name}")
     bars.bar(middle + wide / 2, own["by_chance"], 0.9 * wide, facecolor="white", edgecolor=colour, hatch="///",
              linewidth=1.2, label=f"{hidden}{name}, by chance")
-    mean, low, high = _triple((own["gain"]["mean"], own["gain"]["low"], own["gain"]["high"]), name)
+    mean, low, high = _triple((own["gain"].mean, own["gain"].low, own["gain"].high), name)
     gains.vlines(middle, low, high, color=colour, linewidth=1.8, label=f"_{name}")
     gains.plot([middle], [mean], color=colour, marker=MARKERS[0], markersize=6.5, linestyle="none", label=f"_{name}")
     gains.annotate(f"p {own['p']:.2f}", (middle, max(high, mean)), (0, 4), textcoords="offset points", ha="center",
@@ -429,23 +431,36 @@ def _draw_level(bars: Axes, gains: Axes, group: int, middle: float, wide: float,
 
 # ----------------------------------------------------------------------------------------------------------- Fig. 2
 
-def overview(speech: Speech, beats: Beats, edges: Array, lexemes: Labels, hand_speed: Array, fps: float,
-             start: float, seconds: float, words: Sequence[Word] = (), *, silent: Sequence[int] = (),
-             motion_beats: Array | None = None) -> Figure:
+@dataclass(frozen=True)
+class Overview:
+    """What Fig. 2 is drawn from. edges: [N + 1] seconds and lexemes: [N] of the blocks; hand_speed: [T] m/s, frame t at
+    t / fps seconds, such as `motion_beats.acting_speed`; silent: lexemes that are hatched; motion_beats: seconds, found
+    on `hand_speed` where they are not given."""
+
+    speech: Speech
+    beats: Beats
+    edges: Array
+    lexemes: Labels
+    hand_speed: Array
+    fps: float
+    words: Sequence[Word] = ()
+    silent: Sequence[int] = ()
+    motion_beats: Array | None = None
+
+
+def overview(of: Overview, start: float, seconds: float) -> Figure:
     """A stretch of one performance: words, sound and beats, blocks and lexemes, hands and motion beats (RG Fig. 2).
 
-    edges: [N + 1] seconds and lexemes: [N] of the blocks, those in `silent` hatched; hand_speed: [T] m/s, frame t at
-    t / fps seconds, such as `motion_beats.acting_speed`; motion_beats: seconds, found on `hand_speed` where
-    they are not given. The stretch is clamped to the speech; ValueError when it lies outside, or lexemes and edges do
-    not agree.
+    The stretch is clamped to the speech; ValueError when it lies outside, or lexemes and edges do not agree.
     """
-    end = min(_stretch(start, seconds), speech.duration)
-    cuts, speed, own = _vector(edges, "edges", rising=True), _vector(hand_speed, "hand speed"), np.asarray(lexemes)
-    if start >= end or own.shape != (len(cuts) - 1,) or not fps > 0:
+    end = min(_stretch(start, seconds), of.speech.duration)
+    cuts, speed = _vector(of.edges, "edges", rising=True), _vector(of.hand_speed, "hand speed")
+    lexemes = np.asarray(of.lexemes)
+    if start >= end or lexemes.shape != (len(cuts) - 1,) or not of.fps > 0:
         raise ValueError("the stretch lies outside the speech, or edges [N + 1] and lexemes [N] do not agree")
-    if not np.issubdtype(own.dtype, np.integer) or (own < 0).any():
+    if not np.issubdtype(lexemes.dtype, np.integer) or (lexemes < 0).any():
         raise ValueError("lexemes must be integers from 0")
-    said = [word for word in words if word.text and word.end > start and word.start < end]
+    said = [word for word in of.words if word.text and word.end > start and word.start < end]
     high = [*([0.5] if said else []), 1.3, 0.45, 1.1]
     figure = _canvas(sum(high) + 1.0)
     axes = figure.subplots(len(high), 1, sharex=True, height_ratios=high)
@@ -453,10 +468,11 @@ def overview(speech: Speech, beats: Beats, edges: Array, lexemes: Labels, hand_s
     if said:
         _draw_words(axes[0], said, start, end)
     sound, cells, hands = axes[-3:]
-    _draw_sound(sound, speech, beats, start, end)
-    _draw_cells(cells, cuts, own.astype(np.int64), silent, start, end)
-    found = beats_of_speed(speed, fps) if motion_beats is None else _vector(motion_beats, "motion beats")
-    _draw_hands(hands, speed, fps, found, start, end)
+    _draw_sound(sound, of.speech, of.beats, start, end)
+    _draw_cells(cells, cuts, lexemes.astype(np.int64), of.silent, start, end)
+    found = (beats_of_speed(speed, of.fps) if of.motion_beats is None
+             else _vector(of.motion_beats, "motion beats"))
+    _draw_hands(hands, speed, of.fps, found, start, end)
     for axis in axes:
         axis.vlines(cuts[(cuts >= start) & (cuts <= end)], 0, 1, transform=axis.get_xaxis_transform(), color=FLOOR,
                     linewidth=0.8, zorder=0, label="_edges")

@@ -41,10 +41,12 @@ LINE = 16
 """Figures of a line: 4 s."""
 BEAT_CREDIT = ("real take: BEAT, speaker Scott (Liu et al., ECCV 2022; pantomatrix.github.io/BEAT), CC BY-NC 4.0: "
                "not for commercial use")
+DPI = 105
+"""Dots an inch: a page is 1450 wide, as a screen is."""
 _SPACING, _LOW, _HIGH = 0.98, 0.60, 2.02
 """Metres: between figures, and what is seen of them: from the thighs to a raised hand."""
-_CAPTION, _SOUND, _GAP, _CLOCK = 0.24, 0.42, 0.22, 0.16
-"""Metres of height: of a source's name, of the waveform, between lines, and of the seconds below."""
+_CAPTION, _SOUND, _GAP, _CLOCK, _AIR = 0.24, 0.42, 0.22, 0.16, 0.06
+"""Metres of height: of a source's name, of the waveform, between lines, of the seconds below, and below a rule."""
 _MARGIN = 0.88
 """Metres beside the first and the last figure: a stretched arm ends inside."""
 _SCALE = 0.84
@@ -76,7 +78,7 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
     shown = [[source for source in sources if source.motion.duration > line[-1] - 1e-9] for line in lines]
     row = _HIGH - _LOW
     foot = [*dict.fromkeys([*(source.credit for source in sources if source.credit), *credits])]
-    tall = sum(len(own) * (2 * row + _CAPTION) + (_SOUND if speech is not None else 0.0) + _CLOCK + _GAP
+    tall = sum(len(own) * (2 * row + _CAPTION + _AIR) + (_SOUND if speech is not None else 0.0) + _CLOCK + _GAP
                for own in shown)
     tall += (0.34 if title else 0.0) + 0.16 * len(foot) + 0.11
     wide = (min(len(times), LINE) - 1) * _SPACING + 2 * _MARGIN
@@ -130,6 +132,7 @@ def _draw_line(pen: _Pen, sources: Sequence[Source], times: Array, speech: Speec
         for view in ("front", "side"):
             draw_row(pen.axis(_HIGH - _LOW, share), source.motion, times, view, _STYLE)
         pen.rule(share)
+        pen.at += _AIR
     if speech is not None and times[0] < speech.duration:
         draw_sound(pen.axis(_SOUND, share), speech, beats, times, _STYLE)
     clock = pen.axis(_CLOCK, share)
@@ -183,7 +186,7 @@ def run(arguments: argparse.Namespace) -> list[Path]:
     times = page_times(arguments.start, SECONDS if arguments.seconds is None else arguments.seconds,
                        max((source.motion.duration for source in sources), default=0.0))
     beats = None if speech is None else _beats(speech)
-    save_strip(draw_page(sources, times, speech, beats, arguments.title, arguments.credit), arguments.out)
+    save_strip(draw_page(sources, times, speech, beats, arguments.title, arguments.credit), arguments.out, DPI)
     return [arguments.out]
 
 

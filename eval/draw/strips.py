@@ -129,7 +129,7 @@ def draw_strip(motion: Motion, times: Array, views: Sequence[str] = ("front", "s
     return canvas
 
 
-def save_strip(figure: Figure, path: str | Path) -> None:
+def save_strip(figure: Figure, path: str | Path, dpi: int = 150) -> None:
     """Write a picture whole or not at all, the same bytes for the same figure; the suffix picks png, svg or pdf.
 
     It leaves out the date, the version and matplotlib's random names. The names within an SVG are hashes of what they
@@ -142,7 +142,7 @@ def save_strip(figure: Figure, path: str | Path) -> None:
     if kind not in _UNSAID:
         raise InputError(target, f"'{target.suffix}' is no picture format", "use .png, .svg or .pdf")
     with rc_context({"svg.hashsalt": "eval.draw.plots", "svg.fonttype": "path"}):
-        figure.savefig(out, format=kind, dpi=150, metadata=_UNSAID[kind])
+        figure.savefig(out, format=kind, dpi=dpi, metadata=_UNSAID[kind])
     write_bytes(target, out.getvalue())
 
 

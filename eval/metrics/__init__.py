@@ -41,7 +41,7 @@ class Metric:
 _TRUTH, _SPEECH, _BUNDLE = ("truth",), ("speech",), ("speech", "bundle")
 _SEEN_BACKWARDS = ("mirrored", "reversed")
 """Controls that no figure of one hand's shape or of a window's means can tell from real motion."""
-_STILL_TOO = ("mirrored", "frozen", "reversed", "jitter", "bobbing")
+_STILL_TOO = ("mirrored", "still", "reversed", "jitter", "bobbing")
 _SHAPE = ("shuffled", "reversed")
 """Controls that keep how fast real motion is: what looks at vigour alone takes them for the truth."""
 
@@ -81,7 +81,7 @@ METRICS: dict[str, Metric] = {
 """Every metric; those for the eye follow. FGD has a column for each network, and each network has its own unit."""
 def _eye(chapter: str, title: str, unit: str, digits: int, good: str, fooled_by: tuple[str, ...], *,
          needs: tuple[str, ...] = ()) -> Metric:
-    return Metric(f"eye.{chapter}", title, unit, digits, "eye", good, needs, fooled_by)
+    return Metric(f"eye.{chapter}", title, unit, digits, f"eye {chapter}", good, needs, fooled_by)
 
 
 _MIRROR_OR_NOISE = (*_SEEN_BACKWARDS, "jitter")
@@ -114,6 +114,9 @@ EYE_METRICS: dict[str, Metric] = {
     "eye_stroke_amplitude_90": _eye("strokes", "stroke amplitude, 90 %", "cm", 0, "near", _MIRROR_OR_NOISE),
     "eye_stroke_duration": _eye("strokes", "stroke duration, median", "s", 2, "near", (*_MIRROR_OR_NOISE, "bobbing")),
     "eye_stroke_duration_90": _eye("strokes", "stroke duration, 90 %", "s", 2, "near", _MIRROR_OR_NOISE),
+    "eye_attack": _eye("strokes", "where a stroke is fastest", "% of it", 1, "near",
+                       ("mirrored", "jitter")),
+    "eye_rising": _eye("strokes", "hands speeding up, of the time", "%", 1, "near", ("mirrored",)),
     "eye_seam": _eye("strokes", "acceleration at seams over elsewhere", "", 2, "low", (*_MIRROR_OR_NOISE, "bobbing"),
                      needs=_EDGES),
     "eye_repetition": _eye("strokes", "nearest other 2 s window over spread", "", 2, "near", ("reversed", "jitter")),
@@ -133,7 +136,8 @@ EYE_METRICS: dict[str, Metric] = {
 lie in the range of real people (`eval.metrics.eye.RANGES`) by this figure."""
 METRICS |= EYE_METRICS
 
-CLIP_METRICS = {name: one for name, one in METRICS.items() if one.part not in ("sets", "fgd", "eye")}
+CLIP_METRICS = {name: one for name, one in METRICS.items()
+                if one.part not in ("sets", "fgd") and name not in EYE_METRICS}
 """Those that have a value for each clip, without the eye's."""
 SET_METRICS = {name: one for name, one in METRICS.items() if one.part == "sets"}
 """Those of a set of clips, but for FGD."""

@@ -33,7 +33,7 @@ What fools it:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,10 +52,6 @@ class Accuracy:
     blocks: int
     reason: str = ""
 
-    def to_dict(self) -> dict[str, float | int | str]:
-        """For JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Agreement:
@@ -70,10 +66,6 @@ class Agreement:
     kappa: float
     blocks: int
     reason: str = ""
-
-    def to_dict(self) -> dict[str, float | int | str]:
-        """For JSON."""
-        return asdict(self)
 
 
 def lexeme_accuracy(chosen: ArrayLike, own: ArrayLike) -> Accuracy:

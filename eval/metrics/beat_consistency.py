@@ -5,13 +5,9 @@ Theory: each onset of the sound looks for the motion beat nearest to it, at a di
     score = mean over onsets of exp(-d^2 / (2 sigma^2)),
 
 1 when each onset has a motion beat upon it. The field has several of this form, under one name, with other beats and
-other sigmas, so their values do not compare:
-
-- `BEAT` (Liu et al. 2022; as EMAGE computes it): a joint's beats are the minima of its speed that are the least within
-  seven frames at 30 fps on either side, where it is not at rest (over 0.1 of its mean speed); sigma 0.3 s; the mean
-  over the joints of the upper body.
-- `DANCE` (Bailando): one row of beats, the minima of the mean speed of all joints after a Gaussian of 5/60 s; sigma
-  3/60 s, the mean over the beats of the music.
+other sigmas, so their values do not compare. Here it is BEAT's (Liu et al. 2022; as EMAGE computes it): a joint's beats
+are the minima of its speed that are the least within seven frames at 30 fps on either side, where it is not at rest
+(over 0.1 of its mean speed); sigma 0.3 s; the mean over the joints of the upper body.
 
 Better is higher, or so they say. What fools them, and why this chapter is no judge:
 - More motion beats can only help: nothing is lost by a beat where there is no onset. Jitter gives each joint a minimum
@@ -19,7 +15,7 @@ Better is higher, or so they say. What fools them, and why this chapter is no ju
 - sigma 0.3 s is as wide as a syllable: motion that has nothing to do with the speech is near its best. So each score
   is given with that of the same beats moved in time against the onsets (`chance`), and the mismatch test.
 - On a real take (BEAT, 64 s at 15 fps, in pieces of 10 s) BEAT's score is 0.72, moved in time 0.70, played backwards
-  0.74, with 2 cm of jitter 0.83; Bailando's 0.19, backwards 0.20, with jitter 0.26. Jitter wins by both.
+  0.74, with 2 cm of jitter 0.83: jitter wins.
 
     >>> round(onset_score(np.array([1.0, 2.0]), np.array([1.0, 2.3])), 6)     # one onset is met, one a sigma away
     0.803265
@@ -45,8 +41,6 @@ SIGMA = 0.3
 """Seconds."""
 MOVING = 0.1
 """Of a joint's mean speed: a slower minimum is a rest, not a beat."""
-DANCE_SIGMA = 3 / 60
-DANCE_SMOOTHING = 5 / 60
 SHIFTS = 50
 
 
@@ -129,26 +123,6 @@ def motion_joint_beats(motion: Motion) -> list[Array]:
     places = positions_of(facing(sampled))[:, counts]
     speeds = np.linalg.norm(np.diff(places, axis=0), axis=-1) * FPS
     return joint_beats(speeds[:, speeds.mean(axis=0) > 1e-6])
-
-
-def dance_beats(positions: Array, fps: float) -> Array:
-    """Seconds of the strict minima of the mean speed of joints, smoothed, of positions [T, J, 3] (Bailando's rule).
-
-    ValueError for positions of another shape or not finite, or an fps that is not positive.
-    """
-    from scipy.ndimage import gaussian_filter1d
-    from scipy.signal import argrelextrema
-
-    places = np.asarray(positions, dtype=np.float64)
-    if places.ndim != 3 or places.shape[1] == 0 or places.shape[2] != 3 or not np.isfinite(places).all():
-        raise ValueError(f"positions must be finite, [T, J, 3], not {places.shape}")
-    if not (np.isfinite(fps) and fps > 0):
-        raise ValueError(f"fps must be positive, not {fps}")
-    if len(places) < 4:
-        return np.zeros(0)
-    speed = np.linalg.norm(np.diff(places, axis=0), axis=-1).mean(axis=1) * fps
-    smooth = gaussian_filter1d(speed, DANCE_SMOOTHING * fps)
-    return (argrelextrema(smooth, np.less)[0] + 0.5) / fps
 
 
 def consistency(joints: Sequence[Array], onsets: Array, duration: float, sigma: float = SIGMA, *, seed: int = 0,

@@ -22,7 +22,7 @@ compare sets of the same number of blocks.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,10 +46,6 @@ class Diversity:
     blocks: int
     reason: str = ""
 
-    def to_dict(self) -> dict[str, float | int | str]:
-        """For JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class MotionVariance:
@@ -63,10 +59,6 @@ class MotionVariance:
     lexemes: int
     left_out: int
     reason: str = ""
-
-    def to_dict(self) -> dict[str, float | int | str]:
-        """For JSON."""
-        return asdict(self)
 
 
 def entropy(counts: ArrayLike) -> float:

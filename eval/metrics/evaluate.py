@@ -30,7 +30,7 @@ from data_module.motion.motion_beats import MODES, motion_beats
 from data_module.speech.beats import detect_onsets
 from data_module.types import Array, Motion, Speech
 from eval.encode import EncodedMotion
-from eval.metrics import CLIP_METRICS, pmb
+from eval.metrics import CLIP_METRICS, EYE_METRICS, eye, pmb
 from eval.metrics.beat_consistency import consistency, mean_score, motion_joint_beats
 from eval.metrics.joint_error import motion_error
 from eval.metrics.mismatch import wrapped
@@ -41,6 +41,8 @@ WIDE = 0.2
 SYNCHRONY = ("pmb_A", "pmb_B", "consistency")
 """Metrics that the mismatch test tries."""
 NO_SPEECH = "its speech is not known"
+NO_EDGES = "the edges of its blocks are not known (--bundle)"
+NO_SPACE = f"{eye.frechet.REFERENCE} is not in GESTICULATOR_DATA"
 LEXEME_METRICS = tuple(name for name, metric in CLIP_METRICS.items() if metric.part == "lexemes")
 MOTION_METRICS = tuple(name for name in CLIP_METRICS if name not in LEXEME_METRICS)
 """Those that take no bundle."""
@@ -107,6 +109,18 @@ def clip_values(motion: Motion, truth: Motion, beats: MotionBeats, track: OnsetT
             out.put(name, float("nan"), NO_SPEECH)
     else:
         _synchrony_values(out, beats, track.lasting(beats.duration), seed)
+    return out
+
+
+def eye_values(motion: Motion, voice: eye.Voice | None, edges: Array | None, space: eye.ReferenceSpace | None
+               ) -> Values:
+    """Every one of `EYE_METRICS` of a motion, as `eval.metrics.eye.figures` takes it."""
+    out = Values()
+    lacking = {"speech": None if voice else NO_SPEECH, "edges": None if edges is not None else NO_EDGES,
+               "reference": None if space else NO_SPACE}
+    for name, number in eye.figures(motion, voice, edges, space).items():
+        why = next((reason for need in EYE_METRICS[name].needs if (reason := lacking[need])), "")
+        out.put(name, number, why or "the clip is too short for it, or holds none of what it counts")
     return out
 
 

@@ -36,7 +36,7 @@ from data_module.layers import SLOPE, freeze
 from data_module.motion.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
 from data_module.store import Split, Store
 from data_module.types import Array, Motion
-from gesticulator.fit import FitSettings, fit
+from gesticulator.fit import FitOptions, FitSettings, Task, fit
 
 DIRECTIONS = 3 * len(TED_BONES)
 """27 numbers a frame."""
@@ -341,8 +341,8 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
         return {key: round(float(term), 5) for key, term in terms.items()}
 
     Path(folder).mkdir(parents=True, exist_ok=True)
-    figures = fit(f"gesture_features_{chosen.frames}", network, batch, network.losses, settings, Path(folder),
-                  seed=seed, validate=validate, progress=progress)
+    figures = fit(f"gesture_features_{chosen.frames}", network, Task(batch, validate=validate), settings,
+                  Path(folder), FitOptions(seed=seed, progress=progress))
     freeze(network)
     network.origin = {"store": store.corpus, "fingerprint": store.fingerprint, "licence": store.licence, "seed": seed,
                       "steps": settings.steps, "windows": len(data), "validation": figures}

@@ -27,7 +27,7 @@ A joint that is 3 mm off along one axis, at rest:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,10 +61,6 @@ class JointError:
     poses: int
     accelerations: int
     reason: str = ""
-
-    def to_dict(self) -> dict[str, float | int | str]:
-        """For JSON."""
-        return asdict(self)
 
 
 def joint_error(generated: Array, truth: Array, fps: float, mask: NDArray[np.bool_] | None = None) -> JointError:
@@ -114,20 +110,6 @@ def motion_error(generated: Motion, truth: Motion, *, seed_frames: int = 0) -> J
     counts = np.array([name not in absent for name in truth.skeleton.names])
     ours, theirs = (positions_of(facing(motion))[seed_frames:] for motion in (generated, truth))
     return joint_error(ours, theirs, truth.fps, counts)
-
-
-def mean_pose_error(truth: Motion, pose: Motion | None = None) -> JointError:
-    """The figure to beat: one pose held still against the speaker's motion.
-
-    pose: whose mean it is, such as the speaker's training motion; `truth` itself when not told, which no system can
-    know. The mean is over joint positions, so bones may come out short: for MAJE no held pose does better by much.
-    """
-    held, theirs = (positions_of(facing(motion)) for motion in (pose or truth, truth))
-    counts = np.array([name not in truth.absent for name in truth.skeleton.names[1:]])
-    if held.shape[1:] != theirs.shape[1:]:
-        raise ValueError("the motions are not of the same skeleton")
-    still = np.broadcast_to(held.mean(axis=0), theirs.shape)
-    return joint_error(still[:, 1:], theirs[:, 1:], truth.fps, counts)
 
 
 def _kept(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:

@@ -55,7 +55,7 @@ class Chance:
 
 
 @dataclass(frozen=True)
-class Curve:
+class DeltaCurve:
     """PMB against delta. deltas: [n] seconds; percent: [n]; area: mean height over the span of delta, percent; NaN
     without motion beats, and reason says so."""
 
@@ -122,7 +122,7 @@ def above_chance(value: float, by_chance: float, best: float = 100.0) -> float:
     return (value - by_chance) / (best - by_chance)
 
 
-def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float, ...] = DELTAS) -> Curve:
+def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float, ...] = DELTAS) -> DeltaCurve:
     """PMB for each delta (RG Fig. 11), and its area as a mean height, from delta 0 (where nothing matches) on.
 
     ValueError as in `pmb`, and for deltas [n] that do not rise.
@@ -133,7 +133,7 @@ def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float,
     percent = np.array([pmb(motion_beats, onsets, float(delta)) for delta in at])
     x, y = np.concatenate([[0.0], at]), np.concatenate([[0.0], percent])
     area = float(np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / x[-1])
-    return Curve(at, percent, area, NO_BEAT if len(motion_beats) == 0 else "")
+    return DeltaCurve(at, percent, area, NO_BEAT if len(motion_beats) == 0 else "")
 
 
 def _times(seconds: Array) -> Array:

@@ -25,7 +25,7 @@ Good: near the speaker's own jerk and acceleration, neither above nor below, and
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,10 +54,6 @@ class Smoothness:
     jerk: float
     jerk_hands: float
     reason: str = ""
-
-    def to_dict(self) -> dict[str, float | str]:
-        """For JSON."""
-        return asdict(self)
 
 
 def derivative(positions: Array, fps: float, order: int) -> Array:

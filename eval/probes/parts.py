@@ -26,8 +26,8 @@ from eval import stats
 from eval.context import EvalContext, Lexemes
 from eval.table import Cell, Column, Table
 from gesticulator import config as configs
-from gesticulator.prepare import Corpus, prepare
-from gesticulator.train import Run, label, train_interpreter
+from gesticulator.stages import CORPUS, INTERPRETER, LEXICON, TOKENS, Corpus, Run
+from gesticulator.stages.corpus import weights_hash
 from interpreters.lstm import LstmInterpreter
 
 Scores = dict[str, NDArray[np.float64]]
@@ -52,7 +52,7 @@ def parts(context: EvalContext) -> list[Table]:
     """A table for each part that the bundle has."""
     bundle, corpus, labels = context.bundle, context.corpus, context.labels
     temperature, found = bundle.config.selection.temperature or 1.0, []
-    audio, read = bundle.drawn.interpreter, bundle.interpreter_text
+    audio, read = bundle.block_models.interpreter, bundle.interpreter_text
     if read is not None:
         spoken = context.numbers(with_text=True)
         found.append(table("Text", {
@@ -124,10 +124,10 @@ def table(title: str, rows: Mapping[str, Scores], pairs: Sequence[tuple[str, str
 
 def _on_mel(context: EvalContext) -> tuple[LstmInterpreter, Corpus]:
     bundle = context.bundle
-    run = Run(configs.with_settings(bundle.config, _MEL), context.store, context.work, progress=context.progress)
-    run.corpus = prepare(context.store, run.config, context.work, workers=os.cpu_count() or 1,
-                         progress=context.progress)
     # The same silent lexemes as the bundle's, by hand or found, so that both rows are taught the same labels.
-    run.config = configs.with_settings(run.config, [f"silence.lexemes={bundle.silent.tolist()}"])
-    model, _ = train_interpreter(run, bundle.drawn.lexicon, label(run, bundle.lexicon))
-    return model, run.corpus
+    config = configs.with_settings(bundle.config, [*_MEL, f"silence.lexemes={bundle.silent.tolist()}"])
+    run = Run(config, context.store, context.work, progress=context.progress, workers=os.cpu_count() or 1)
+    lexicon = bundle.block_models.lexicon
+    for node in (LEXICON, TOKENS):
+        run.provide(node, lexicon, weights_hash(lexicon))
+    return run.get(INTERPRETER), run.get(CORPUS)

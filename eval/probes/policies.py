@@ -28,8 +28,8 @@ from eval.rows.row import COLUMNS, DECISIONS, EPISODE, PLAYED, VALUES, RowColumn
 from eval.table import Cell, Column, Marked, Table
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.racer import reward_table, taught_reward
-from interpreters import LexemeInterpreter
+from gesticulator.stages.reward import reward_table, taught_reward
+from interpreters.base import LexemeInterpreter
 
 PAIRS = (("cql", "lstm"), ("cql", "statistical"))
 PARTS: dict[str, Mapping[str, RowColumn]] = {
@@ -57,7 +57,7 @@ def rows_of(bundle: bundles.Bundle, lstm: LexemeInterpreter, cql: LexemeInterpre
     return {"lstm": Policy(lstm, selection.temperature, top), "lstm arg max": Policy(lstm),
             "statistical": Policy(bundle.statistical(), selection.temperature, top),
             "cql": Policy(cql, selection.q_temperature, top), "majority": Policy(Majority(bundle)),
-            "random": Policy(Random(len(bundle.lexicon.vectors)), 1.0)}
+            "random": Policy(Random(len(bundle.vectors)), 1.0)}
 
 
 def choices(rows: Mapping[str, Policy], decisions: Decisions, rewards: Rewards, progress: bool) -> dict[str, Choices]:
@@ -141,14 +141,17 @@ def fgd_table(motions: Mapping[str, list[Motion]], real: list[Motion], by: Seque
     """FGD of all rows and the paired differences, by each network."""
     body: dict[str, dict[str, Cell]] = {name: {} for name in (*motions, *(f"{a} - {b}" for a, b in PAIRS))}
     shown = {f"{one.name}, {one.frames} at {one.fps:g} fps": one for one in by}
+    figures: dict[str, Any] = {key: {} for key in shown}
     for key, one in shown.items():
         theirs = gesture_features.pooled(real, one)
         ours = {name: gesture_features.pooled(own, one) for name, own in motions.items()}
         for name, own in ours.items():
             figure = fgd.measure(own, theirs, one, paired=True)
+            figures[key][name] = figure.to_dict()
             cell = stats.Interval(figure.distance, figure.interval.low, figure.interval.high, len(real))
             body[name][key] = Marked(cell, "*", figure.reason) if figure.reason else cell
         for a, b in PAIRS:
             body[f"{a} - {b}"][key] = fgd.difference(ours[a], ours[b], theirs)
     return Table("Policies: FGD", {key: Column(key) for key in shown}, body, "policy",
-                 ["\\*: fewer windows than the network's features call for (see `eval.metrics.fgd`)."])
+                 ["\\*: fewer windows than the network's features call for (see `eval.metrics.fgd`)."],
+                 {"figures": figures})

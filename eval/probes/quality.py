@@ -29,10 +29,11 @@ from eval.policy import Decisions, accuracy
 from eval.table import Cell, Column, Table
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.prepare import representation_of
-from gesticulator.racer import takes_of
-from gesticulator.train import lexicon_figures
-from interpreters import LexemeInterpreter, LstmInterpreter
+from gesticulator.stages.lexicon import lexicon_figures
+from gesticulator.stages.q_network import takes_of
+from gesticulator.statistics import representation_of
+from interpreters.base import LexemeInterpreter
+from interpreters.lstm import LstmInterpreter
 
 FIT_BLOCKS = 20_000
 """Blocks that PCA and k-means are fitted on: more changes their errors in the third digit."""
@@ -72,10 +73,11 @@ def quality(context: EvalContext) -> list[Table]:
         clips["lstm on the real take's voice"] = [measure(made.motion, speech, made.blocks.edges)]
     bigram = Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size)
     seconds = sum(one.speech.duration for one in recordings)
-    lexicon = replace(lexicon_table(context, recordings, take), facts={**context.described(), "seconds": seconds})
-    return [lexicon, accuracy_table(context, {
-        "lstm": bundle.drawn.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}),
-        rhythm_table(clips), hands_table(clips)]
+    lexicon = lexicon_table(context, recordings, take)
+    interpreters: dict[str, LexemeInterpreter] = {
+        "lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}
+    return [replace(lexicon, facts={**lexicon.facts, **context.described(), "seconds": seconds}),
+            accuracy_table(context, interpreters), rhythm_table(clips), hands_table(clips)]
 
 
 def play(system: Gesticulator, recordings: Sequence[Recording], interpreter: str | LexemeInterpreter, progress: bool,
@@ -103,11 +105,11 @@ def stroke_kinds(recording: Recording, edges: Array) -> NDArray[np.int64]:
 @torch.no_grad()
 def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor) -> dict[str, NDArray[np.float32]]:
     """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m]."""
-    latents = bundle.drawn.lexicon.latents(motion)
+    latents = bundle.block_models.lexicon.latents(motion)
     labels = bundle.lexicon.quantizer.labels(latents)
     one = int(np.mean([bundle.inventory.frequencies[name] for name in bundle.speakers], axis=0).argmax())
-    codes = {"unquantised": latents, "quantised": bundle.lexicon.vectors[labels],
-             "always the most frequent lexeme": bundle.lexicon.vectors[torch.full_like(labels, one)]}
+    codes = {"unquantised": latents, "quantised": bundle.vectors[labels],
+             "always the most frequent lexeme": bundle.vectors[torch.full_like(labels, one)]}
     return {name: ((torch.cat([bundle.lexicon.decode(part) for part in own.split(4096)]) - motion) ** 2
                    ).mean(dim=(1, 2)).numpy() for name, own in codes.items()}
 
@@ -142,11 +144,12 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
         centred = (blocks - blocks.mean(axis=(0, 1))) / bundle.statistics.deviation
         for name, error in reconstructions(bundle, torch.as_tensor(centred, dtype=torch.float32)).items():
             body[f"real take (BEAT), {name}"] = {"error": float(error.mean())}
-    used = lexicon_figures(bundle.drawn.lexicon, corpus.motion[test])
+    used = lexicon_figures(bundle.block_models.lexicon, corpus.motion[test])
     return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, body,
                  "through", [f"Lexemes used on the test split: {100 * used['usage']:.0f} %; perplexity "
                              f"{used['perplexity']:.1f}. Variance of the features: {unknown.var(0).mean():.3f}. Means "
-                             "over recordings with bootstrap 95 % intervals."])
+                             "over recordings with bootstrap 95 % intervals."],
+                 {**used, "variance": float(unknown.var(0).mean())})
 
 
 # ----------------------------------------------------------------------------------------------------------- accuracy
@@ -164,7 +167,7 @@ def accuracy_table(context: EvalContext, rows: Mapping[str, LexemeInterpreter]) 
         reads = isinstance(interpreter, LstmInterpreter) and interpreter.config.reads
         wanted = set(context.numbers(with_text=reads))
         decisions = Decisions(context.corpus, [take for take in takes if take.recording in wanted],
-                              context.bundle.silent, True, len(context.bundle.lexicon.vectors))
+                              context.bundle.silent, True, len(context.bundle.vectors))
         body[name] = {kind: stats.mean_interval(
             [accuracy(interpreter, decisions, take, kind == "teacher_forced") for take in decisions.takes],
             [len(take.blocks) - 1 for take in decisions.takes]) for kind in columns}

@@ -18,7 +18,7 @@ another lexicon.
 
 from __future__ import annotations
 
-from eval.rows.row import DECISIONS, Line, PaperTable, Row
+from eval.rows.row import DECISIONS, PaperTable, Row, TableLine
 from gesticulator import config as configs
 from gesticulator.config import Config
 
@@ -51,7 +51,8 @@ PAPER: dict[str, dict[str, float]] = {
         "cql": (50.33, 1.21, 13.44, 89.58, 9.34)}.items()}
 """RACER Table 2, on Trinity."""
 
-_LINES = tuple(Line(name, name, {key: (value, None) for key, value in PAPER.get(name, {}).items()}) for name in ROWS)
+_LINES = tuple(TableLine(name, name, {key: (value, None) for key, value in PAPER.get(name, {}).items()})
+               for name in ROWS)
 TABLES: dict[str, PaperTable] = {
     f"RACER Table 2, {part}": PaperTable(columns, _LINES, places=("Trinity", ""), references=False)
     for part, columns in DECISIONS.items()}

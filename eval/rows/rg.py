@@ -20,8 +20,8 @@ import dataclasses
 
 from eval.rows.row import COLUMNS, PaperTable, Row, RowColumn, line
 from gesticulator import config as configs
-from gesticulator.config import Config
-from gesticulator.fit import FitSettings
+from gesticulator import presets
+from gesticulator.config import Config, FitSettings
 
 OURS = "ours"
 PERFORMER, REAL_TAKE = "performer", "real-take"
@@ -47,7 +47,7 @@ ROWS: dict[str, Row] = {
     "no-lexemes": Row("does the generator need lexemes? (w/o SC)", _ONE_LEXEME),
     "no-style": Row("does it need style codes? (w/o ZC)", _NO_STYLE),
     "audio-only": Row("what is lost without words and speaker?",
-                      ("interpreter.text_features=0", "interpreter.text_reading=0", "interpreter.use_speaker=false",
+                      ("interpreter.text_features=0", "interpreter.text_head=0", "interpreter.use_speaker=false",
                        "style.text_features=0")),
     "no-audio-no-style": Row("can lexemes alone carry the motion?", ("generator.audio_features=0", *_NO_STYLE)),
     "random-style": Row("would any style code do?", style="random"),
@@ -139,7 +139,7 @@ def ablation() -> Config:
     windows) and both interpreters (96 and 64 wide, 300, 500 and 300 steps of 32 windows). There is no gate and nothing
     can be asked of the style: the paper's system has neither here.
     """
-    base = configs.default()
+    base = presets.default()
     s = base.schedules
 
     def short(steps: int, of: FitSettings) -> FitSettings:
@@ -154,14 +154,14 @@ def ablation() -> Config:
         generator=dataclasses.replace(base.generator, motion_features=32, audio_features=24, audio_bottleneck=32,
                                       hidden=128, groups=8, lstm_width=128, lstm_layers=1, use_control=False),
         interpreter=dataclasses.replace(base.interpreter, audio_features=24, audio_bottleneck=32, width=96,
-                                        text_reading=128, use_control=False),
+                                        text_head=128, use_control=False),
         style=dataclasses.replace(base.style, audio_features=24, audio_bottleneck=32, width=64),
         cql=dataclasses.replace(base.cql, width=64, heads=4, layers=4, copy_every=10))
 
 
 def tiny() -> Config:
     """The `tiny` preset at half its steps, without what no row of the papers has: gate, style editing, Q-network."""
-    base = configs.tiny()
+    base = presets.tiny()
     halved = {name: dataclasses.replace(own, steps=own.steps // 2)
               for name in ("speech", "contrast", "lexicon", "generator", "interpreter", "style")
               for own in [getattr(base.schedules, name)]}

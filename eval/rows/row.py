@@ -87,7 +87,7 @@ DECISIONS: dict[str, dict[str, RowColumn]] = {
 
 
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """A line of a table: the paper's name for it, our row, the paper's figures."""
 
     label: str
@@ -101,14 +101,15 @@ class PaperTable:
     references: whether the performer and the controls stand below."""
 
     columns: Mapping[str, RowColumn]
-    lines: tuple[Line, ...]
+    lines: tuple[TableLine, ...]
     split: str = "test"
     places: tuple[str, str] = ("Trinity", "TED")
     references: bool = True
 
 
-def line(label: str, row: str, keys: str = "", first: tuple[float, ...] = (), second: tuple[float, ...] = ()) -> Line:
+def line(label: str, row: str, keys: str = "", first: tuple[float, ...] = (), second: tuple[float, ...] = ()
+         ) -> TableLine:
     """The paper's figures on its two data sets; () for a set that it has none of."""
     named = keys.split()
     one, other = (values or (None,) * len(named) for values in (first, second))
-    return Line(label, row, {key: (a, b) for key, a, b in zip(named, one, other, strict=True)})
+    return TableLine(label, row, {key: (a, b) for key, a, b in zip(named, one, other, strict=True)})

@@ -18,7 +18,7 @@ from eval import stats
 from eval.cells import Cells, weights_of
 from eval.metrics import pmb
 from eval.rows import CONTROLS, FLOOR, OURS, PERFORMER, REFERENCES, SYSTEMS, TABLES, racer, rg
-from eval.rows.row import COLUMNS, DECIDED, DECISIONS, PLAYED, Line, PaperTable, RowColumn
+from eval.rows.row import COLUMNS, DECIDED, DECISIONS, PLAYED, PaperTable, RowColumn, TableLine
 from eval.table import Cell, Column, Table
 
 Rows = Mapping[str, Mapping[str, Any]]
@@ -44,7 +44,7 @@ def beaten(rows: Rows, key: str, suffix: str = "") -> dict[str, float]:
     return {name: value for name, value in found.items() if np.isfinite(value) and badness(value) <= badness(ours)}
 
 
-def _lines(table: PaperTable, rows: Rows, suffix: str) -> list[Line]:
+def _lines(table: PaperTable, rows: Rows, suffix: str) -> list[TableLine]:
     """What stands in a table, in order, by the names of the rows on its split."""
     beside = {**REFERENCES, **CONTROLS}
     lines = [replace(line, row=line.row + suffix) if line.row in beside else line for line in table.lines]
@@ -53,10 +53,10 @@ def _lines(table: PaperTable, rows: Rows, suffix: str) -> list[Line]:
     there = {line.row for line in lines}
     more = [(name, name) for name, row in rows.items() if row["kind"] == "system" and table.split == "test"]
     more += [(f"{name}: {about}", name + suffix) for name, about in beside.items() if name + suffix in rows]
-    return [*lines, *(Line(label, name) for label, name in more if name not in there)]
+    return [*lines, *(TableLine(label, name) for label, name in more if name not in there)]
 
 
-def _label(line: Line, rows: Rows, refused: Mapping[str, str]) -> str:
+def _label(line: TableLine, rows: Rows, refused: Mapping[str, str]) -> str:
     row = rows.get(line.row)
     if row is None:
         why = "not handed in" if line.row in SYSTEMS else refused.get(line.row, "not run")
@@ -193,7 +193,8 @@ def about(facts: Mapping[str, Any]) -> Table:
         "another network for FGD: compare the order, not the values. FGD, diversity and motion variance are means of "
         "the jackknife's values, so less biased than the figures of the sets (in the JSON). (!): a control, motion "
         "that is known to be wrong, does as well as `ours` or better.",
-        *(f"Not run: {name}: {why}." for name, why in facts["refused"].items())], facts={**facts, "rows": plain})
+        *facts.get("notes", ()), *(f"Not run: {name}: {why}." for name, why in facts["refused"].items())],
+        facts={**facts, "rows": plain})
 
 
 def all_tables(cells: Cells, facts: Mapping[str, Any]) -> list[Table]:

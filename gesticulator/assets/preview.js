@@ -1,7 +1,7 @@
 // The preview of a performance: a clock, a figure, a timeline, and what binds them to keys and fingers.
 // Units are seconds, metres and radians; quaternions in the data are w first.
 
-const data = window.PERFORMANCE ?? JSON.parse(document.getElementById("performance").textContent);
+const data = JSON.parse(document.getElementById("performance").textContent);
 const $ = (id) => document.getElementById(id);
 const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
@@ -120,7 +120,7 @@ function loadSound() {
     $("facts").textContent += " · this browser cannot play the sound (Ogg Vorbis)";
   });
   sound.preservesPitch = true;
-  sound.src = data.soundFile ?? URL.createObjectURL(new Blob([bytes(data.sound)], { type: data.soundType }));
+  sound.src = URL.createObjectURL(new Blob([bytes(data.sound)], { type: data.soundType }));
 }
 
 // ---------------------------------------------------------------- colours
@@ -813,6 +813,7 @@ function minutes(time, digits) {
 function writeFacts() {
   const distinct = new Set(lexemes).size;
   $("facts").textContent = `${minutes(data.duration, 1)} · ${lexemes.length} blocks · ${distinct} lexemes · ${Math.round(data.fps * 100) / 100} frames/s`;
+  $("score-is").textContent = `score: ${data.scoreIs}`;
   $("legend").innerHTML = Object.keys(flagTitles).map((kind) => `<li>${signSvg(kind)}${flagTitles[kind]}</li>`).join("")
     + `<li><svg viewBox="0 0 12 12" aria-hidden="true"><rect width="12" height="12" rx="2" fill="var(--silence)"/><path d="M0 12 12 0" stroke="var(--soft)"/></svg>silence</li>`;
 }

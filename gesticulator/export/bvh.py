@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from data_module.motion import bvh
-from data_module.motion.skeletons import HIP_HEIGHT
-from data_module.types import Motion
-from gesticulator.performance import Performance
+from data_module.motion.skeletons import standing
 
-
-def standing(motion: Motion) -> Motion:
-    """The motion lifted (or lowered) so that the root's median height is `HIP_HEIGHT`; doing it twice changes nothing.
-
-    Models work with the root at the origin; a viewer's floor is at zero.
-    """
-    lift = np.array([0.0, HIP_HEIGHT - float(np.median(motion.root_positions[:, 1])), 0.0])
-    return replace(motion, root_positions=motion.root_positions + lift)
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
 
 
 def write_bvh_file(path: Path, performance: Performance) -> Path:

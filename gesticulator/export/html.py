@@ -1,51 +1,43 @@
-"""The preview: one page that shows and plays a performance, with everything inside it and no network.
-
-Above `LONGEST_PAGE` seconds of sound the page would be too large to open well, and becomes a folder of the same name:
-`index.html`, the sound, and the motion as a script (a page opened from a disk may load scripts, but not fetch files).
-"""
+"""The preview: one page that shows and plays a performance, with everything inside it and no network."""
 
 from __future__ import annotations
 
 import base64
 import html
 import json
-import os
 import re
-import shutil
-import tempfile
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from data_module.errors import InputError
 from data_module.files import write_text
+from data_module.motion import kinematics
+from data_module.motion.skeletons import standing
 from data_module.types import BeatFlag, Skeleton
 from gesticulator.export import sound
-from gesticulator.export.bvh import standing
-from gesticulator.performance import Performance
 
-LONGEST_PAGE = 600.0
-"""Seconds of sound that one page holds."""
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
+
+LONG = 600.0
+"""Seconds of sound above which the page holds `LONG_FPS` frames of motion a second, so that it still opens well: an
+hour is then about 40 MB, of which half is the sound."""
+LONG_FPS = 30.0
+"""Frames per second of a long recording's page, which interpolates between them; the models' own rate is 20."""
 THREE_VERSION = "0.170.0"
 QUATERNION_STEPS = 32767
 """Quaternions travel as int16 of this many steps per unit: 3e-5, about 0.003 degrees."""
 PEAKS_PER_SECOND = 100
-_MARK = '<meta name="generator" content="gesticulator preview">'
 _SLOT = re.compile(r"\{\{([a-z_]+)\}\}")
-_SOUND_FILE, _MOTION_FILE, _INDEX = "speech.ogg", "motion.js", "index.html"
 
 
 def write_preview(path: Path, performance: Performance) -> Path:
-    """Write the preview page; returns the file to open.
-
-    That is `path`, or `STEM/index.html` beside it where the sound is longer than `LONGEST_PAGE`. InputError where a
-    folder of that name exists and is not a preview of ours; nothing is left half-written.
-    """
-    if performance.duration > LONGEST_PAGE:
-        return _write_folder(path.with_suffix(""), performance)
-    write_text(path, page(performance, path.stem))
+    """Write the preview page, whole or not at all. Returns `path`."""
+    # A file's name may hold bytes that are no text.
+    title = path.stem.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    write_text(path, page(performance, title))
     return path
 
 
@@ -62,6 +54,8 @@ def describe(performance: Performance) -> dict[str, Any]:
     where the root does not move; `peaks` is int8 [P, 2].
     """
     motion = standing(performance.motion)
+    if performance.duration > LONG and motion.fps > LONG_FPS:
+        motion = kinematics.resample(motion, LONG_FPS)
     root = motion.root_positions
     if np.ptp(root, axis=0).max() < 1e-6:
         root = root[:1]
@@ -87,6 +81,7 @@ def describe(performance: Performance) -> dict[str, Any]:
             "best": performance.best.tolist(),
             "scores": [[float(f"{score:.4g}") for score in row] for row in performance.scores.tolist()],
         },
+        "scoreIs": performance.score_is,
         "words": [[word.text, round(word.start, 3), round(word.end, 3)] for word in words if word.text],
     }
 
@@ -100,36 +95,8 @@ def _skeleton(skeleton: Skeleton) -> dict[str, Any]:
     }
 
 
-def _write_folder(folder: Path, performance: Performance) -> Path:
-    if folder.exists() and not _is_ours(folder):
-        raise InputError(folder, "exists and is not a preview", "give another name")
-    data = {**describe(performance), "soundFile": _SOUND_FILE}
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
-        (temporary / _SOUND_FILE).write_bytes(sound.compress(performance.speech))
-        write_text(temporary / _MOTION_FILE, f"window.PERFORMANCE = {_json(data)};\n")
-        write_text(temporary / _INDEX, _fill(folder.name, f'<script src="{_MOTION_FILE}"></script>'))
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o777 & ~mask)
-        (temporary / _SOUND_FILE).chmod(0o666 & ~mask)
-        if folder.exists():
-            shutil.rmtree(folder)
-        os.replace(temporary, folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
-    return folder / _INDEX
-
-
-def _is_ours(folder: Path) -> bool:
-    index = folder / _INDEX
-    return index.is_file() and _MARK in index.read_text(encoding="utf-8", errors="replace")[:4000]
-
-
 def _fill(title: str, data: str) -> str:
     parts = {
-        "mark": _MARK,
         "title": html.escape(title),
         "data": data,
         "style": _asset("preview.css"),

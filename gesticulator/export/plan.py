@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from data_module.files import write_text
-from gesticulator.performance import Performance
+
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
 
 
 def write_plan(path: Path, performance: Performance) -> Path:

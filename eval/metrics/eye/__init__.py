@@ -34,6 +34,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "eye_head": (6.14, 18.42), "eye_chest": (2.34, 10.18),
     "eye_stroke_duration": (0.275, 1.025), "eye_stroke_duration_90": (0.665, 2.433),
     "eye_stroke_amplitude": (21.35, 36.14), "eye_stroke_amplitude_90": (41.73, 58.98),
+    "eye_attack": (47.1, 49.45), "eye_rising": (46.65, 49.51),
     "eye_repetition": (0.559, 0.773), "eye_freeze": (0.0, 0.25), "eye_freeze_hands": (0.0, 1.325),
     "eye_speech_speed": (0.278, 1.129), "eye_silence_speed": (0.153, 0.628),
     "eye_speech_over_silence": (0.755, 2.842), "eye_above_1": (0.93, 100.0), "eye_above_2": (-26.56, 100.0),
@@ -83,8 +84,8 @@ FIGURES: tuple[str, ...] = (
     "eye_both_hanging", *(f"eye_speed_{percent}" for percent in hands.PERCENTILES), "eye_drift", "eye_head",
     "eye_chest", "eye_head_yaw", "eye_freeze", "eye_freeze_head", "eye_freeze_hands", "eye_hand_in_torso",
     "eye_elbow_in_torso", "eye_fingers", "eye_stroke_amplitude", "eye_stroke_amplitude_90", "eye_stroke_duration",
-    "eye_stroke_duration_90", "eye_seam", "eye_repetition", "eye_speech_speed", "eye_silence_speed",
-    "eye_speech_over_silence", "eye_loudness", "eye_above_1", "eye_above_2", "eye_frechet")
+    "eye_stroke_duration_90", "eye_attack", "eye_rising", "eye_seam", "eye_repetition", "eye_speech_speed",
+    "eye_silence_speed", "eye_speech_over_silence", "eye_loudness", "eye_above_1", "eye_above_2", "eye_frechet")
 """Every figure of a clip, in the order of a table."""
 
 __all__ = ["FIGURES", "RANGES", "SHORTEST", "CommonBody", "ReferenceSpace", "Voice", "common_body", "figures",

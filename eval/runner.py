@@ -1,0 +1,529 @@
+"""One row of an ablation at one seed: trained, played, measured, kept as a cell (see `eval.ablate`).
+
+What comes first is shared: all rows of all seeds hear through the same speech encoder, and rows with the same lexicon
+settings have the same lexicon; seeds differ in what is trained on top. Every stage is kept in the work folder under the
+hash of its settings, so a row trains what its settings change and nothing else, and a work folder of the training
+command serves its finished stages.
+
+A row plays the performer's speech in the performer's habits. Beside the rows stand cells without a seed, measured by
+the same code (`eval.judge`): the performer (whose motion is the truth), a real take, motion that is known to be wrong
+(`eval.baselines`), and what other systems made of the same speech. The motion itself stays in the work folder: its
+beats, onsets, block edges, latents and lexemes in played/ROW-SEED.npz, for the figures, and for the first seed a BVH of
+each clip in played/ROW-SEED, to be looked at or given to `gesticulator score`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from statistics import median
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+from tqdm import tqdm
+
+from data_module.errors import InputError
+from data_module.files import write_bytes
+from data_module.motion.bvh import write_bvh
+from data_module.motion.kinematics import resample
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.audio import resample as resample_speech
+from data_module.store import Recording, Store
+from data_module.types import Array
+from eval import baselines, policy_training
+from eval.cells import Cell, CellStore, family
+from eval.clip import real_take
+from eval.foreign import find_motions, read_folder
+from eval.judge import ClipSpeech, Judge, JudgedClip, PlayedClip, features_of
+from eval.metrics import fgd, gesture_features
+from eval.policy import Decisions, accuracy
+from eval.policy_training import RacerContext
+from eval.rows import CONTROLS, FLOOR, REAL_TAKE, REFERENCES, ROWS, STILL, racer
+from gesticulator import bundle as bundles
+from gesticulator import config as configs
+from gesticulator import fit as fitting
+from gesticulator.config import Config
+from gesticulator.pipeline import FPS, Gesticulator
+from gesticulator.speech_features import SpeechFeatures
+from gesticulator.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Corpus, Node, Run, Stage, assemble, wanted
+from gesticulator.stages import base as stages
+from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.q_network import takes_of
+
+VERSION = 2
+"""Raised when the same settings would no longer give the same figures."""
+SHORTEST = 20.0
+"""Seconds; a shorter clip has too few beats for a figure of its own."""
+TRIAL = 4
+"""Steps that are made to count what a stage costs, after one that does not count."""
+SHOWN_SEED = 1
+"""The seed whose motion is kept as BVH and drawn."""
+FLOOR_DRAWS = 20
+"""Ways to halve the performer's clips."""
+PLAYED_ARRAYS = ("latents", "lexemes", "beats", "onsets", "edges")
+"""What is kept of each clip for the figures."""
+
+T = TypeVar("T")
+
+
+# ------------------------------------------------------------------------------------------------------------ training
+
+@dataclass
+class RowRun(Run):
+    """The run of a row. taken: nodes that another run makes, by name, whose keys then shape this run's stages."""
+
+    taken: Mapping[str, Run] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    """What each stage took; 0 where it was there."""
+
+    def get(self, node: Node[T]) -> T:
+        """See `Run.get`."""
+        return self.taken[node.name].get(node) if node.name in self.taken else super().get(node)
+
+    def key(self, node: Node[Any]) -> str:
+        """See `Run.key`."""
+        return self.taken[node.name].key(node) if node.name in self.taken else super().key(node)
+
+    def train_stage(self, stage: Stage[Any], model: nn.Module) -> dict[str, float]:
+        """See `Run.train_stage`; the seconds are noted."""
+        began, there = time.monotonic(), self.finished(stage)
+        figures = super().train_stage(stage, model)
+        self.seconds[stage.name] = 0.0 if there else round(time.monotonic() - began, 1)
+        return figures
+
+
+@dataclass
+class Trial(RowRun):
+    """A run that makes a few steps of each stage that is not finished and notes what all of them would take.
+
+    The steps are the first ones: an interpreter that later hears its own past costs up to half as much again. It works
+    in a folder of its own; finished: the work folder of the row, where nothing is written.
+    """
+
+    finished_in: Path = Path()
+
+    def train_stage(self, stage: Stage[Any], model: nn.Module) -> dict[str, float]:
+        """The model as it begins, after a few steps."""
+        self.seconds.setdefault(stage.name, 0.0)
+        if not stages.finished(self.finished_in / f"{stage.name}-{self.key(stage)}"):
+            folder = self.work / stage.name
+            folder.mkdir(exist_ok=True)
+            assert stage.train is not None
+            stage.train(self, model, folder)
+        if stage is LEXICON:  # what is labelled must use the lexemes, or none of them could be found silent
+            corpus = self.get(BLOCKS)
+            cast(Any, model).start_codebook(corpus.motion[torch.as_tensor(corpus.select("train"))], 0)
+        return {}
+
+    def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> dict[str, float]:
+        """Times a few steps; nothing is validated."""
+        schedule, times = self.schedule(stage), []
+
+        def timed(step: int) -> None:
+            if task.before_step is not None:
+                task.before_step(step)
+            times.append(time.monotonic())
+
+        fitting.fit(stage.name, model, replace(task, validate=None, before_step=timed), schedule, folder,
+                    fitting.FitOptions(seed=self.seed(stage), checkpoint_seconds=float("inf"), progress=False,
+                                       stop_after=TRIAL + 1))
+        steps = np.diff(times)[1:] if len(times) > 2 else np.diff(times)
+        self.seconds[stage.name] = round(schedule.steps * float(median(steps)), 1) if len(steps) else 0.0
+        return {}
+
+
+# -------------------------------------------------------------------------------------------------- what all rows share
+
+@dataclass
+class AblationContext:
+    """What all rows stand on. first: the run of the preset as it is; by: what the Frechet distance is measured in, the
+    first of which the tables show; out: where the cells are; limit: recordings of a split at most; bundle: what RACER's
+    rows stand on (the row "q-network" where none is given). What is costly is made when it is asked for."""
+
+    first: Run
+    by: Sequence[gesture_features.Features]
+    out: Path
+    limit: int | None = None
+    bundle: str | None = None
+    _corpora: dict[str, Run] = field(default_factory=dict)
+    _real: dict[str, list[list[Array]]] = field(default_factory=dict)
+    _encoded: dict[str, dict[str, SpeechFeatures]] = field(default_factory=dict)
+    _speech: dict[str, ClipSpeech] = field(default_factory=dict)
+
+    @property
+    def cells(self) -> CellStore:
+        """What is finished."""
+        return CellStore(self.out)
+
+    @property
+    def store(self) -> Store:
+        """The data."""
+        return self.first.store
+
+    @cached_property
+    def corpus(self) -> Corpus:
+        """The store as the preset cuts it."""
+        return self.first.get(CORPUS)
+
+    @cached_property
+    def judge(self) -> Judge:
+        """The lexicon of the preset as it is: all motion is judged by it."""
+        return Judge(self.first.config, self.corpus.statistics, self.first.get(LEXICON), self.by)
+
+    @cached_property
+    def racer(self) -> RacerContext:
+        """What RACER's rows stand on."""
+        bundle = bundles.load(self.bundle) if self.bundle else self.trained("q-network", 1)[0]
+        return RacerContext.of(self.store, bundle, self.first.work, racer.PRESETS[self.first.config.name], self.limit,
+                               self.first.progress)
+
+    def shared(self, group: str) -> str:
+        """Hash of what the rows of a family share; figures that are compared must agree in it."""
+        judged_by = [[one.sha256, one.name, one.frames] for one in self.by]
+        if group == "racer":
+            parts = self.racer.bundle.block_models
+            return configs.digest(VERSION, self.racer.shapes, weights_hash(parts.generator), weights_hash(parts.style),
+                                  judged_by, self.limit, policy_training.MOTION)
+        return configs.digest(VERSION, self.store.fingerprint, self.first.config, self.first.key(LEXICON),
+                              self.first.key(CORPUS), judged_by, self.limit)
+
+    def runs(self, name: str, seed: int) -> tuple[RowRun, RowRun]:
+        """The run that makes a row's lexicon, at the preset's seed, and the one that does the rest."""
+        first, config = self.first, configured(self.first.config, name)
+        about = (first.store, first.work, first.device, first.progress, first.speech, first.workers)
+        corpora = self._corpus_run(config)
+        before = RowRun(config, *about, taken={ENCODER.name: first, BLOCKS.name: corpora, CORPUS.name: corpora})
+        return before, RowRun(replace(config, seed=seed), *about, taken={**before.taken, LEXICON.name: before})
+
+    def _corpus_run(self, config: Config) -> Run:
+        """The run that cuts the store by these settings; that of the preset and the last other one stay in memory."""
+        key = configs.digest(config.rhythm, config.motion, config.control, config.text, config.front_end)
+        if key not in self._corpora:
+            first = self.first
+            if not self._corpora:
+                self._corpora[configs.digest(first.config.rhythm, first.config.motion, first.config.control,
+                                             first.config.text, first.config.front_end)] = first
+                return self._corpus_run(config)
+            while len(self._corpora) > 1:
+                self._corpora.popitem()
+            self._corpora[key] = RowRun(config, first.store, first.work, first.device, first.progress, first.speech,
+                                        first.workers, taken={ENCODER.name: first})
+        return self._corpora[key]
+
+    def trained(self, name: str, seed: int) -> tuple[bundles.Bundle, RowRun]:
+        """What a row plays with, and its run; what is not in the work folder is trained."""
+        before, run = self.runs(name, seed)
+        bundle = assemble(run)
+        run.seconds["lexicon"] = before.seconds.get("lexicon", 0.0)
+        return bundle, run
+
+    def counted(self, name: str, seed: int) -> dict[str, float]:
+        """Seconds that each stage of a row would take, 0 where it is finished; found by a few steps of each."""
+        with tempfile.TemporaryDirectory() as folder:
+            before, run = self.runs(name, seed)
+            first, rest = (Trial(own.config, own.store, Path(folder), own.device, False, own.speech, own.workers,
+                                 taken=own.taken, finished_in=own.work) for own in (before, run))
+            rest.taken = {**rest.taken, LEXICON.name: first}
+            assemble(rest)
+            return {**first.seconds, **rest.seconds}
+
+    def names(self, split: str) -> list[str]:
+        """Recordings of a split that are long enough for shares and speeds (all, where none is), `limit` at most."""
+        every = [info for info in self.store.recordings if info.split == split]
+        found = [info.name for info in every if info.seconds >= SHORTEST] or [info.name for info in every]
+        if not found:
+            raise InputError(self.store.path, f"has no recording in its {split} split", "build the store again")
+        return found[:self.limit]
+
+    def recordings(self, split: str) -> list[int]:
+        """The same by their number in the corpus."""
+        return [self.corpus.names.index(name) for name in self.names(split)]
+
+    def loaded(self, number: int) -> Recording:
+        """A recording with its sound and motion."""
+        return self.store.load(self.corpus.names[number])
+
+    def encoded(self, system: Gesticulator, recording: Recording) -> SpeechFeatures:
+        """A recording's speech as a system hears it; kept for the preset's own way and for the last other one."""
+        config = system.bundle.config
+        key = configs.digest(config.rhythm, config.text, config.front_end, system.reads_text)
+        if key not in self._encoded:
+            while len(self._encoded) > 1:
+                self._encoded.popitem()
+            self._encoded[key] = {}
+        known = self._encoded[key]
+        if recording.info.name not in known:
+            known[recording.info.name] = system.encode_speech(resample_speech(recording.speech, SAMPLE_RATE))
+        return known[recording.info.name]
+
+    def speech(self, recording: Recording) -> ClipSpeech:
+        """A recording's speech as all motion for it is judged by."""
+        name = recording.info.name
+        if name not in self._speech:
+            self._speech[name] = ClipSpeech.of(recording.speech, self.first.config.rhythm)
+        return self._speech[name]
+
+    def groups(self, split: str) -> list[str]:
+        """For each recording of a split which others share its sound or text."""
+        known = {info.name: info.group or info.name for info in self.store.recordings}
+        return [known[name] for name in self.names(split)]
+
+    def real(self, split: str) -> list[list[Array]]:
+        """For each recording of a split the performer's features, one of each network."""
+        if split not in self._real:
+            self._real[split] = [features_of(self.loaded(number).motion, self.by) for number in self.recordings(split)]
+        return self._real[split]
+
+    def key(self, name: str, seed: int) -> str:
+        """Hash of everything that shapes a row's cell."""
+        if family(name) == "racer":
+            names = [self.racer.corpus.names[take.recording] for take in self.racer.judge.decisions.takes]
+            return configs.digest(self.shared("racer"), self.racer.key(name, seed), names)
+        row, (_, run) = ROWS[name], self.runs(name, seed)
+        config = run.config
+        return configs.digest(self.shared("rg"), run.key(LEXICON), [run.key(stage) for stage in wanted(config)],
+                              row.interpreter, row.style, config.selection, config.silence, config.statistical,
+                              config.motion, self.names(row.split))
+
+    def played(self, name: str, seed: int = SHOWN_SEED) -> PlayedStore:
+        """Where the motion of a row or of a reference is."""
+        if name in ROWS:
+            return PlayedStore.of(self, f"{name}-{seed}", self.key(name, seed))
+        return PlayedStore.of(self, f"{name}-0", reference_key(self, name, "test"))
+
+
+def configured(base: Config, row: str) -> Config:
+    """The settings of a row; InputError where a preset lacks one of them."""
+    return configs.with_settings(base, ROWS[row].settings)
+
+
+@dataclass(frozen=True)
+class PlayedStore:
+    """Where the motion of a cell is kept in the work folder, with the key of the cell."""
+
+    folder: Path
+    key: str
+
+    @classmethod
+    def of(cls, context: AblationContext, name: str, key: str) -> PlayedStore:
+        """By a cell's name."""
+        return cls(context.first.work / "played" / name, key)
+
+    @property
+    def file(self) -> Path:
+        """What was measured of the motion; beside the folder, in which all files are motion."""
+        return self.folder.with_name(f"{self.folder.name}.npz")
+
+    def begin(self) -> None:
+        """An empty folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir(parents=True)
+
+    def write(self, clips: Sequence[JudgedClip]) -> None:
+        """The plain arrays of what was measured."""
+        memory, arrays = io.BytesIO(), dict[str, Any]()
+        for k, clip in enumerate(clips):
+            arrays |= {f"{what}_{k}": np.asarray(getattr(clip, what)) for what in PLAYED_ARRAYS}
+        np.savez_compressed(memory, key=np.array(self.key), names=np.array([clip.name for clip in clips]), **arrays)
+        write_bytes(self.file, memory.getvalue())
+
+    def read(self) -> list[dict[str, NDArray[Any]]]:
+        """What was measured of each clip, by name; InputError when it is not there, or of other settings."""
+        try:
+            with np.load(self.file, allow_pickle=False) as held:
+                if str(held["key"]) == self.key:
+                    return [{"name": name, **{what: held[f"{what}_{k}"] for what in PLAYED_ARRAYS}}
+                            for k, name in enumerate(held["names"])]
+        except FileNotFoundError:
+            pass
+        raise InputError(self.folder, "does not hold the motion of this row", "remove its cell and run the row again")
+
+
+# --------------------------------------------------------------------------------------------------------------- cells
+
+def cell(context: AblationContext, name: str, seed: int) -> Cell:
+    """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
+    if family(name) == "racer":
+        same = racer.twins(context.racer.run.config)[name]
+        if same != name:
+            return _kept(context, name, seed, context.key(same, seed), {**cell(context, same, seed), "run_as": same})
+    key = context.key(name, seed)
+    known = context.cells.finished(name, seed, key)
+    if known is not None:
+        return known
+    if family(name) == "racer":
+        found = policy_training.measured(context.racer, name, seed, context.by)
+    else:
+        found = row_figures(context, name, seed, PlayedStore.of(context, f"{name}-{seed}", key))
+    return _kept(context, name, seed, key, found)
+
+
+def _kept(context: AblationContext, name: str, seed: int, key: str, found: Mapping[str, Any], kind: str = "row",
+          **about: Any) -> Cell:
+    """Written, unless the very cell is there."""
+    known = context.cells.finished(name, seed, key)
+    if known is not None:
+        return known
+    row = ROWS.get(name)
+    made = {**found, "row": name, "seed": seed, "key": key, "kind": kind, "shared": context.shared(family(name)),
+            **({"question": row.question, "settings": list(row.settings), "split": row.split} if row else {}), **about}
+    context.cells.add(made)
+    return made
+
+
+def row_figures(context: AblationContext, name: str, seed: int, place: PlayedStore) -> dict[str, Any]:
+    """"clips", "sets" and "seconds" of a row's cell."""
+    began, row = time.monotonic(), ROWS[name]
+    bundle, run = context.trained(name, seed)
+    place.begin()
+    clips = played(context, name, bundle, seed, place)
+    place.write(clips)
+    trained = sum(seconds for stage, seconds in run.seconds.items() if stage != "lexicon")
+    return {"stages": run.seconds, "seconds": {"training": round(trained, 1),
+                                               "in_all": round(time.monotonic() - began, 1)},
+            **context.judge.summary(clips, context.real(row.split))}
+
+
+def played(context: AblationContext, name: str, bundle: bundles.Bundle, seed: int, place: PlayedStore
+           ) -> list[JudgedClip]:
+    """A row's motion for the split's speech, shown at the first seed, and measured."""
+    row, corpus = ROWS[name], context.corpus
+    over_judge = context.runs(name, seed)[0].key(LEXICON) == context.first.key(LEXICON)
+    if row.style == "random":
+        style = baselines.RandomStyle(bundle.config.generator.style_width, seed)
+        bundle = bundle.with_parts(style=cast(Any, style), style_text=None)
+    system, out = Gesticulator(bundle), []
+    for k, number in enumerate(tqdm(context.recordings(row.split), desc=f"{name}, seed {seed}",
+                                    disable=not context.first.progress)):
+        recording = context.loaded(number)
+        made = system(recording.speech, speaker=recording.info.speaker, interpreter=row.interpreter, seed=seed,
+                      encoded=context.encoded(system, recording),
+                      temperature=1.0 if row.interpreter == "statistical" else None)
+        if seed == SHOWN_SEED:
+            write_bvh(place.folder / f"{corpus.names[number]}.bvh", made.motion)
+        values = accuracies(context, system, row.interpreter, number) if over_judge else {}
+        out.append(context.judge.clip(PlayedClip(
+            corpus.names[number], made.motion, context.speech(recording), recording.motion, recording.info.speaker,
+            values, made.lexemes if over_judge else None, made.blocks.edges), k))
+    return out
+
+
+def accuracies(context: AblationContext, system: Gesticulator, interpreter: str, number: int) -> dict[str, float]:
+    """Free-running and teacher-forced (RG Table 6), of a recording and a row over the judge's lexicon."""
+    labelled, config = context.first.get(LABELS), system.bundle.config
+    takes = [take for take in takes_of(context.corpus, labelled.hinted, context.corpus.splits[number])
+             if take.recording == number]
+    size = len(context.judge.lexicon.vectors)
+    decisions = Decisions(context.corpus, takes, labelled.silent, config.silence.mask, size)
+    chooser = system.interpreter(interpreter, bool(context.corpus.has_text[number]))
+    return {column: accuracy(chooser, decisions, takes[0], teacher)
+            for column, teacher in (("accuracy", False), ("teacher_forced", True))}
+
+
+# ------------------------------------------------------------------------------------------------ cells without a seed
+
+def reference_key(context: AblationContext, name: str, split: str) -> str:
+    """Hash of everything that shapes the cell of a reference or a control."""
+    return configs.digest(context.shared("rg"), name, split, context.names(split))
+
+
+def reference(context: AblationContext, name: str, split: str) -> Cell | None:
+    """The cell of a reference or a control; None where it cannot be made (no real take, too few recordings)."""
+    shown, key = name if split == "test" else f"{name}-{split}", reference_key(context, name, split)
+    known = context.cells.finished(shown, 0, key)
+    if known is not None:
+        return known
+    found: dict[str, Any] | None
+    if name == FLOOR:
+        found = floor(context, split)
+    elif name == REAL_TAKE:
+        take = real_take(FPS)
+        found = take and context.judge.summary([context.judge.clip(PlayedClip(
+            "take", take[0], ClipSpeech.of(take[1], context.first.config.rhythm)), 0)], context.real(split),
+            paired=False)
+    else:
+        found = moved(context, name, split, PlayedStore.of(context, f"{shown}-0", key))
+    if not found:
+        return None
+    kind = "reference" if name in REFERENCES else "control"
+    return _kept(context, shown, 0, key, found, kind, question={**REFERENCES, **CONTROLS}[name], settings=[],
+                 split=split)
+
+
+def moved(context: AblationContext, name: str, split: str, place: PlayedStore) -> dict[str, Any] | None:
+    """The performer's own motion, or one made of it, measured as a row's is; None where none can be made."""
+    recordings = [context.loaded(number) for number in context.recordings(split)]
+    motions = [recording.motion for recording in recordings]
+    if name == STILL:
+        motions = baselines.mean_pose(motions)
+    elif name in baselines.CONTROLS:
+        groups = [recording.info.group or recording.info.name for recording in recordings]
+        try:
+            motions = (baselines.shuffled(motions, 0, groups) if name == "shuffled"
+                       else baselines.CONTROLS[name](motions, 0))
+        except ValueError:
+            return None
+    clips = [context.judge.clip(PlayedClip(
+        recording.info.name, motion, context.speech(recording).lasting(motion.duration, context.first.config.rhythm),
+        recording.motion, recording.info.speaker), k)
+        for k, (recording, motion) in enumerate(zip(recordings, motions, strict=True))]
+    place.begin()
+    place.write(clips)
+    return context.judge.summary(clips, context.real(split))
+
+
+def floor(context: AblationContext, split: str) -> dict[str, Any] | None:
+    """FGD between halves of the performer's clips, halved in several ways: no skill gets below it."""
+    motions = [context.loaded(number).motion for number in context.recordings(split)]
+    place, real = {id(motion): k for k, motion in enumerate(motions)}, context.real(split)
+    clips = []
+    for seed in range(FLOOR_DRAWS if context.by else 0):
+        try:
+            halves = baselines.split_halves(motions, seed, context.groups(split))
+        except ValueError:
+            return None
+        one, other = (np.concatenate([real[place[id(motion)]][0] for motion in half]) for half in halves)
+        if min(len(one), len(other)) > 1:
+            clips.append({"name": f"halving {seed}", "fgd": fgd.distance(one, other)})
+    return {"clips": clips, "sets": {}} if clips else None
+
+
+def system(context: AblationContext, name: str, folder: Path) -> Cell:
+    """The cell of another system: its motion for the test speech, a file (`eval.foreign`) named as each recording is.
+
+    InputError when none is.
+    """
+    files, _ = find_motions(folder)
+    numbers = {clip: k for k, clip in enumerate(context.names("test"))}
+    theirs = {clip: file for clip, file in files.items() if clip in numbers}
+    if not theirs:
+        raise InputError(folder, "holds no motion for a test recording", f"name files {next(iter(numbers))}.bvh and so "
+                         "on, one for each")
+    sums = [[clip, hashlib.sha256(file.read_bytes()).hexdigest()] for clip, file in theirs.items()]
+    key = configs.digest(context.shared("rg"), name, sums)
+    known = context.cells.finished(name, 0, key)
+    if known is not None:
+        return known
+    clips, real = [], []
+    for k, (clip, own) in enumerate(read_folder(folder, only=list(theirs))[0].items()):
+        recording = context.loaded(context.recordings("test")[numbers[clip]])
+        motion = resample(own.motion, recording.motion.fps)
+        motion = motion.crop(0, min(len(motion), len(recording.motion)))
+        speech = context.speech(recording).lasting(motion.duration, context.first.config.rhythm)
+        clips.append(context.judge.clip(PlayedClip(clip, motion, speech, recording.motion, recording.info.speaker), k))
+        real.append(context.real("test")[numbers[clip]])
+    place = PlayedStore.of(context, f"{name}-0", key)
+    place.begin()
+    place.write(clips)
+    return _kept(context, name, 0, key, context.judge.summary(clips, real), "system",
+                 question=f"another system's motion, {len(clips)} clips", settings=[], split="test")

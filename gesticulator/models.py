@@ -1,0 +1,189 @@
+"""Every model of a bundle, constructed here and nowhere else: by training, and by whoever opens a bundle.
+
+What a model is shaped by besides the settings is measured on the data, and travels as `Sizes`. A model's module is
+imported by the function that builds it, so whoever opens one part of a bundle imports that part alone.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+
+from data_module.errors import InputError
+from gesticulator.config import Config
+from gesticulator.statistics import CONTROL_WIDTH
+
+if TYPE_CHECKING:
+    from data_module.speech.speech_encoder import SpeechEncoder
+    from generator.model import Generator
+    from interpreters.cql import QNetwork
+    from interpreters.gate import ActivityGate
+    from interpreters.lstm import LstmInterpreter
+    from interpreters.reward import RewardModel
+    from interpreters.style import StyleInterpreter
+    from lexicon.autoencoder import Lexicon
+    from lexicon.racer import RacerCodec
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What shapes the models besides their settings.
+
+    motion: D_m; low, high: widths d + 1 of the two levels of audio, the log duration included; two_levels: they are
+    not one and the same; speakers: P; text: d_t + 1, 0 without words; present: [D_m] 1 where the training motion ever
+    moved; vectors: [S, D_s] the codebook, where there is one already; silent: the silent lexemes; training_blocks:
+    how many style codes are learned, 0 at inference, where the generator has no table of them.
+    """
+
+    config: Config
+    motion: int
+    low: int
+    high: int
+    two_levels: bool
+    speakers: int
+    text: int
+    present: Tensor
+    vectors: Tensor | None = None
+    silent: tuple[int, ...] = ()
+    training_blocks: int = 0
+
+    @property
+    def frames(self) -> int:
+        """K, frames per block."""
+        return self.config.rhythm.frames
+
+    @property
+    def lexemes(self) -> Tensor:
+        """[S, D_s] the codebook; ValueError before there is one."""
+        if self.vectors is None:
+            raise ValueError("this model is built over a codebook, and there is none yet")
+        return self.vectors
+
+    @property
+    def block_audio(self) -> int:
+        """Width of what the reward models hear: both levels where there are two, the log duration once."""
+        return self.low + self.high - 1 if self.two_levels else self.low
+
+
+def encoder(sizes: Sizes) -> SpeechEncoder:
+    """The speech levels (RG 4.1.3)."""
+    from data_module.speech.speech_encoder import SpeechEncoder
+
+    return SpeechEncoder(sizes.config.encoder)
+
+
+def lexicon(sizes: Sizes) -> Lexicon:
+    """The VQ-VAE over blocks (RG 5.1)."""
+    from lexicon.autoencoder import Lexicon
+
+    return Lexicon(sizes.config.lexicon, sizes.frames, sizes.motion, sizes.present)
+
+
+def codec(sizes: Sizes) -> RacerCodec:
+    """RACER's own codec (RACER 4.1)."""
+    from lexicon.racer import RacerCodec
+
+    return RacerCodec(sizes.config.racer, sizes.motion, sizes.present)
+
+
+def tokens(sizes: Sizes) -> Lexicon | RacerCodec:
+    """What names gestures under these settings."""
+    return codec(sizes) if sizes.config.tokens == "racer" else lexicon(sizes)
+
+
+def generator(sizes: Sizes) -> Generator:
+    """G, E_M, E_A and, while it is trained, the style codes (RG 5.2)."""
+    from generator.model import Generator, GeneratorWidths
+
+    config = sizes.config
+    return Generator(config.generator, GeneratorWidths(sizes.frames, sizes.motion, sizes.low, config.lexicon.code_width,
+                                                       CONTROL_WIDTH), sizes.training_blocks, sizes.present)
+
+
+def interpreter(sizes: Sizes) -> LstmInterpreter:
+    """The lexeme interpreter that hears alone (RG 6.3)."""
+    return _lexeme_interpreter(sizes, False)
+
+
+def interpreter_text(sizes: Sizes) -> LstmInterpreter:
+    """The lexeme interpreter that reads the words too (RG 6.1)."""
+    return _lexeme_interpreter(sizes, True)
+
+
+def _lexeme_interpreter(sizes: Sizes, reads: bool) -> LstmInterpreter:
+    from interpreters.lstm import LstmInterpreter
+
+    config = sizes.config.interpreter
+    return LstmInterpreter(config if reads else config.without_text(), sizes.frames, sizes.high, sizes.lexemes,
+                           sizes.speakers, sizes.text, CONTROL_WIDTH)
+
+
+def style(sizes: Sizes) -> StyleInterpreter:
+    """The style interpreter that hears alone (RG 6.2, 6.3)."""
+    return _style_interpreter(sizes, False)
+
+
+def style_text(sizes: Sizes) -> StyleInterpreter:
+    """The style interpreter that reads the words too (RG 6.2)."""
+    return _style_interpreter(sizes, True)
+
+
+def _style_interpreter(sizes: Sizes, reads: bool) -> StyleInterpreter:
+    from interpreters.style import StyleInterpreter
+
+    config = sizes.config.style
+    return StyleInterpreter(config if reads else config.without_text(), sizes.frames, sizes.low, sizes.lexemes,
+                            sizes.config.generator.style_width, sizes.speakers, sizes.text)
+
+
+def gate(sizes: Sizes) -> ActivityGate:
+    """Whether to gesture at all on a block."""
+    from interpreters.gate import ActivityGate
+
+    return ActivityGate(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers)
+
+
+def q_network(sizes: Sizes) -> QNetwork:
+    """Q(s, a) over the codebook (RACER 4.3)."""
+    from interpreters.cql import QNetwork
+
+    return QNetwork(sizes.config.cql, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, sizes.silent)
+
+
+def reward(sizes: Sizes) -> RewardModel:
+    """E_m and E_u (RACER 4.2)."""
+    from interpreters.reward import RewardModel
+
+    return RewardModel(sizes.config.reward, sizes.frames, sizes.motion, sizes.block_audio)
+
+
+BUILDERS: dict[str, Callable[[Sizes], nn.Module]] = {
+    "encoder": encoder, "lexicon": tokens, "generator": generator, "interpreter": interpreter,
+    "interpreter_text": interpreter_text, "style": style, "style_text": style_text, "gate": gate,
+    "q_network": q_network, "reward": reward, "reward_judge": reward}
+"""Part of a bundle -> what builds it. `reward_judge` is a second reward model: it judges what the first one taught."""
+
+
+def codebook_shape(config: Config) -> tuple[int, int]:
+    """(S, D_s) of the codebook under these settings."""
+    if config.tokens == "racer":
+        return config.racer.size, config.racer.width
+    return config.lexicon.size, config.lexicon.code_width
+
+
+def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
+    """The shape of every tensor of a part, found without taking memory for one; InputError where the settings do not
+    go together."""
+    on_meta = replace(sizes, present=sizes.present.to("meta"),
+                      vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
+    try:
+        with torch.device("meta"), warnings.catch_warnings(action="ignore", category=UserWarning):
+            return {key: tuple(value.shape) for key, value in BUILDERS[name](on_meta).state_dict().items()}
+    except (ValueError, RuntimeError, IndexError, OverflowError, ZeroDivisionError) as error:
+        raise InputError("settings", f"no {name} can be built of them ({str(error).splitlines()[0][:200]})",
+                         "change them") from None

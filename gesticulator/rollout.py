@@ -1,0 +1,184 @@
+"""Block by block from encoded speech to motion features: the loop of inference (RG 6, Eq. 15; RACER 4.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gesticulator.bundle import Bundle
+from gesticulator.performance import BEST
+from gesticulator.speech_features import SpeechFeatures
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
+
+if TYPE_CHECKING:
+    from lexicon.racer import RacerCodec
+
+OnBlock = Callable[[int, int], None]
+"""Called after each block with how many are done, and how many there are."""
+
+_BLOCKS_BEFORE_REST = 2
+"""Quiet blocks that are played as they are generated: the arms come down in them."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a lexeme is chosen from scores: see `interpreters.select`. top: 0 for all; seed: of the random numbers."""
+
+    temperature: float
+    top: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a rollout gives: motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M],
+    style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked."""
+
+    motion: NDArray[np.float32]
+    lexemes: NDArray[np.int64]
+    best: NDArray[np.int64]
+    scores: NDArray[np.float64]
+    codes: NDArray[np.float32]
+    gate: NDArray[np.float64]
+
+    @classmethod
+    def empty(cls, blocks: int, lexemes: int, motion: tuple[int, ...], code_width: int) -> Played:
+        """Arrays to be filled, for N blocks of a lexicon of S lexemes; motion: [K, D_m]."""
+        best = min(BEST, lexemes)
+        return cls(np.empty((blocks, *motion), np.float32), np.empty(blocks, np.int64),
+                   np.empty((blocks, best), np.int64), np.empty((blocks, best)),
+                   np.empty((blocks, code_width), np.float32), np.full(blocks, np.nan))
+
+    def keep_best(self, i: int, scores: NDArray[np.float64]) -> None:
+        """Note the best lexemes of block i among scores [S]; of equals the lower number comes first."""
+        self.best[i] = np.argsort(-scores, kind="stable")[:self.best.shape[1]]
+        self.scores[i] = scores[self.best[i]]
+
+
+def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling, activity: float
+            ) -> Rollout | CodecRollout:
+    """The loop that the bundle's lexicon needs. speaker: its index; activity: how readily to gesture, 0 to 1."""
+    kind = CodecRollout if bundle.config.tokens == "racer" else Rollout
+    return kind(bundle, interpreter, speaker, sampling, activity)
+
+
+def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
+    """A block of rest [B, K, D_m]: evenly from the last pose [B, 1, D_m] a share of the way to the block's mean pose.
+
+    The distance to rest shrinks by `share` with each block, so a long rest becomes still.
+    """
+    frames = block.shape[1]
+    steps = torch.arange(1, frames + 1, dtype=block.dtype, device=block.device)[:, None] / frames
+    return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
+
+
+class Rollout:
+    """One performance over a lexicon of blocks: the states of interpreter, gate, style and generator."""
+
+    def __init__(self, bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling,
+                 activity: float) -> None:
+        self.bundle, self.interpreter, self.speaker = bundle, interpreter, speaker
+        self.sampling, self.activity = sampling, activity
+        self.rng = np.random.default_rng(sampling.seed)
+        self.device = bundle.vectors.device
+        self.quiet_low = None if bundle.statistics.quiet_low is None else self._tensor(bundle.statistics.quiet_low)
+
+    @torch.inference_mode()
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
+            ) -> Played:
+        """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
+        b, count = self.bundle, len(encoded.blocks)
+        generator, style = b.generator_and_style(encoded.text is not None)
+        gate = b.gate if self.activity < 1 else None
+        vectors = b.vectors
+        previous = b.rest_lexeme(self.speaker)
+        rest = b.rest_feature(self.speaker)
+        past = rest.expand(1, b.frames, -1)
+        state = free_state = generator.first_state(rest[None], vectors[[previous]])
+        inner = free = self.interpreter.start(self.speaker, previous)
+        style_state = style.start(self.speaker)
+        gate_state = None if gate is None else gate.start(self.speaker)
+        guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
+        low, high = self._tensor(b.statistics.bounds)
+        made = Played.empty(count, len(vectors), past.shape[1:], style.code_width)
+        resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
+        for i in range(count):
+            features = self._features(encoded, i, asked)
+            closed = self.activity == 0
+            if gate is not None and gate_state is not None:
+                made.gate[i], gate_state = gate.step(gate_state, features)
+                closed = not gate.opened(float(made.gate[i]), self.activity)
+            # Style guidance: beyond what the models do when asked, away from what they do unasked.
+            scores, inner = self.interpreter.step(inner, features, previous)
+            if asked is not None:
+                unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
+                scores = unasked + guidance * (scores - unasked)
+            quiet = closed or (features.silent and b.config.silence.mask)
+            previous = self._select(scores, b.silent if quiet else None)
+            if closed and self.quiet_low is not None:
+                # A block on which nothing is to be done is one on which nothing is said.
+                features = replace(features, low=self.quiet_low, silent=True)
+            code, style_state = style.step(style_state, features, previous)
+            audio, lexeme = generator.encode_audio(features.low[None]), vectors[[previous]]
+            control = None if features.control is None else features.control[None]
+            block, state, _ = generator.step(past, audio, lexeme, code, state, control=control)
+            if asked is not None:
+                unled, free_state, _ = generator.step(past, audio, lexeme, code, free_state)
+                block = unled + guidance * (block - unled)
+            resting = resting + 1 if quiet else 0
+            if resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
+                block = approach_rest(past[:, -1:], block, rest_decay)
+            # What it was never shown it must not feed itself: one odd pose would lead to the next.
+            past = torch.clamp(block, low, high)
+            made.motion[i], made.lexemes[i], made.codes[i] = past[0].cpu().numpy(), previous, code[0].cpu().numpy()
+            made.keep_best(i, scores)
+            if on_block is not None:
+                on_block(i + 1, count)
+        return made
+
+    def _select(self, scores: NDArray[np.float64], allowed: NDArray[np.int64] | None = None) -> int:
+        return select(scores, allowed=allowed, temperature=self.sampling.temperature, top=self.sampling.top or None,
+                      rng=self.rng)
+
+    def _tensor(self, values: NDArray) -> Tensor:
+        return torch.as_tensor(values, dtype=torch.float32, device=self.device)
+
+    def _features(self, encoded: SpeechFeatures, i: int, asked: NDArray[np.float32] | None) -> BlockFeatures:
+        s = self.bundle.statistics
+        return BlockFeatures(self._tensor(s.low.apply(encoded.low[i])), self._tensor(s.high.apply(encoded.high[i])),
+                             bool(encoded.blocks.silent[i]),
+                             None if encoded.text is None else self._tensor(encoded.text[i]),
+                             None if asked is None else self._tensor(asked[i]))
+
+
+class CodecRollout(Rollout):
+    """A performance of RACER's own: codes are chosen one by one and decoded together, without a generator (RACER 5.2).
+
+    There is no style, no gate and no silence in it; `activity` 0 holds the resting code.
+    """
+
+    @torch.inference_mode()
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
+            ) -> Played:
+        """Every code in turn; nothing can be asked of the style."""
+        codec = cast("RacerCodec", self.bundle.lexicon)
+        count = len(encoded.blocks)
+        rest = previous = self.bundle.rest_lexeme(self.speaker)
+        made = Played.empty(count, len(self.bundle.vectors), (0, 0), 0)
+        state = self.interpreter.start(self.speaker, previous)
+        for i in range(count):
+            scores, state = self.interpreter.step(state, self._features(encoded, i, asked), previous)
+            previous = self._select(scores)
+            made.lexemes[i] = previous = rest if self.activity == 0 else previous
+            made.keep_best(i, scores)
+            if on_block is not None:
+                on_block(i + 1, count)
+        # The resting code before the first: the codec then begins where the figure stands.
+        codes = torch.as_tensor(np.concatenate([[rest], made.lexemes]), device=self.device)[None]
+        return replace(made, motion=codec.decode_tokens(codes)[0, 1:].cpu().numpy())

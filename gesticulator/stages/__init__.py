@@ -1,0 +1,52 @@
+"""The stages of training, in the order in which they are run: one table.
+
+Each entry stands in a file of its own, with its name, what it needs, the settings that shape it, how it is built and
+how it is trained. A new stage is one file and one entry here; it changes the seed of no other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from gesticulator.bundle import Bundle, TextSource, rest_distances
+from gesticulator.config import Config
+from gesticulator.stages.base import Node, Run, Stage, closure
+from gesticulator.stages.corpus import BLOCKS, Corpus
+from gesticulator.stages.features import CORPUS
+from gesticulator.stages.gate import GATE
+from gesticulator.stages.generator import GENERATOR
+from gesticulator.stages.interpreter import INTERPRETER, INTERPRETER_TEXT
+from gesticulator.stages.labels import LABELS, Labelled
+from gesticulator.stages.lexicon import CODEC, LEXICON, TOKENS, Tokens
+from gesticulator.stages.q_network import EPISODES, Q_NETWORK
+from gesticulator.stages.reward import REWARD, REWARD_JUDGE
+from gesticulator.stages.speech import CONTRAST, ENCODER, SPEECH
+from gesticulator.stages.style import STYLE, STYLE_TEXT
+
+STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
+    SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, REWARD, REWARD_JUDGE, Q_NETWORK, GENERATOR,
+    STYLE, STYLE_TEXT)}
+
+__all__ = ["BLOCKS", "CODEC", "CONTRAST", "CORPUS", "ENCODER", "EPISODES", "GATE", "GENERATOR", "INTERPRETER",
+           "INTERPRETER_TEXT", "LABELS", "LEXICON", "Q_NETWORK", "REWARD", "REWARD_JUDGE", "SPEECH", "STAGES", "STYLE",
+           "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run", "Stage", "Tokens", "assemble", "closure",
+           "wanted"]
+
+
+def wanted(config: Config) -> list[Stage[Any]]:
+    """The stages that these settings ask for, in order."""
+    return [stage for stage in STAGES.values() if stage.wanted(config)]
+
+
+def assemble(run: Run, provenance: dict[str, Any] | None = None, leave_out: Sequence[Stage[Any]] = ()) -> Bundle:
+    """Every part that the settings ask for, but for some, trained where it is not yet, as a bundle."""
+    corpus, labelled, tokens = run.get(CORPUS), run.get(LABELS), run.get(TOKENS)
+    parts = {stage.part: run.get(stage) for stage in wanted(run.config)
+             if stage.part and stage not in leave_out}
+    encoder = run.get(ENCODER)
+    if encoder is not None:
+        parts["encoder"] = encoder
+    return Bundle(run.config, corpus.statistics, labelled.silent, labelled.inventory, tokens.vectors,
+                  rest_distances(tokens, corpus.statistics), parts, provenance or {}, dict(run.figures),
+                  TextSource.of(run.config, corpus.text_width))

@@ -1,0 +1,77 @@
+"""The lexeme interpreter (RG 6.1) with text, or from audio alone (RG 6.3); taught the silent hint."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from gesticulator import fit as fitting
+from gesticulator import models
+from gesticulator.config import Config
+from gesticulator.stages.base import Figures, Run, Stage
+from gesticulator.stages.features import CORPUS
+from gesticulator.stages.labels import LABELS, model_sizes
+from gesticulator.stages.lexicon import LEXICON
+from gesticulator.stages.windows import Windows, sequences, validation
+from interpreters.lstm import LstmInterpreter
+
+
+def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInterpreter], text: bool) -> Figures:
+    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
+    parts = sequences(corpus, labelled.hinted, "train", labelled.style_numbers, text)
+    windows = Windows(corpus, parts, config.window, text=text,
+                      control=config.control if config.interpreter.use_control else None)
+    checks = validation(corpus, labelled.hinted, config.window, text)
+
+    def as_labels(batch: fitting.Batch) -> fitting.Batch:
+        return {**batch, "lexeme": batch["lexeme_index"]}
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        right, nll, count = 0.0, 0.0, 0.0
+        for batch in checks:
+            b = {key: value.to(run.device) for key, value in as_labels(batch).items()}
+            logits, _ = model.scores(b["lexeme"][:, :-1], b["audio_high"][:, 1:], b["speaker"], None,
+                                     b["text"][:, 1:] if text else None)
+            valid, wanted = b["valid"][:, 1:], b["lexeme"][:, 1:]
+            right += float(((logits.argmax(-1) == wanted) * valid).sum())
+            nll -= float((torch.log_softmax(logits, -1).gather(-1, wanted[..., None])[..., 0] * valid).sum())
+            count += float(valid.sum())
+        return {"accuracy": right / count, "nll": nll / count}
+
+    task = fitting.Task(lambda rng: as_labels(windows.sample(rng, run.schedule(stage).batch)), validate=validate)
+    return run.fit(stage, model, task, folder)
+
+
+_SHAPED_BY = ("window", "control", "silence.hint")
+
+INTERPRETER: Stage[LstmInterpreter] = Stage(
+    "interpreter", settings=(lambda config: config.interpreter.without_text(), *_SHAPED_BY),
+    needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="interpreter",
+    wanted=lambda config: config.tokens == "lexicon", part="interpreter",
+    build=lambda run: models.interpreter(model_sizes(run)),
+    train=lambda run, model, folder: _train(run, model, folder, INTERPRETER, False))
+
+
+def init_from_audio_only(config: Config) -> bool:
+    """The interpreter that reads the words starts from the weights of the one that hears alone, and is then trained by
+    a schedule of its own; else it is trained from nothing, as the audio-only one is."""
+    return config.schedules.interpreter_text.steps > 0
+
+
+def _build_text(run: Run) -> LstmInterpreter:
+    model = models.interpreter_text(model_sizes(run))
+    if init_from_audio_only(run.config):
+        model.init_from_audio_only(run.get(INTERPRETER))
+    return model
+
+
+INTERPRETER_TEXT: Stage[LstmInterpreter] = Stage(
+    "interpreter_text", settings=("interpreter", "text", *_SHAPED_BY),
+    needs=lambda config: (CORPUS, LEXICON, LABELS, *((INTERPRETER,) if init_from_audio_only(config) else ())),
+    schedule="interpreter_text", schedule_of=lambda config: (
+        config.schedules.interpreter_text if init_from_audio_only(config) else config.schedules.interpreter),
+    wanted=lambda config: config.tokens == "lexicon" and bool(config.text.encoder) and config.interpreter.reads,
+    part="interpreter_text", build=_build_text,
+    train=lambda run, model, folder: _train(run, model, folder, INTERPRETER_TEXT, True))

@@ -1,0 +1,158 @@
+"""What names gestures: the lexicon of blocks at the beat (RG 5.1), or RACER's own codec at a fixed rate (RACER 4.1)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.errors import InputError
+from gesticulator import fit as fitting
+from gesticulator import models
+from gesticulator.config import Config
+from gesticulator.stages.base import Figures, Node, Run, Stage
+from gesticulator.stages.corpus import BLOCKS, Corpus, sizes
+from lexicon.autoencoder import Lexicon
+from lexicon.quantizer import perplexity
+from lexicon.racer import RacerCodec
+from lexicon.settings import FRAMES
+
+Tokens = Lexicon | RacerCodec
+"""What names the gesture of a block: the lexicon of blocks at the beat, or RACER's own codec at a fixed rate."""
+
+_MOTION = ("motion.representation", "motion.least_deviation")
+"""What shapes the motion of the corpus."""
+_TOGETHER = 4096
+"""Blocks that are decoded in one go: bounds the memory."""
+
+
+def _train_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
+    corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
+    known, val = (torch.as_tensor(corpus.select(split)) for split in ("train", "val"))
+    recording = torch.as_tensor(corpus.recording)
+
+    def make_batch(rng: np.random.Generator) -> fitting.Batch:
+        index = known[torch.as_tensor(rng.integers(len(known), size=settings.batch))]
+        return {"motion": corpus.motion[index], "mask": corpus.mask[recording[index]]}
+
+    begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
+
+    def before_step(step: int) -> None:
+        if step == begin:
+            model.start_codebook(corpus.motion[known].to(run.device), run.seed(LEXICON))
+
+    def validate() -> Figures:
+        return lexicon_figures(model, corpus.motion[val if len(val) else known].to(run.device))
+
+    return run.fit(LEXICON, model, fitting.Task(make_batch, validate=validate, before_step=before_step), folder)
+
+
+LEXICON: Stage[Lexicon] = Stage(
+    "lexicon", settings=("lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
+    wanted=lambda config: config.tokens == "lexicon", part="lexicon", train=_train_lexicon,
+    build=lambda run: models.lexicon(sizes(run.config, run.get(BLOCKS))))
+
+
+@torch.no_grad()
+def lexicon_figures(lexicon: Lexicon, motion: Tensor) -> Figures:
+    """Mean squared errors (normalised features) with and without quantisation, usage and perplexity.
+
+    motion: [B, K, D_m].
+    """
+    latents = lexicon.latents(motion)
+    labels = lexicon.quantizer.labels(latents)
+    quantised = torch.cat([lexicon.decode(lexicon.vectors[part]) for part in labels.split(_TOGETHER)])
+    plain = torch.cat([lexicon.decode(part) for part in latents.split(_TOGETHER)])
+    size = lexicon.quantizer.size
+    return {"quantised": float((quantised - motion).pow(2).mean()),
+            "unquantised": float((plain - motion).pow(2).mean()),
+            "usage": float((torch.bincount(labels, minlength=size) > 0).float().mean()),
+            "perplexity": perplexity(labels, size)}
+
+
+def _starts(corpus: Corpus, split: str, length: int) -> NDArray[np.int64]:
+    """Every block of a split that `length` - 1 more of its recording follow."""
+    starts = [corpus.blocks_of(r)[:1 - length] for r in corpus.recordings(split) if len(corpus.blocks_of(r)) >= length]
+    if not starts:
+        raise InputError("store", f"has no recording of {length} codes in its {split} split",
+                         "build it from longer recordings")
+    return np.concatenate(starts)
+
+
+def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
+    """On windows of as many codes as a decision sees (120 frames in the paper)."""
+    corpus, length, settings = run.get(BLOCKS), run.config.cql.decisions, run.schedule(CODEC)
+    known = _starts(corpus, "train", length)
+    held = (_starts(corpus, "val", length) if corpus.recordings("val") else known)[::length]
+    motion, frames = corpus.motion.flatten(0, 1), torch.arange(length * FRAMES)
+
+    def crops(starts: NDArray[np.int64]) -> Tensor:
+        return motion[torch.as_tensor(starts)[:, None] * FRAMES + frames]
+
+    def make_batch(rng: np.random.Generator) -> fitting.Batch:
+        chosen = rng.choice(known, settings.batch)
+        return {"motion": crops(chosen), "mask": corpus.mask[torch.as_tensor(corpus.recording[chosen])]}
+
+    def before_step(step: int) -> None:
+        if step == 0:
+            model.start_codebook(crops(known[::length]).to(run.device), run.seed(CODEC))
+
+    return run.fit(CODEC, model, fitting.Task(make_batch, before_step=before_step, validate=lambda: codec_figures(
+        model, crops(held).to(run.device))), folder)
+
+
+@torch.no_grad()
+def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
+    """As `lexicon_figures`, of motion [B, T, D_m]."""
+    latents = model.encode(true)
+    labels = model.quantizer.labels(latents.flatten(0, 1))
+    made = model.decode(model.vectors[labels].unflatten(0, latents.shape[:2]))
+    return {"quantised": float((made - true).pow(2).mean()),
+            "unquantised": float((model.decode(latents) - true).pow(2).mean()),
+            "usage": float((torch.bincount(labels, minlength=model.quantizer.size) > 0).float().mean()),
+            "perplexity": perplexity(labels, model.quantizer.size)}
+
+
+CODEC: Stage[RacerCodec] = Stage(
+    "codec", settings=("racer", "cql.decisions", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
+    wanted=lambda config: config.tokens == "racer", part="lexicon", train=_train_codec,
+    build=lambda run: models.codec(sizes(run.config, run.get(BLOCKS))))
+
+
+def _of(config: Config) -> Stage[Lexicon] | Stage[RacerCodec]:
+    return CODEC if config.tokens == "racer" else LEXICON
+
+
+TOKENS: Node[Tokens] = Node("tokens", settings=(), needs=lambda config: (_of(config),),
+                            make=lambda run: run.get(CODEC) if run.config.tokens == "racer" else run.get(LEXICON))
+"""The lexicon or the codec, whichever the settings name."""
+
+
+def decoded_lexemes(lexicon: Lexicon) -> Tensor:
+    """[S, K, D_m] what each lexeme looks like."""
+    with torch.no_grad():
+        return lexicon.decode(lexicon.vectors)
+
+
+@torch.no_grad()
+def decoded_blocks(tokens: Tokens, labels: NDArray[np.int64], corpus: Corpus) -> Tensor:
+    """[N, K, D_m] every block as its lexeme shows it."""
+    if isinstance(tokens, Lexicon):
+        return decoded_lexemes(tokens)[torch.as_tensor(labels)]
+    rows = [tokens.decode_tokens(torch.as_tensor(labels[corpus.blocks_of(r)])[None])[0]
+            for r in range(len(corpus.names))]
+    return torch.cat(rows)
+
+
+def token_labels(tokens: Tokens, corpus: Corpus) -> NDArray[np.int64]:
+    """[N] the lexeme of every block."""
+    if isinstance(tokens, Lexicon):
+        return tokens.label(corpus.motion).numpy()
+    out = np.empty(len(corpus.motion), dtype=np.int64)
+    for recording in range(len(corpus.names)):
+        blocks = corpus.blocks_of(recording)
+        out[blocks] = tokens.label(corpus.motion[torch.as_tensor(blocks)].flatten(0, 1)[None])[0].numpy()
+    return out

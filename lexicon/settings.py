@@ -1,0 +1,69 @@
+"""Sizes and weights of the two codecs of motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from data_module.settings import NotNegative, SettingChoice, Share, Width, Widths
+
+HALVINGS = 3
+"""Times that the encoder of RACER's codec halves the frame rate."""
+FRAMES = 2**HALVINGS
+"""Frames per code of RACER's codec."""
+
+Codebook = Annotated[str, SettingChoice(("ema", "gradient"))]
+
+
+@dataclass(frozen=True)
+class LexiconConfig:
+    """Sizes and weights of the lexicon; the defaults are the paper's where it gives them."""
+
+    size: Width = 50
+    """N_s, lexemes in the lexicon (50 Trinity and Chinese, 100 TED)."""
+    code_width: Width = 192
+    """Width of a lexeme."""
+    widths: Widths = (64, 128, 156, 192)
+    """Channels of the four convolutions."""
+    kernel: Width = 3
+    """Frames that a convolution sees."""
+    codebook: Codebook = "ema"
+    """"ema", or "gradient" for the literal third term of Eq. 3."""
+    decay: Share = 0.99
+    """Of the moving average of a lexeme, per step."""
+    revive_below: NotNegative = 1.0
+    """A lexeme used less often than this per batch, on average, is revived."""
+    commitment: NotNegative = 1.0
+    """w_alpha of Eq. 3."""
+    codebook_weight: NotNegative = 1.0
+    """w_beta of Eq. 3 (only the gradient codebook has that term)."""
+    velocity: NotNegative = 0.0
+    """Weight of the L1 error of velocities; off in the paper."""
+    acceleration: NotNegative = 0.0
+    """Weight of the L1 error of accelerations; off in the paper."""
+    warm_up: Share = 0.3
+    """Share of the training run as a plain autoencoder, before k-means starts the codebook."""
+
+
+@dataclass(frozen=True)
+class RacerConfig:
+    """Sizes and weights of the codec; the defaults are the paper's where it gives them (RACER 5.2)."""
+
+    width: Width = 512
+    """C, channels of every layer and width of a code."""
+    size: Width = 512
+    """N, codes in the codebook."""
+    dilations: Widths = (1, 3, 9)
+    """Of the residual blocks of a stage, in the encoder's order; the decoder reverses them."""
+    velocity: NotNegative = 1.0
+    """alpha_1 of Eq. 5."""
+    acceleration: NotNegative = 1.0
+    """alpha_2 of Eq. 5."""
+    commitment: NotNegative = 0.1
+    """beta of Eq. 4."""
+    codebook: Codebook = "ema"
+    """"ema", or "gradient" for the literal second term of Eq. 4."""
+    decay: Share = 0.99
+    """Of the moving average of a code, per step."""
+    revive_below: NotNegative = 1.0
+    """A code used less often than this per batch (64 x 15 codes in the paper), on average, is revived."""

@@ -1,0 +1,32 @@
+"""Recordings made by rule: bursts of noise of different loudness, and slow paths of arms and head."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
+from data_module.store import Recording, RecordingInfo, Split
+from data_module.types import Motion, Speech
+
+RATE, FPS = 16000, 60.0
+
+
+def recording(name: str, seed: int, seconds: float = 20.0, split: Split = "train") -> Recording:
+    """Bursts of different loudness, and arms and a head on slow paths of their own."""
+    rng = np.random.default_rng(seed)
+    samples = 1e-4 * rng.normal(size=round(seconds * RATE))
+    at = 0.3
+    while at < seconds - 2.6:
+        length = rng.uniform(0.15, 0.5)
+        piece = slice(int(at * RATE), int((at + length) * RATE))
+        samples[piece] += 10 ** rng.uniform(-1.6, -0.4) * rng.normal(size=piece.stop - piece.start)
+        at += length + rng.choice([0.08, 0.2, 1.6], p=[0.5, 0.4, 0.1])
+    time = np.arange(round(seconds * FPS)) / FPS
+    maps = np.zeros((len(time), len(CHARACTER), 3))
+    for joint in ("LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head"):
+        speed, phase, size = rng.uniform(0.3, 2.0, (3, 3)), rng.uniform(0, 6, (3, 3)), rng.normal(0, 0.3, (3, 3))
+        maps[:, CHARACTER.index(joint)] = (size * np.sin(speed * time[:, None, None] + phase)).sum(axis=1)
+    motion = Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((len(time), 3)), FPS)
+    info = RecordingInfo(name, split, "anna", "voice", "en")
+    return Recording(info, Speech(samples.clip(-1, 1).astype(np.float32), RATE), motion)

@@ -1,0 +1,273 @@
+"""The product as a programmer calls it: what may be given, what comes back, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import subprocess
+import sys
+import typing
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+import torch
+from performances import perform
+from untrained import PLAIN, untrained
+
+import gesticulator
+from data_module.controls import Controls, Curve
+from data_module.errors import InputError
+from data_module.motion import rotation
+from data_module.motion.bvh import read_bvh
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import HIP_HEIGHT
+from data_module.types import Speech, Word
+from gesticulator.inputs import amplified, as_speech
+from gesticulator.options import InferenceArguments, InferenceOptions
+from gesticulator.performance import Performance
+from gesticulator.pipeline import Gesticulator
+
+RATE = 16000
+
+
+@pytest.fixture(scope="module")
+def g() -> Gesticulator:
+    """A bundle that was never trained, with every part."""
+    return Gesticulator(untrained())
+
+
+def voice(seconds: float = 2.0, rate: int = RATE) -> np.ndarray:
+    """Bursts of a voice at 130 Hz, three a second."""
+    t = np.arange(round(seconds * rate)) / rate
+    return (0.2 * np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
+            ).astype(np.float32)
+
+
+def same(one: Performance, two: Performance) -> bool:
+    return (np.array_equal(one.motion.rotations, two.motion.rotations) and np.array_equal(one.scores, two.scores)
+            and np.array_equal(one.lexemes, two.lexemes))
+
+
+# -------------------------------------------------------------------------------------------------- the names
+
+def test_the_top_has_every_name_and_imports_nothing_for_it() -> None:
+    code = ("import sys, gesticulator\n"
+            "assert not {'torch', 'numpy', 'librosa'} & set(sys.modules)\n"
+            "for name in gesticulator.__all__: assert getattr(gesticulator, name) and name in dir(gesticulator)\n"
+            "assert gesticulator.Speech.__name__ == 'Speech' and gesticulator.Motion.__name__ == 'Motion'\n"
+            "try: gesticulator.nothing\nexcept AttributeError as error: assert 'nothing' in str(error)\n"
+            "else: raise SystemExit('no error')")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert gesticulator.Gesticulator is Gesticulator and gesticulator.InputError is InputError
+
+
+def test_the_arguments_are_the_fields_of_the_options() -> None:
+    fields = {field.name: field.type for field in dataclasses.fields(InferenceOptions)}
+    assert fields == InferenceArguments.__annotations__ or list(fields) == list(InferenceArguments.__annotations__)
+    assert InferenceArguments.__total__ is False
+    # The types are written twice: as text they must be the same.
+    told = {name: getattr(kind, "__forward_arg__", kind) for name, kind in InferenceArguments.__annotations__.items()}
+    assert told == fields
+    assert typing.get_origin(InferenceArguments) is None
+
+
+# ------------------------------------------------------------------------------------------- what may be given
+
+def test_a_path_samples_and_a_speech_are_one(g: Gesticulator, tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "speech.wav", voice(), RATE, subtype="FLOAT")
+    base = g(Speech(voice(), RATE))
+    for made in (g(tmp_path / "speech.wav"), g(str(tmp_path / "speech.wav")), g(voice(), RATE),
+                 g(io.BytesIO((tmp_path / "speech.wav").read_bytes())),
+                 g(voice().astype(np.float64), float(RATE)), g(np.stack([voice(), voice()], axis=1), RATE),
+                 g(torch.as_tensor(voice()), RATE)):
+        assert same(made, base)
+
+
+@pytest.mark.parametrize(("kind", "full"), [("int16", 2**15), ("int32", 2**31), ("uint8", 2**7), ("int8", 2**7)])
+def test_whole_numbers_are_divided_by_full_scale(kind: str, full: int) -> None:
+    wave = np.linspace(-1, 0.99, RATE)
+    offset = full if kind.startswith("u") else 0
+    given = (np.round(wave * full) + offset).astype(kind)
+    np.testing.assert_allclose(as_speech(given, RATE).samples, wave, atol=0.51 / full + 1e-7)
+    assert as_speech(np.full(RATE, np.iinfo(kind).min, kind), RATE).samples.min() == -1.0
+
+
+def test_channels_are_averaged_and_loud_samples_clipped() -> None:
+    stereo = np.stack([np.full(RATE, 0.5), np.full(RATE, -0.1)], axis=1)
+    np.testing.assert_allclose(as_speech(stereo, RATE).samples, 0.2, atol=1e-7)
+    assert as_speech(np.full(RATE, 1.5, np.float32), RATE).samples.max() == 1.0
+
+
+@pytest.mark.parametrize(("samples", "rate", "said"), [
+    (np.zeros(RATE, np.float32), None, "sample_rate: is lacking"), (np.zeros(RATE, np.float32), 0, "sample_rate 0"),
+    (np.zeros(RATE, np.float32), float("nan"), "sample_rate nan"), (np.zeros(100, np.float32), RATE, "too short"),
+    (np.zeros(0, np.float32), RATE, "too short"), (np.zeros((2, RATE), np.float32), RATE, "samples first"),
+    (np.zeros((RATE, 0), np.float32), RATE, "samples first"), (np.zeros((2, 2, RATE)), RATE, "shaped"),
+    (np.zeros(RATE, complex), RATE, "complex"), (np.full(RATE, "a"), RATE, "numbers"),
+    (np.full(RATE, np.nan, np.float32), RATE, "full scale"), (np.full(RATE, 20000.0), RATE, "full scale is 1"),
+    (np.zeros(RATE, np.float32), 16000.5, "out of range"),
+])
+def test_samples_that_cannot_be_used(samples: np.ndarray, rate: float | None, said: str, g: Gesticulator) -> None:
+    with pytest.raises(InputError, match=said):
+        g(samples, rate)
+
+
+def test_a_rate_beside_a_file_is_refused(g: Gesticulator, tmp_path: Path) -> None:
+    for given in (tmp_path / "speech.wav", Speech(voice(), RATE)):
+        with pytest.raises(InputError, match="knows its own"):
+            g(given, RATE)
+
+
+def test_a_list_gives_a_list(g: Gesticulator) -> None:
+    one, two = voice(1.0), voice(1.5)
+    made = g([one, two], RATE, seed=2)
+    assert [type(each) for each in made] == [Performance, Performance]
+    assert same(made[0], g(one, RATE, seed=2)) and same(made[1], g(two, RATE, seed=2))
+    assert g([]) == []
+    texts = g((Speech(one, RATE), Speech(two, RATE)), text=["heavy bread", None])
+    assert texts[0].speech.words and not texts[1].speech.words
+    for wrong, said in ((["a"], "1 entries for 2"), ("a text", "one for 2 recordings")):
+        with pytest.raises(InputError, match=said):
+            g([one, two], RATE, text=wrong)  # type: ignore[call-overload]
+
+
+def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: Path) -> None:
+    spoken = "тяжёлый хлеб медленно поднимается"  # the aligner knows English alone, so the times are guessed
+    (tmp_path / "words.txt").write_text(spoken, encoding="utf-8")
+    said, read = g(voice(), RATE, text=spoken), g(voice(), RATE, text=tmp_path / "words.txt")
+    assert same(said, read) and said.notes == read.notes and "4 words" in said.notes[0]
+    assert [word.text for word in said.speech.words or () if word.text] == spoken.split()
+    assert not same(said, g(voice(), RATE))
+    for name in (str(tmp_path / "words.txt"), "nowhere.srt"):
+        with pytest.raises(InputError, match="is the name of a file"):
+            g(voice(), RATE, text=name)
+    for empty in ("", "  \n", "..."):
+        with pytest.raises(InputError, match="has no words"):
+            g(voice(), RATE, text=empty)
+
+
+# ----------------------------------------------------------------------------------------------------- options
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"seed": -1}, "seed -1: is out of range"), ({"seed": 1.5}, "seed 1.5"), ({"seed": None}, "seed None"),
+    ({"seed": True}, "seed True"), ({"temperature": float("nan")}, "temperature nan"),
+    ({"temperature": float("inf")}, "temperature inf"), ({"temperature": "warm"}, "temperature 'warm'"),
+    ({"fps": float("nan")}, "fps nan"), ({"fps": 0}, "fps 0"), ({"fps": None}, "fps None"),
+    ({"activity": 1.5}, "activity 1.5"), ({"gain": 100}, "gain 100"), ({"speaker": "nobody"}, "speaker nobody"),
+    ({"interpreter": "oracle"}, "interpreter oracle"), ({"hand_height": "sky"}, "hand_height 'sky'"),
+    ({"hand_speed": -1.0}, "hand_speed -1.0"), ({"hand_height": float("nan")}, "hand_height nan"),
+    ({"hand_radius": Path("nowhere.csv")}, "nowhere.csv"),
+    ({"hand_height": 0.1, "controls": Controls()}, "one or other"),
+])
+def test_options_out_of_range_are_input_errors(options: dict[str, typing.Any], said: str, g: Gesticulator) -> None:
+    with pytest.raises(InputError, match=said):
+        g(voice(), RATE, **options)
+
+
+def test_an_unknown_option_is_pythons_own_error(g: Gesticulator) -> None:
+    with pytest.raises(TypeError, match="speeed"):
+        g(voice(), RATE, speeed=1)  # type: ignore[call-overload]
+
+
+def test_hands_are_arguments_in_every_form(g: Gesticulator, tmp_path: Path) -> None:
+    levels = g.bundle.levels
+    assert levels is not None
+    high = levels.value("height", "high")
+    (tmp_path / "curve.csv").write_text(f"time,value\n0,{high}\n1,{high}\n")
+    base = g(voice(), RATE, controls=Controls(height=high))
+    for asked in ("high", high, repr(high), Curve((0.0, 1.0), (high, high)), tmp_path / "curve.csv",
+                  np.float64(high)):
+        assert same(g(voice(), RATE, hand_height=asked), base), asked
+    assert not same(g(voice(), RATE), base)
+    two = g(voice(), RATE, hand_height="high", hand_speed=0.8)
+    assert not same(two, base) and same(two, g(voice(), RATE, controls=Controls(height=high, speed=0.8)))
+
+
+def test_perform_takes_the_options_as_one_object(g: Gesticulator) -> None:
+    options = InferenceOptions(seed=4, temperature=1.5, fps=25, hand_speed="low")
+    assert same(g.perform(Speech(voice(), RATE), options),
+                g(voice(), RATE, seed=4, temperature=1.5, fps=25, hand_speed="low"))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        options.seed = 5  # type: ignore[misc]
+
+
+def test_gain_is_decibels() -> None:
+    speech = Speech(np.linspace(-0.2, 0.2, RATE, dtype=np.float32), RATE, (Word("a", 0, 1),))
+    np.testing.assert_allclose(amplified(speech, 6.0206).samples, 2 * speech.samples, rtol=1e-5)
+    assert amplified(speech, 40).samples.max() == 1.0 and amplified(speech, 40).words == speech.words
+    assert amplified(speech, 0) is speech
+
+
+# ----------------------------------------------------------------------------------------------------- devices
+
+@pytest.mark.parametrize("device", ["cuda", "nonsense", "cuda:99"])
+def test_a_device_that_is_not_there_is_one_line(device: str) -> None:
+    if device == "cuda" and torch.cuda.is_available():
+        pytest.skip("it is there")
+    with pytest.raises(InputError, match=f"device {device}") as refused:
+        Gesticulator(untrained(*PLAIN), device)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("interpreter", ["lstm", "cql", "statistical"])
+def test_every_tensor_is_made_on_the_models_device(g: Gesticulator, interpreter: str) -> None:
+    # Where no device is told, tensors are now made on "meta", which holds no numbers and mixes with no other device.
+    spoken = Speech(voice(), RATE, (Word("heavy", 0.2, 0.6), Word("bread", 0.6, 1.1)))
+    encoded = g.encode_speech(spoken)
+    base = g(spoken, interpreter=interpreter, hand_height=0.2, activity=0.6, encoded=encoded)
+    with torch.device("meta"):
+        assert same(g(spoken, interpreter=interpreter, hand_height=0.2, activity=0.6, encoded=encoded), base)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
+def test_a_gpu_plays_the_same_lexemes() -> None:
+    near, far = (Gesticulator(untrained(), device)(voice(), RATE, hand_height=0.2) for device in ("cpu", "cuda"))
+    assert np.array_equal(near.lexemes, far.lexemes)
+    assert rotation.angle_between(near.rotations, far.rotations).max() < 1e-2
+
+
+# -------------------------------------------------------------------------------------------- what comes back
+
+def test_positions_are_those_of_the_file(tmp_path: Path) -> None:
+    performance = perform()
+    positions = performance.positions()
+    assert performance.save(tmp_path / "new" / "g.bvh") == tmp_path / "new" / "g.bvh", "folders are made"
+    back = read_bvh(tmp_path / "new" / "g.bvh")
+    np.testing.assert_allclose(positions, positions_of(back), atol=1e-6)
+    assert performance.joints == back.skeleton.names and performance.fps == pytest.approx(back.fps)
+    assert positions[0, 0, 1] == pytest.approx(HIP_HEIGHT)
+    assert np.linalg.norm(performance.rotations, axis=-1) == pytest.approx(1)
+    # The T-pose: arms level along X, left at +X, the head above the hips.
+    still = dataclasses.replace(performance, motion=dataclasses.replace(
+        performance.motion, rotations=np.tile([1.0, 0, 0, 0], (len(performance.motion), 16, 1))))
+    where = dict(zip(still.joints, still.positions()[0], strict=True))
+    assert where["LeftHand"][0] > 0.6 and where["RightHand"][0] < -0.6
+    assert where["Head"][1] - where["Hips"][1] == pytest.approx(0.615)
+
+
+def test_saving_picks_the_format_and_makes_no_folder_for_an_unknown_one(tmp_path: Path) -> None:
+    assert json.loads(perform().save(tmp_path / "g.JSON").read_text())["score"] == "log-probability"
+    with pytest.raises(InputError, match="fbx"):
+        perform().save(tmp_path / "new" / "g.fbx")
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:
+    made = g(voice(), RATE, seed=3, hand_height="low", hand_speed=Curve((0.0, 1.0), (0.2, 0.4)), activity=0.5, fps=25,
+             interpreter="cql", text="тяжёлый хлеб")
+    told = json.loads(json.dumps(made.explain()))
+    levels = g.bundle.levels
+    assert levels is not None and told["score"] == "Q value" and told["notes"] == list(made.notes)
+    assert told["made_by"]["gesticulator"] == gesticulator.__version__
+    assert told["made_by"]["settings"] == {
+        "speaker": "ann", "interpreter": "cql", "words": True, "seed": 3, "activity": 0.5, "fps": 25.0, "gain": 0.0,
+        "temperature": g.bundle.config.selection.q_temperature, "hand_height": levels.value("height", "low"),
+        "hand_speed": {"times": [0.0, 1.0], "values": [0.2, 0.4]}}
+    # What was done can be done again from it.
+    again = {name: value for name, value in told["made_by"]["settings"].items() if name != "words"}
+    again["hand_speed"] = Curve(*map(tuple, again["hand_speed"].values()))
+    assert same(g(made.speech, **again), made)

@@ -1,0 +1,66 @@
+"""One clip measured: speeds, silence, rhythm beside its chance, errors beside the truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import CHARACTER, from_vector
+from data_module.types import Motion, Speech
+from eval.clip import ClipMeasurement, measure, motion_values, rhythm
+
+
+def moving(fps: float, seconds: float = 3.0) -> Motion:
+    t = np.arange(round(seconds * fps)) / fps
+    pose = np.zeros((len(t), len(CHARACTER), 3))
+    pose[:, CHARACTER.index("RightForeArm"), 1] = np.sin(2 * np.pi * t)
+    return from_vector(pose.reshape(len(t), -1), fps)
+
+
+def test_what_is_measured_of_motion() -> None:
+    speed, silent = np.array([[1.0, 3.0], [2.0, 2.0], [0.5, 0.1]]), np.array([False, False, True])
+    beats = np.array([0.5, 1.0, 1.5])
+    clip = ClipMeasurement(beats, beats, 3.0, speed, silent, np.zeros(3))
+    values = motion_values(clip, moving(60.0), moving(60.0, seconds=4.0), seed=0)
+    assert values["speech_speed"] == 2.0 and values["silence_speed"] == pytest.approx(0.3)
+    assert values["pmb_above_chance"] == pytest.approx(100.0)
+    assert values["maje"] == values["mad"] == 0.0, "the longer one is cut"
+    assert motion_values(clip, moving(60.0), moving(30.0), seed=0)["maje"] < 5.0, "one rate for both"
+    still = dataclasses.replace(moving(60.0), rotations=np.repeat(moving(60.0).rotations[:1], 180, axis=0))
+    assert motion_values(clip, still, moving(60.0), seed=0)["maje"] > 1.0
+    nobody = dataclasses.replace(clip, silent=np.zeros(3, bool))
+    assert math.isnan(motion_values(nobody, moving(60.0), moving(60.0), seed=0)["silence_speed"])
+
+
+def test_speeds_are_metres_per_second_and_silence_is_told_apart() -> None:
+    rate, fps = 16000, 60.0
+    t = np.arange(round(8 * fps)) / fps
+    pose = np.zeros((len(t), len(CHARACTER), 3))
+    moving = t < 4
+    pose[:, CHARACTER.index("RightForeArm"), 1] = np.where(moving, np.sin(2 * np.pi * t), 0.0)
+    motion = from_vector(pose.reshape(len(t), -1), fps)
+    rng = np.random.default_rng(0)
+    sound = 1e-4 * rng.normal(size=8 * rate)
+    at = np.arange(4 * rate) / rate
+    syllables = np.clip(np.sin(2 * np.pi * 3 * at), 0, 1)  # a steady hum would be taken for the room
+    sound[:4 * rate] += 0.2 * syllables * np.sign(np.sin(2 * np.pi * 120 * at))
+    clip = measure(motion, Speech(sound.astype(np.float32), rate))
+    hand = positions_of(motion)[:, CHARACTER.index("RightHand")]
+    by_hand = np.linalg.norm(np.diff(hand, axis=0), axis=1) * fps
+    np.testing.assert_allclose(clip.hand_speed[:, 0], by_hand, atol=1e-9)
+    assert 0.25 * np.pi * 2 * 0.6 < by_hand.max() < 0.25 * np.pi * 2 * 1.01, "a 25 cm forearm, 1 rad at 1 Hz"
+    silent = np.flatnonzero(clip.silent) / fps
+    assert 4.75 < silent.min() < 5.1, "silence settles a second after the last syllable, which ends at 3.83 s"
+
+
+def test_motion_in_time_is_above_chance_and_motion_at_random_is_not() -> None:
+    onsets = np.cumsum(np.random.default_rng(0).uniform(0.2, 0.6, 100))
+    found = rhythm(onsets + 0.02, onsets, 60.0)
+    assert found.pmb == 100.0 and found.above_chance == pytest.approx(100.0) and found.p_value < 0.01
+    other = rhythm(np.cumsum(np.random.default_rng(1).uniform(0.2, 0.6, 100)), onsets, 60.0)
+    assert abs(other.above_chance) < 15 and other.p_value > 0.01
+    assert math.isnan(rhythm(np.zeros(0), onsets, 60.0).above_chance)

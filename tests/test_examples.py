@@ -1,0 +1,84 @@
+"""Every example does what its first line says, on a short recording and with the shipped weights."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from data_module.motion import rotation
+from data_module.motion.bvh import read_bvh
+from data_module.motion.kinematics import positions_of
+from gesticulator import Gesticulator
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+SECONDS = 4.0
+RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples"}
+NEEDS_MORE = {"make_speech"}
+"""Examples that need a program that is not installed with the tests."""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first seconds of the example recording."""
+    samples, rate = soundfile.read(EXAMPLES / "speech.flac", frames=round(SECONDS * 16000))
+    path = tmp_path_factory.mktemp("recordings") / "a.flac"
+    soundfile.write(path, samples, rate)
+    return path
+
+
+def example(name: str) -> Callable[..., None]:
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.main
+
+
+def test_every_example_is_run_here() -> None:
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == RUN | NEEDS_MORE
+
+
+def test_a_file_to_bvh(recording: Path, tmp_path: Path) -> None:
+    example("file_to_bvh")(str(recording), str(tmp_path / "g.bvh"), str(tmp_path / "g.html"))
+    assert read_bvh(tmp_path / "g.bvh").duration == pytest.approx(SECONDS, abs=0.02)
+    assert (tmp_path / "g.html").stat().st_size > 100_000
+
+
+def test_samples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("samples")(str(tmp_path / "g.bvh"))
+    assert read_bvh(tmp_path / "g.bvh").duration == pytest.approx(4.0, abs=0.02)
+    assert "240 frames at 60" in capsys.readouterr().out
+
+
+def test_a_folder(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (recording.parent / "broken.wav").write_bytes(b"no sound")
+    example("folder")(str(recording.parent), str(tmp_path / "out"))
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.bvh"]
+    assert "broken.wav: is not sound" in capsys.readouterr().err
+
+
+def test_direction(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("direct")(str(recording), "Heavy bread rises slowly", str(tmp_path / "calm.bvh"),
+                      str(tmp_path / "rising.bvh"))
+    calm, rising = (positions_of(read_bvh(tmp_path / f"{name}.bvh")) for name in ("calm", "rising"))
+    joints = read_bvh(tmp_path / "calm.bvh").skeleton
+    heights = [pose[:, joints.index("RightHand"), 1] - pose[:, 0, 1] for pose in (calm, rising)]
+    half = len(heights[0]) // 2
+    assert heights[1][half:].mean() > heights[0][half:].mean() + 0.1, "asked high, against asked low"
+    assert capsys.readouterr().out.count("right hand over the hips") == 2
+
+
+def test_rotations_for_an_engine(recording: Path, tmp_path: Path) -> None:
+    example("own_engine")(str(recording), str(tmp_path / "frames.jsonl"))
+    frames = [json.loads(line) for line in (tmp_path / "frames.jsonl").read_text().splitlines()]
+    gesture = Gesticulator.from_pretrained()(recording, fps=30)
+    assert len(frames) == round(SECONDS * 30) and frames[30]["time"] == 1.0
+    assert all(tuple(frame["bones"]) == gesture.joints for frame in frames)
+    poses = np.array([list(frame["bones"].values()) for frame in frames])
+    assert rotation.angle_between(poses[..., [3, 0, 1, 2]], gesture.rotations).max() < 1e-4, "w is the last one"

@@ -1,0 +1,68 @@
+"""Style guidance: what is asked is followed further than the models do, away from what they do unasked (RG 7.2.1)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from untrained import SILENT, untrained
+
+from data_module.types import Speech
+from gesticulator.bundle import Bundle
+from gesticulator.config import with_settings
+from gesticulator.pipeline import Gesticulator
+from gesticulator.rollout import Played, Sampling, rollout
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    """A bundle that was never trained, hears control, and has wide bounds: nothing is clamped."""
+    made = dataclasses.replace(untrained(f"lexicon.size={max(SILENT) + 1}"), silent=np.array([2]))
+    bounds = np.array([[-1e6], [1e6]]) * np.ones_like(made.statistics.bounds)
+    return dataclasses.replace(made, statistics=dataclasses.replace(made.statistics, bounds=bounds))
+
+
+def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0.1) -> Played:
+    """The first blocks with guidance; the same sound each time, all of it silent where noise is 0."""
+    config = with_settings(bundle.config, [f"selection.guidance={guidance}", "silence.rest_decay=0"])
+    own = dataclasses.replace(bundle, config=config)
+    system = Gesticulator(own)
+    samples = noise * np.random.default_rng(0).normal(size=20_000).astype(np.float32)
+    encoded = dataclasses.replace(system.encode_speech(Speech(samples.astype(np.float32), 16000)), text=None)
+    blocks = len(encoded.blocks)
+    rows = np.ones((blocks, own.frames, 6), np.float32) if asked else None
+    return rollout(own, system.interpreter("lstm"), 0, Sampling(0.0, 0, 0), 1.0).run(encoded, rows)
+
+
+def scores(made: Played) -> np.ndarray:
+    """[S] scores of the first block, by lexeme."""
+    out = np.full(made.best.max() + 1, np.nan)
+    out[made.best[0]] = made.scores[0]
+    return out
+
+
+def test_scores_go_on_from_unasked_to_asked(bundle: Bundle) -> None:
+    none, plain, five = (scores(played(bundle, g)) for g in (0, 1, 5))
+    assert not np.allclose(none, plain, equal_nan=True), "what is asked is heard"
+    kept = ~np.isnan(none + plain + five)
+    assert kept.sum() >= 4
+    np.testing.assert_allclose(five[kept], (none + 5 * (plain - none))[kept], rtol=1e-9)
+    np.testing.assert_allclose(none, scores(played(bundle, 5, asked=False)), err_msg="0 is what is done unasked")
+
+
+def test_motion_goes_on_from_unasked_to_asked(bundle: Bundle) -> None:
+    # In silence every performance takes the one silent lexeme, so the first blocks differ by guidance alone.
+    none, plain, five = (played(bundle, g, noise=0.0) for g in (0, 1, 5))
+    assert none.lexemes[0] == plain.lexemes[0] == five.lexemes[0] == 2
+    first = [made.motion[0].astype(np.float64) for made in (none, plain, five)]
+    assert np.abs(first[1] - first[0]).max() > 1e-4, "what is asked is heard"
+    np.testing.assert_allclose(first[2], first[0] + 5 * (first[1] - first[0]), atol=1e-5)
+    unasked = played(bundle, 5, asked=False, noise=0.0)
+    np.testing.assert_array_equal(first[0], unasked.motion[0])
+
+
+def test_guidance_has_no_say_where_nothing_is_asked(bundle: Bundle) -> None:
+    one, two = (played(bundle, g, asked=False) for g in (1, 5))
+    np.testing.assert_array_equal(one.motion, two.motion)
+    np.testing.assert_array_equal(one.scores, two.scores)

@@ -1,0 +1,306 @@
+"""Interpreters as policies: every quantity by hand, the policies on stand-ins, the probe on random networks."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from untrained import with_policies
+
+from data_module.errors import InputError
+from data_module.layers import freeze
+from data_module.store import Store
+from eval import policy
+from eval.baselines import Random, ReplayInterpreter
+from eval.context import EvalContext
+from eval.metrics import gesture_features
+from eval.policy import Decisions, Policy, PolicyJudge
+from eval.probes import policies
+from eval.rows.row import DECISIONS, VALUES
+from eval.stats import Interval
+from eval.table import Marked
+from gesticulator import bundle as bundles
+from interpreters.episodes import Demonstration
+from interpreters.reward import RewardConfig, RewardModel, RewardTable
+
+SIZE = 4
+
+
+# ------------------------------------------------------------------------------------------------------- quantities
+
+def test_the_return_is_the_mean_over_all_windows() -> None:
+    rewards = np.array([1.0, 2.0, 3.0, 4.0])
+    assert policy.episode_return(rewards, 2) == pytest.approx((3 + 5 + 7) / 3)
+    assert policy.episode_return(rewards, 4) == 10.0
+    assert math.isnan(policy.episode_return(rewards, 5))
+    assert policy.episode_return(np.full(40, 0.5)) == 7.5, "15 steps"
+
+
+def test_regret_asks_for_the_best_that_was_allowed() -> None:
+    rewards = np.array([[0.1, 0.5, 0.9], [0.2, 0.0, 0.4]])
+    allowed = np.array([[True, True, False], [True, True, True]])
+    assert policy.regret(rewards, np.array([1, 0]), allowed) == pytest.approx((0.0 + 0.2) / 2)
+    assert policy.regret(rewards, np.array([1, 0]), np.ones((2, 3), bool)) == pytest.approx((0.4 + 0.2) / 2)
+    assert policy.regret(rewards, rewards.argmax(1), np.ones((2, 3), bool)) == 0.0
+
+
+def test_returns_to_go_are_discounted_to_the_end() -> None:
+    np.testing.assert_allclose(policy.return_to_go(np.array([1.0, 2.0, 4.0]), 0.5), [3.0, 4.0, 4.0])
+    np.testing.assert_allclose(policy.return_to_go(np.ones(200), 0.99)[0], (1 - 0.99 ** 200) / 0.01)
+
+
+def test_conservative_gaps_by_hand() -> None:
+    q = np.array([[0.0, math.log(3.0), 100.0], [2.0, 2.0, 2.0]])
+    allowed = np.array([[True, True, False], [True, True, True]])
+    nll, gap = policy.conservative_gaps(q, np.array([0, 2]), allowed)
+    assert nll == pytest.approx((math.log(4.0) + math.log(3.0)) / 2)
+    assert gap == pytest.approx((math.log(3.0) + 0.0) / 2)
+    # A number that is added to all values of a state changes neither.
+    moved = q + np.array([[7.0], [-3.0]])
+    assert policy.conservative_gaps(moved, np.array([0, 2]), allowed) == pytest.approx((nll, gap))
+
+
+def test_ranks_are_compared_and_not_values() -> None:
+    rising = np.array([1.0, 2.0, 3.0, 4.0])
+    assert policy.rank_correlation(rising, np.exp(rising)) == pytest.approx(1.0)
+    assert policy.rank_correlation(rising, -rising ** 3) == pytest.approx(-1.0)
+    # rho = 1 - 6 sum d^2 / (n (n^2 - 1)), d = 0, 1, 1, 0.
+    assert policy.rank_correlation(rising, np.array([1.0, 3.0, 2.0, 4.0])) == pytest.approx(1 - 12 / 60)
+    assert math.isnan(policy.rank_correlation(rising, np.ones(4)))
+    assert math.isnan(policy.rank_correlation(rising[:1], rising[:1]))
+
+
+def test_silence_counts_silent_blocks_only() -> None:
+    lexemes, silent = np.array([0, 1, 2, 2, 3]), np.array([False, True, True, True, False])
+    assert policy.silent_share(lexemes, silent, np.array([2, 3])) == pytest.approx(200 / 3)
+    assert math.isnan(policy.silent_share(lexemes, np.zeros(5, bool), np.array([2])))
+
+
+def test_what_is_allowed_is_never_nothing() -> None:
+    silent = np.array([False, True])
+    assert policy.allowed_lexemes(silent, np.array([1, 3]), SIZE).tolist() == [[True] * 4, [False, True, False, True]]
+    assert policy.allowed_lexemes(silent, np.array([], dtype=np.int64), SIZE).all()
+
+
+# --------------------------------------------------------------------------------------------------------- policies
+
+def decisions(lexemes: list[int], silent: list[int] | None = None) -> Decisions:
+    """One recording with these lexemes, silent at these blocks; lexemes 2 and 3 are silent ones."""
+    count = len(lexemes)
+    quiet = np.isin(np.arange(count), silent or [])
+    corpus = SimpleNamespace(low=torch.zeros(count, 3, 1), high=torch.zeros(count, 3, 1), silent=quiet)
+    take = Demonstration(5, 0, np.arange(count), np.array(lexemes), quiet)
+    return Decisions(corpus, [take], np.array([2, 3]), True, SIZE)  # type: ignore[arg-type]
+
+
+class Next:
+    """The number after the previous lexeme's, and the silence of the block where it is asked to tell."""
+
+    def start(self, speaker: int, first_lexeme: int) -> list[int]:
+        return [first_lexeme]
+
+    def step(self, state: list[int], features: Any, previous_lexeme: int) -> tuple[np.ndarray, list[int]]:
+        scores = np.zeros(SIZE)
+        scores[(previous_lexeme + 1) % SIZE] = 1.0
+        return scores, [*state, previous_lexeme]
+
+
+def test_a_policy_lives_on_its_own_past_or_on_the_performers() -> None:
+    own = decisions([0, 0, 3, 1, 1])
+    free, scores = policy.walk(Policy(Next()), own, own.takes[0])
+    assert free.tolist() == [0, 1, 2, 3, 0] and scores.argmax(1).tolist() == [1, 2, 3, 0]
+    forced, _ = policy.walk(Policy(Next()), own, own.takes[0], teacher=True)
+    assert forced.tolist() == [0, 1, 1, 0, 2], "each after the performer's"
+    assert own.takes[0].lexemes.tolist() == [0, 0, 3, 1, 1]
+
+
+def test_silence_leaves_silent_lexemes() -> None:
+    own = decisions([0, 0, 3, 1, 1], silent=[1, 4])
+    free, _ = policy.walk(Policy(Next()), own, own.takes[0])
+    assert free.tolist() == [0, 2, 3, 0, 2]
+    unmasked = dataclasses.replace(own, masked=False)
+    assert policy.walk(Policy(Next()), unmasked, own.takes[0])[0].tolist() == [0, 1, 2, 3, 0]
+
+
+def test_draws_repeat_and_differ_between_recordings() -> None:
+    own = decisions([0] * 60, silent=list(range(30, 60)))
+    chooser = Policy(Random(SIZE), 1.0)
+    first, again = (policy.walk(chooser, own, own.takes[0])[0] for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    assert set(first[:30]) == {0, 1, 2, 3} and set(first[30:]) == {2, 3}
+    other = dataclasses.replace(own.takes[0], recording=6)
+    assert not np.array_equal(first, policy.walk(chooser, own, other)[0])
+
+
+def test_what_is_told_is_played_in_turn() -> None:
+    told = ReplayInterpreter([np.array([3, 1]), np.array([2])], SIZE)
+    state = told.start(0, 0)
+    played = []
+    for _ in range(2):
+        scores, state = told.step(state, None, 0)  # type: ignore[arg-type]
+        played.append(int(scores.argmax()))
+    scores, _ = told.step(told.start(0, 0), None, 0)  # type: ignore[arg-type]
+    assert [*played, int(scores.argmax())] == [3, 1, 2]
+
+
+def reward_of(own: Decisions, window: int = 3) -> RewardTable:
+    torch.manual_seed(0)
+    count = len(own.takes[0].blocks)
+    model = RewardModel(RewardConfig(width=8, projection=4, window=window, dropout=0.0), 2, 3, 2)
+    return RewardTable(freeze(model), torch.randn(count, 2, 2), torch.zeros(count), torch.randn(SIZE, 2, 3))  # type: ignore[arg-type]
+
+
+def test_greedy_has_no_regret_and_forced_greedy_is_the_best_after_the_performer() -> None:
+    own = decisions([0, 1, 2, 3, 3, 1, 0, 2], silent=[3, 4])
+    rewards, take = reward_of(own), own.takes[0]
+    best = policy.greedy(rewards, own, take)
+    each, allowed = policy.every_reward(rewards, take, best), own.allowed(take)[1:]
+    assert policy.regret(each, best[1:], allowed) == pytest.approx(0.0, abs=1e-6)
+    assert best[0] == 0 and set(best[3:5]) <= {2, 3}
+    for lexemes in (take.lexemes, policy.walk(Policy(Next()), own, take)[0]):
+        assert policy.regret(policy.every_reward(rewards, take, lexemes), lexemes[1:], allowed) > 0.01
+    forced = policy.greedy(rewards, own, take, teacher=True)
+    expected = np.where(allowed, policy.every_reward(rewards, take, take.lexemes), -np.inf).argmax(1)
+    assert forced[1:].tolist() == expected.tolist()
+
+
+class ByTable:
+    """An lstm whose probabilities are those of a table [S, S], by the lexeme before."""
+
+    speakers = 1
+
+    def __init__(self, table: np.ndarray) -> None:
+        self.table = torch.as_tensor(table).log()
+
+    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor) -> tuple[Tensor, None]:
+        assert audio.shape[:2] == previous.shape and speaker.shape == (1, 1)
+        return self.table[previous], None
+
+
+def test_the_behaviour_is_that_of_the_lstm_among_what_is_allowed() -> None:
+    table = np.array([[0.1, 0.2, 0.3, 0.4], [0.005, 0.595, 0.3, 0.1], [0.25] * 4, [0.25] * 4])
+    own = decisions([0, 1, 0, 2], silent=[3])
+    got = policy.behaviour(ByTable(table), own, own.takes[0], own.takes[0].lexemes)  # type: ignore[arg-type]
+    np.testing.assert_allclose(got, [0.2, 0.005, 0.3 / 0.7])
+    assert (got < policy.RARE).tolist() == [False, True, False]
+
+
+def test_values_of_a_take_by_hand() -> None:
+    own = decisions([0, 1, 0, 2], silent=[3])
+    free, forced = np.array([0, 1, 1, 2]), np.array([0, 1, 3, 3])
+    table = np.array([[0.1, 0.2, 0.3, 0.4], [0.8, 0.001, 0.199, 0.0], [0.25] * 4, [0.25] * 4])
+    judge = PolicyJudge(own, {"": reward_of(own)}, ByTable(table), [np.array([0, 1, 2])])  # type: ignore[arg-type]
+    values = judge.lexeme_values(own.takes[0], free, forced)
+    assert values["accuracy"] == pytest.approx(200 / 3) and values["teacher_forced"] == pytest.approx(100 / 3)
+    assert values["lexeme_diversity"] == pytest.approx(-(2 / 3 * math.log(2 / 3) + 1 / 3 * math.log(1 / 3)))
+    assert values["longest_run"] == 2 and values["distinct_2"] == 1.0
+    assert values["rare"] == pytest.approx(100 / 3), "1 after 1"
+    assert values["unseen_bigrams"] == pytest.approx(100 / 3), "1 1 was never seen"
+    assert values["silent"] == 100.0
+    each = policy.every_reward(reward_of(own), own.takes[0], free)
+    assert values["cosine"] == pytest.approx(each[[0, 1, 2], [1, 1, 2]].mean()) and math.isnan(values["return"])
+
+
+class Knows:
+    """Q values that are the discounted returns of always moving on by one, plus a constant."""
+
+    def __init__(self, returns: np.ndarray, more: float) -> None:
+        self.returns, self.more = returns, more
+
+    def start(self, speaker: int, first_lexeme: int) -> int:
+        return 0
+
+    def step(self, state: int, features: Any, previous_lexeme: int) -> tuple[np.ndarray, int]:
+        scores = np.full(SIZE, self.returns[state] + self.more - 1.0)
+        scores[(previous_lexeme + 1) % SIZE] += 1.0
+        return scores, state + 1
+
+
+def test_values_that_know_the_return_are_calibrated() -> None:
+    own = decisions([0, 1, 2, 3, 0, 1, 2, 3])  # what the policy does too
+    rewards, take = reward_of(own), own.takes[0]
+    got = policy.taken(policy.every_reward(rewards, take, take.lexemes), take.lexemes[1:])
+    returns = policy.return_to_go(got, 0.9)
+    for more in (0.0, 2.5):
+        judge = PolicyJudge(own, {}, None, [])  # type: ignore[arg-type]
+        q = judge.score_values(Policy(Knows(returns, more)), take, rewards, 0.9)
+        assert q["calibration"] == pytest.approx(more) and q["spearman"] == pytest.approx(1.0)
+        assert q["gap"] == pytest.approx(0.0) and q["nll"] == pytest.approx(math.log(math.e + 3) - 1)
+
+
+    assert math.isnan(judge.score_values(Policy(Knows(returns, 0.0)), take, None, 0.9)["calibration"]), "logits"
+
+
+def test_accuracy_of_known_interpreters() -> None:
+    own = decisions([0, 1, 2, 3, 0, 0, 2, 3])  # after each lexeme the next one, but for the second 0 and the 2
+    right = [1, 1, 1, 1, 0, 0, 1]
+    assert policy.accuracy(Next(), own, own.takes[0], teacher=True) == pytest.approx(100 * sum(right) / 7)
+    free = [1, 2, 3, 0, 1, 2, 3]
+    assert policy.accuracy(Next(), own, own.takes[0], teacher=False) == pytest.approx(
+        100 * np.mean(np.array(free) == own.takes[0].lexemes[1:]))
+
+
+# -------------------------------------------------------------------------------------------------------- the probe
+
+def test_means_over_blocks_and_over_recordings() -> None:
+    def row(*values: float) -> dict[str, np.ndarray]:
+        return {key: np.array(values) for part in policies.PARTS.values() for key in part}
+
+    rows = {"lstm": row(0.0, 10.0), "statistical": row(0.0, 0.0), "cql": row(4.0, 14.0)}
+    for table, columns in zip(policies.compared(rows, [1, 3]), policies.PARTS.values(), strict=True):
+        assert list(table.rows) == ["lstm", "statistical", "cql", "cql - lstm", "cql - statistical"]
+        for key, column in columns.items():
+            lstm, apart = (table.rows[name][key] for name in ("lstm", "cql - lstm"))
+            assert isinstance(lstm, Interval) and lstm.mean == (7.5 if column.by_blocks else 5.0)
+            assert apart == Interval(4.0, 4.0, 4.0, 2), "paired"
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("policies")
+
+
+@pytest.fixture(scope="module")
+def bundle(tiny_store: Path, work: Path) -> bundles.Bundle:
+    """Nobody trained it."""
+    return with_policies(Store.open(tiny_store), work)
+
+
+def test_the_tables_of_a_bundle_with_random_networks(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> None:
+    by = [gesture_features.RawFeatures(frames, count=1) for frames in (10, 20)]
+    tables = policies.policies(EvalContext(Store.open(tiny_store), bundle, work, 2, False), by)
+    names = ["performer", "lstm", "lstm arg max", "statistical", "cql", "majority", "random", "greedy"]
+    mean: dict[str, dict[str, float]] = {name: {} for name in (*names, "cql - lstm", "cql - statistical")}
+    for table in tables[:len(policies.PARTS)]:
+        assert list(table.rows) == list(mean)
+        for name, row in table.rows.items():
+            mean[name] |= {key: cell.mean for key, cell in row.items() if isinstance(cell, Interval)}
+    assert mean["performer"]["accuracy"] == mean["performer"]["teacher_forced"] == 100.0
+    assert mean["greedy"]["regret"] == pytest.approx(0.0, abs=1e-5)
+    assert mean["greedy"]["judge_regret"] > 0 < mean["random"]["regret"]
+    assert mean["majority"]["lexeme_diversity"] < mean["random"]["lexeme_diversity"]
+    assert all(mean[name]["silent"] == 100.0 for name in names)
+    assert mean["lstm"]["lexeme_diversity"] != mean["lstm arg max"]["lexeme_diversity"], "one samples"
+    assert len({mean[name]["maje"] for name in names}) == len(names), "other lexemes, other motion"
+    assert mean["cql - lstm"]["cosine"] == pytest.approx(mean["cql"]["cosine"] - mean["lstm"]["cosine"])
+    distance, q = tables[-2:]
+    assert len(distance.columns) == 2 and len(q.rows) == len(DECISIONS[VALUES])
+    for key in distance.columns:
+        own = {name: cell.value if isinstance(cell, Marked) else cell
+               for name, cell in ((name, row[key]) for name, row in distance.rows.items())}
+        assert own["cql - lstm"].mean == pytest.approx(own["cql"].mean - own["lstm"].mean)  # type: ignore[union-attr]
+    nll, gap = (q.rows[DECISIONS[VALUES][key].title]["mean"] for key in ("nll", "gap"))
+    assert isinstance(nll, Interval) and isinstance(gap, Interval) and nll.mean >= gap.mean >= 0
+
+
+@pytest.mark.parametrize("lacking", ["q_network", "reward", "reward_judge", "interpreter"])
+def test_what_lacks_a_part_is_refused(tiny_store: Path, bundle: bundles.Bundle, work: Path, lacking: str) -> None:
+    with pytest.raises(InputError, match="Q-network"):
+        policies.policies(EvalContext(Store.open(tiny_store), bundle.with_parts(**{lacking: None}), work, 1, False), [])

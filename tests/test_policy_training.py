@@ -1,0 +1,147 @@
+"""RACER's rows: what each kind learns from, that training repeats, and what it is judged by."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from untrained import with_policies
+
+from data_module.errors import InputError
+from data_module.store import Store
+from eval import policy_training as training
+from eval.policy_training import RacerContext
+from eval.rows.racer import ROWS, twins
+from gesticulator.config import with_settings
+from interpreters.actor_critic import ActorCritic
+from interpreters.cql import ConservativeQ, QNetwork
+from interpreters.episodes import BEHAVIOURS, Episode, Episodes
+
+PRESET = ("cql.width=8", "cql.layers=3", "cql.heads=2", "cql.decisions=6", "cql.copy_every=2",
+          "schedules.cql.steps=4", "schedules.cql.batch=4")
+
+
+def test_another_reward_is_brought_to_the_scale_of_the_data() -> None:
+    rng = np.random.default_rng(0)
+    count, size = 40, 5
+    actions = rng.integers(size, size=count)
+    silent, terminal = np.zeros(count, bool), np.zeros(count, bool)
+    one = Episode(0, 0, np.arange(count), actions, np.zeros(count, np.int8), np.zeros(count, np.float32),
+                  rng.normal(0.6, 0.1, count).astype(np.float32), silent, terminal)
+    table = torch.as_tensor(-rng.random((count, size)) * 30, dtype=torch.float32)
+    scaled = training.rescaled(table, Episodes([one]))
+    own = scaled.numpy()[np.arange(count), actions][1:]
+    assert own.mean() == pytest.approx(one.reward[1:].mean(), abs=1e-5)
+    assert own.std() == pytest.approx(one.reward[1:].std(), abs=1e-5)
+    assert torch.equal(scaled.argsort(1), table.argsort(1)), "no order changes"
+    known = training.TabledReward(scaled)
+    assert torch.equal(known.sequence_every(torch.zeros(3), torch.tensor([4, 5, 6])), scaled[4:7])
+    assert torch.equal(known.every(torch.zeros(1, 2), torch.tensor([[2, 3, 9]]), torch.ones(1, 3)), scaled[9:10])
+
+
+@pytest.fixture(scope="module")
+def context(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> RacerContext:
+    work, store = tmp_path_factory.mktemp("racer"), Store.open(tiny_store)
+    return RacerContext.of(store, with_policies(store, work), work, PRESET, 2, progress=False)
+
+
+def weights(module: torch.nn.Module) -> Tensor:
+    return torch.cat([parameter.detach().flatten() for parameter in module.parameters()])
+
+
+def test_exploration_falls_to_its_least_by_half_of_the_steps() -> None:
+    shares = [training.epsilon_at(step, 100) for step in range(100)]
+    assert shares[0] == 1.0 and shares[50:] == [training.LEAST_EPSILON] * 50 and shares == sorted(shares, reverse=True)
+
+
+def test_all_rows_of_a_seed_begin_alike(context: RacerContext) -> None:
+    first = [weights(context.untrained(f"racer-{name}", 1)) for name in ("cql", "dqn", "literal")]
+    assert torch.equal(first[0], first[1]) and torch.equal(first[0], first[2])
+    assert not torch.equal(first[0], weights(context.untrained("racer-cql", 2)))
+
+
+def test_what_acts_keeps_to_the_silent_mask(context: RacerContext) -> None:
+    network = context.untrained("racer-cql", 1).eval()
+    actor = ActorCritic(context.untrained("racer-cql", 1))
+    blocks = torch.as_tensor(np.flatnonzero(~context.corpus.silent)[:64])[:, None]
+    for quiet in (False, True):
+        seen = {"block": blocks, "previous": torch.zeros(len(blocks), 1, dtype=torch.int64),
+                "silent": torch.full((len(blocks), 1), quiet), "speaker": torch.zeros(len(blocks), dtype=torch.int64)}
+        rng = np.random.default_rng(0)
+        with torch.no_grad():
+            anything, best, drawn = (choose(seen) for choose in (
+                training.epsilon_greedy(network, context.corpus, 1.0, rng),
+                training.epsilon_greedy(network, context.corpus, 0.0, rng),
+                training.sampled(actor, context.corpus, rng)))
+            values = training.latest(network, context.corpus, seen)
+        for chosen in (anything, best, drawn):
+            assert chosen.shape == (len(blocks),)
+            assert not quiet or np.isin(chosen.numpy(), context.bundle.silent).all()
+        assert torch.equal(best, network.choose(values, seen["silent"][:, 0]))
+        assert quiet or len(anything.unique()) > len(best.unique())
+
+
+def test_each_kind_learns_from_its_own(context: RacerContext) -> None:
+    def batch_of(name: str) -> dict[str, Tensor]:
+        row, config = ROWS[f"racer-{name}"], context.config(f"racer-{name}")
+        learner = training.TRAININGS[row.training](context, config, context.untrained(f"racer-{name}", 1), 1)
+        assert isinstance(learner.model, ActorCritic if row.training == "actor-critic" else ConservativeQ)
+        learner.model.before_step(0)
+        got, again = (learner.make_batch(np.random.default_rng(5)) for _ in range(2))
+        assert all(torch.equal(value, again[key]) for key, value in got.items())
+        return got
+
+    batch = {name: batch_of(name) for name in ("cql", "literal", "distance", "dqn", "actor-critic")}
+    assert (batch["literal"]["behaviour"] == 0).all()
+    for name in ("dqn", "actor-critic"):
+        assert (batch[name]["behaviour"] == BEHAVIOURS.index("sampled")).all() and (batch[name]["cloned"] == 0).all()
+    assert torch.equal(batch["cql"]["action"], batch["distance"]["action"]), "the same was done, it is paid otherwise"
+    assert not torch.equal(batch["cql"]["reward"], batch["distance"]["reward"])
+    rewards = [np.concatenate([e.reward[1:] for e in training.rewarded(context, context.config(f"racer-{name}"))[0]
+                               .episodes]) for name in ("cql", "distance")]
+    assert rewards[0].mean() == pytest.approx(rewards[1].mean(), abs=1e-4)
+    assert rewards[0].std() == pytest.approx(rewards[1].std(), abs=1e-4)
+
+
+def test_the_actor_begins_as_the_supervised_network(context: RacerContext) -> None:
+    supervised, _ = training.trained(context, "racer-supervised", 1)
+    learner = training.actor_critic(context, context.config("racer-actor-critic"),
+                                    context.untrained("racer-cql", 1), 1)
+    assert isinstance(learner.model, ActorCritic) and isinstance(supervised, QNetwork)
+    assert torch.equal(weights(learner.model.actor), weights(supervised))
+
+
+@pytest.mark.parametrize("name", ["racer-cql", "racer-dqn", "racer-actor-critic"])
+def test_training_repeats_and_is_kept(context: RacerContext, name: str) -> None:
+    file = context.run.work / f"{name}-{context.key(name, 1)}" / "weights.safetensors"
+    first = weights(training.trained(context, name, 1)[0])
+    stored = file.read_bytes()
+    assert torch.equal(first, weights(training.trained(context, name, 1)[0])), "as it was read"
+    file.unlink()
+    assert torch.equal(first, weights(training.trained(context, name, 1)[0])), "as it was trained again"
+    assert file.read_bytes() == stored
+    assert not torch.equal(first, weights(training.trained(context, name, 2)[0]))
+
+
+def test_a_key_tells_what_shapes_a_row(context: RacerContext) -> None:
+    rows = set(twins(context.run.config).values())
+    keys = {context.key(name, seed) for name in rows for seed in (1, 2)}
+    assert len(keys) == 2 * len(rows)
+    longer = dataclasses.replace(context.run, config=with_settings(context.run.config, ["schedules.cql.steps=5"]))
+    assert dataclasses.replace(context, run=longer).key("racer-cql", 1) not in keys
+
+
+def test_only_values_are_calibrated(context: RacerContext) -> None:
+    assert context.valued("racer-supervised") is None is context.valued("racer-actor-critic")
+    assert context.valued("racer-cql") is context.valued("racer-dqn") is context.taught(context.run.config)
+    assert context.valued("racer-literal") is context.tables[""], "the paper's own reward is not centred"
+    assert isinstance(context.valued("racer-distance"), training.TabledReward)
+
+
+def test_a_bundle_without_a_judge_is_refused(context: RacerContext, tiny_store: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="reward models"):
+        RacerContext.of(Store.open(tiny_store), context.bundle.with_parts(reward_judge=None), tmp_path, PRESET)

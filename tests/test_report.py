@@ -1,0 +1,128 @@
+"""The report: it shows every table that lies there, says what is lacking, and leads to what is there."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from data_module.errors import InputError
+from eval import report
+from eval.commands import REPORT
+from eval.metrics import METRICS
+from eval.probes import PROBES
+from eval.stats import Interval
+from eval.table import Column, Table, save
+
+DOCS = Path(__file__).parent.parent / "docs"
+SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><path d="M0 0L9 9"/></svg>'
+STORE = {"store": {"name": "made up", "fingerprint": "f" * 64}}
+
+
+def one(title: str, value: float, facts: dict[str, Any] | None = None) -> Table:
+    """A table of one cell, with a row that would break another."""
+    rows = {"ours | mine": {"x": Interval(value, value - 1, value + 1, 3)}, "none": {"x": Interval.undefined()}}
+    return Table(title, {"x": Column("figure", "mm", 1)}, rows, facts=facts or {})
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """A folder of results as the commands leave it, without the probe of languages."""
+    folder = tmp_path / "docs" / "results"
+    save([one("Claims", 1.0, {"count": {"holds": 3, "does not hold": 1}})], folder / "claims.json")
+    save([one("RG Table 1 (test)", 12.5, STORE), one("RG Table 2 (test)", 13.5)], folder / "ablation" / "table.json")
+    save([one("Vigour", 14.5), Table("Flags", {}, {}, facts={"flags": [
+        {"metric": "jerk", "title": "joint jerk, m/s^3", "control": "reversed", "says": "is not told"}]})],
+        folder / "score.json")
+    for number, name in enumerate(report.probe_files()):
+        if name != "languages":
+            save([one(f"of {name}", 100.0 + number)], folder / f"{name}.json")
+    for file, paper, numbers in (("figure-18", "RG Fig. 18", {"size-10": {"fgd": 1.5, "pmb": float("nan")}}),
+                                 ("figure-5", "RG Fig. 5 and 8a", {"p": {"of": list(range(99))}})):
+        (folder / "ablation" / f"{file}.json").write_text(json.dumps({
+            "figure": paper, "title": f"what {file} shows", "caption": f"A caption of {file}.", "numbers": numbers}))
+    (folder / "ablation" / "figure-18.svg").write_text(SVG)
+    (folder / "limits.md").write_text("# Limits\n\nIt was made by rule, see [the gate](gate.md).\n")
+    return folder
+
+
+def test_every_table_is_there_under_its_heading(results: Path) -> None:
+    text = report.document(report.gather(results), results.parent / "report")
+    sections = dict(re.findall(r"^## ([^\n]+)\n(.*?)(?=^## |\Z)", text, flags=re.MULTILINE | re.DOTALL))
+    assert list(sections)[:3] == ["What this is", "Claims", "Tables"]
+    assert "12.5 [11.5, 13.5]" in sections["Tables"] and "### RG Table 2 (test)" in sections["Tables"]
+    assert "14.5 [13.5, 15.5]" in sections["Metrics and their controls"]
+    assert "**Of 4 claims: 3 holds, 1 does not hold.**" in sections["What this is"]
+    assert "joint jerk, m/s^3" in sections["What this is"] and "ffffffffffff" in sections["What this is"]
+    for number, (name, probe) in enumerate(report.probe_files().items()):
+        found = f"{100.0 + number:.1f} [" in sections["Other measurements"]
+        assert found == (name != "languages"), name
+        assert f"`gesticulator probe {probe}`" in sections["Other measurements"]
+    assert "`languages.json` (`gesticulator probe languages`)" in sections["Other measurements"]
+    assert "ours \\| mine" in text and "nan" not in text.split("## The metrics")[0].lower()
+    assert "[the gate](../results/gate.md)" in text, "links lead on from where the report lies"
+
+
+def test_figures_stand_in_the_papers_order_with_caption_and_numbers(results: Path) -> None:
+    text = report.document(report.gather(results), results.parent / "report")
+    assert text.index("### RG Fig. 5 and 8a:") < text.index("### RG Fig. 18:")
+    assert "![RG Fig. 18: what figure-18 shows](../results/ablation/figure-18.svg)" in text
+    assert "The picture is not there." in text and "A caption of figure-5." in text
+    assert "| size-10, fgd | 1.5" in text and "| size-10, pmb | - |" in text and "99 values, in the file" in text
+
+
+def test_the_contents_lead_to_every_heading(results: Path) -> None:
+    text = report.document(report.gather(results), results.parent / "report")
+    links = re.findall(r"\]\(#([^)]+)\)", text.split("## What this is")[0])
+    anchors = [anchor for level, _, anchor in report.headings(text) if level in (2, 3)]
+    assert links == anchors and len(set(links)) == len(links) > 20
+    assert report.headings("# A, b: c?\n\n## `x_y` z\n\n## `x_y` z\n\n```\n# no\n```\n") == [
+        (1, "A, b: c?", "a-b-c"), (2, "`x_y` z", "x_y-z"), (2, "`x_y` z", "x_y-z-1")]
+
+
+def test_the_chapters_are_the_docstrings(results: Path) -> None:
+    text = report.document(report.gather(results), results.parent / "report")
+    for metric in METRICS.values():
+        assert f"| {metric.title} |" in text
+    assert {f"metrics.{metric.chapter}" for metric in METRICS.values()} <= set(report.CHAPTERS)
+    assert "What fools it" in text.split("## The metrics")[1]
+
+
+@pytest.mark.parametrize("only", ["claims.json", "score.json", "ablation", "gate.json"])
+def test_any_part_may_be_alone_and_the_rest_is_named(results: Path, tmp_path: Path, only: str) -> None:
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    (shutil.copytree if (results / only).is_dir() else shutil.copy)(results / only, alone / only)
+    text = report.report(alone, tmp_path / "out").read_text()
+    assert text.count("is not there: `gesticulator ") >= 2
+    assert len(re.findall(r"`\w+\.json` \(`gesticulator probe", text)) == len(PROBES) - (only == "gate.json")
+
+
+def test_what_cannot_be_read_is_left_out_and_named(results: Path) -> None:
+    (results / "gate.json").write_text('{"tables": 3}')
+    (results / "ablation" / "figure-5.json").write_text("{")
+    text = report.document(report.gather(results), results.parent / "report")
+    assert "Cannot be read, so left out: `gate.json`, `ablation/figure-5.json`." in text and "RG Fig. 18" in text
+
+
+def test_nothing_at_all_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="holds no results"):
+        report.gather(tmp_path)
+    for folder, word in ((tmp_path, "holds no results"), (tmp_path / "not", "is not a folder")):
+        with pytest.raises(SystemExit) as left:
+            REPORT.main("gesticulator report", ["--results", str(folder), "--out", str(tmp_path / "out")])
+        told = capsys.readouterr().err
+        assert left.value.code == 2 and word in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_stored_results_are_all_shown(tmp_path: Path) -> None:
+    """What lies in docs/results is of this version: nothing is unreadable, and the same results give the same page."""
+    gathered = report.gather(DOCS / "results")
+    assert gathered.unreadable == []
+    page = report.report(DOCS / "results", tmp_path)
+    assert report.report(DOCS / "results", tmp_path).read_bytes() == page.read_bytes()

@@ -1,0 +1,377 @@
+"""Rows, cells, tables and claims: what is compared with what, and that tables of stored cells keep their values."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_module.errors import InputError
+from eval import ablate
+from eval.ablate import FIGURES
+from eval.cells import Cell, Cells, CellStore, summaries
+from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, SYSTEMS, TABLES, claims, racer, rg, tables
+from eval.rows.claims import CLAIMS, FAILS, HOLDS, UNDECIDED, Claim
+from eval.rows.row import COLUMNS, DECISIONS
+from eval.runner import AblationContext, configured
+from eval.stats import Interval
+from eval.table import Column, Table, dumps, load, loads, save
+from gesticulator import config as configs
+from gesticulator import presets
+from gesticulator.stages import (
+    CONTRAST,
+    GENERATOR,
+    INTERPRETER,
+    INTERPRETER_TEXT,
+    LEXICON,
+    SPEECH,
+    STYLE,
+    STYLE_TEXT,
+    Run,
+    Stage,
+)
+
+STORED = Path(__file__).parent / "data" / "cells"
+"""Three rows of a real run at three seeds, and the figures that they had when it was made."""
+STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
+    SPEECH, CONTRAST, LEXICON, INTERPRETER, INTERPRETER_TEXT, GENERATOR, STYLE, STYLE_TEXT)}
+
+
+# ------------------------------------------------------------------------------------------------------------- rows
+
+@pytest.mark.parametrize("preset", list(rg.PRESETS))
+def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
+    base = rg.PRESETS[preset]()
+    seen: dict[str, str] = {}
+    for name, row in rg.ROWS.items():
+        variant = json.dumps([configs.to_dict(configured(base, name)), row.interpreter, row.style, row.split])
+        assert variant not in seen, f"{name} is {seen.get(variant)} again"
+        seen[variant] = name
+        assert name == OURS or variant != json.dumps([configs.to_dict(base), "lstm", "interpreted", "test"])
+        assert row.question and row.training == "stages"
+
+
+def test_the_row_without_the_hint_lets_any_lexeme_sound_in_silence() -> None:
+    base = rg.ablation()
+    changed = configured(base, "no-hint").silence
+    assert base.silence.hint and base.silence.mask and not changed.hint and not changed.mask
+
+
+@pytest.mark.parametrize("name", ["default", "tiny"])
+def test_every_row_of_racer_is_another_and_trains_equally_long(name: str) -> None:
+    base = presets.preset(name)
+    seen: dict[str, list[str]] = {}
+    for row_name, row in racer.ROWS.items():
+        config = configs.with_settings(base, (*racer.PRESETS["ablation"], *row.settings))
+        assert (config.cql.width, config.schedules.cql.steps, config.schedules.cql.batch) == (64, 300, 32)
+        seen.setdefault(json.dumps([configs.to_dict(config), row.training]), []).append(row_name)
+    assert [own for own in seen.values() if len(own) > 1] == [
+        [racer.OURS, f"racer-alpha={base.cql.conservative:g}"]], "one alpha is ours already"
+    same = racer.twins(base)
+    assert {row for row, first in same.items() if row != first} == {f"racer-alpha={base.cql.conservative:g}"}
+
+
+def test_racers_rows_are_what_the_paper_says() -> None:
+    base = presets.preset("default")
+    of = {name.removeprefix("racer-"): configs.with_settings(base, row.settings) for name, row in racer.ROWS.items()}
+    assert of["supervised"].cql == dataclasses.replace(base.cql, temporal=0.0)
+    assert of["dqn"].cql == dataclasses.replace(base.cql, conservative=0.0, warm_up=0.0)
+    assert of["distance"].episodes == dataclasses.replace(base.episodes, reward="distance")
+    assert of["literal"].episodes.shares == presets.LITERAL.shares
+    assert of["alpha=10"].cql.conservative == 10.0 and of["cql"] == base
+    assert set(racer.PAPER) <= set(racer.ROWS) and "return" not in racer.PAPER["racer-distance"]
+
+
+def test_tables_hold_rows_and_columns_that_there_are() -> None:
+    for title, table in TABLES.items():
+        papers = {column.paper for column in table.columns.values()}
+        for line in table.lines:
+            assert line.row in (*ROWS, *REFERENCES, *SYSTEMS), title
+            assert line.row in (*REFERENCES, *SYSTEMS) or ROWS[line.row].split == table.split
+            if title in rg.TABLES:
+                assert set(line.paper) <= papers, f"a figure of the paper that {title} would not show"
+    assert {line.row for table in TABLES.values() for line in table.lines} >= set(ROWS)
+    assert dict(zip(("maje", "mad", "fgd", "pmb"), ((70.10, 30.07), (2.51, 3.53), (29.75, 5.22), (85.74, 83.10)),
+                    strict=True)) == TABLES["RG Table 1"].lines[6].paper, "w/o SC"
+
+
+def test_all_tables_and_figures_of_both_papers_are_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert ablate.main(["--list"]) == 0
+    shown = capsys.readouterr().out
+    for name in (*ROWS, *FIGURES, *REFERENCES, *CONTROLS):
+        assert re.search(rf"^{re.escape(name)} ", shown, re.MULTILINE), name
+    for number in (2, 5, 6, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18):
+        assert re.search(rf"RG Fig\. {number}\b", shown), number
+    for title in (*(f"RG Table {k}" for k in range(1, 8)), "RACER Table 1", "RACER Table 2", *TABLES):
+        assert title in shown
+    assert "--set rhythm.beats.rule=even" in shown
+
+
+# ---------------------------------------------------------------------------------------------- what a row trains
+
+def context_of(config: configs.Config) -> AblationContext:
+    """Keys alone: nothing is opened."""
+    store = SimpleNamespace(fingerprint="0" * 64, recordings=[])
+    return AblationContext(Run(config, store, Path()), [], Path())  # type: ignore[arg-type]
+
+
+def test_the_preset_hears_and_names_as_the_default_does() -> None:
+    ours, theirs = (context_of(config).first for config in (rg.ablation(), presets.preset("default")))
+    for name in ("speech", "contrast", "lexicon"):
+        assert ours.key(STAGES[name]) == theirs.key(STAGES[name]), "a finished stage of the default serves"
+    for stage in (GENERATOR, INTERPRETER, INTERPRETER_TEXT, STYLE):
+        assert ours.key(stage) != theirs.key(stage)
+        assert ours.schedule(stage).steps < theirs.schedule(stage).steps
+
+
+@pytest.mark.parametrize(("row", "same", "other"), [
+    ("no-style", "interpreter lexicon", "generator style"),
+    ("no-position", "interpreter lexicon", "generator style"),
+    ("audio-only", "generator style lexicon", "interpreter interpreter_text"),
+    ("style-reads", "generator interpreter interpreter_text lexicon", "style_text"),
+    ("statistical", "generator style interpreter lexicon", ""),
+    ("no-hint", "lexicon", "interpreter"),
+    ("no-augmentation", "interpreter lexicon", "generator style"),
+    ("no-segmentation", "", "lexicon generator interpreter style"),
+    ("no-lexemes", "", "lexicon generator interpreter style")])
+def test_a_row_trains_what_its_settings_change_and_nothing_else(row: str, same: str, other: str) -> None:
+    context = context_of(rg.ablation())
+    (_, mine), (_, theirs) = context.runs(row, 1), context.runs(OURS, 1)
+    for names, equal in ((same, True), (other, False)):
+        for name in names.split():
+            assert (mine.key(STAGES[name]) == theirs.key(STAGES[name])) == equal, name
+
+
+def test_a_seed_shares_speech_levels_and_lexicon_and_nothing_that_another_command_would_take_for_its_own() -> None:
+    config = rg.ablation()
+    context = context_of(config)
+    one, two = (context.runs(OURS, seed)[1] for seed in (config.seed, config.seed + 1))
+    assert one.key(LEXICON) == two.key(LEXICON) == context.first.key(LEXICON)
+    assert one.key(GENERATOR) == context.first.key(GENERATOR), "as the training command would"
+    plain = context_of(dataclasses.replace(config, seed=config.seed + 1)).first
+    assert two.key(GENERATOR) not in (one.key(GENERATOR), plain.key(GENERATOR))
+    cut = context.runs("no-segmentation", config.seed)[1]
+    alone = context_of(configured(config, "no-segmentation")).first
+    assert cut.key(GENERATOR) != alone.key(GENERATOR), "it hears through the speech encoder of all rows"
+    assert one.seed(GENERATOR) != two.seed(GENERATOR)
+
+
+# -------------------------------------------------------------------------------------------------------------- cells
+
+def cell(row: str, seed: int, value: float, clips: int = 2, key: str = "k", shared: str = "s") -> Cell:
+    """Every column is `value` on the first clip, one more on the next."""
+    columns = [*COLUMNS, *(key for part in DECISIONS.values() for key in part)]
+    return {"row": row, "seed": seed, "key": key, "shared": shared, "question": "?", "settings": [],
+            "seconds": {"training": 3.0}, "sets": {"pmb_curve": {"percent": [1.0] * 10}},
+            "clips": [{"name": str(k), "decisions": 2 * k + 1, **dict.fromkeys(columns, value + k)}
+                      for k in range(clips)]}
+
+
+def cells_of(**rows: list[float]) -> Cells:
+    """One value a seed."""
+    return {name.replace("_", "-"): {seed: cell(name, seed, value) for seed, value in enumerate(values, start=1)}
+            for name, values in rows.items()}
+
+
+def test_cells_come_back_and_what_was_cut_short_is_made_again(tmp_path: Path) -> None:
+    store = CellStore(tmp_path / "new")
+    assert store.read() == {} and store.finished("ours", 1, "k") is None
+    first, second = cell("ours", 1, 1.0), cell("ours", 2, float("nan"))
+    store.add(first)
+    store.add(second)
+    assert dumps(store.finished("ours", 2, "k")) == dumps(second) and store.finished("ours", 2, "other") is None
+    with store.file.open("a") as stream:
+        stream.write(dumps(cell("no-style", 1, 5.0))[:40])  # a machine that stopped while it wrote
+    assert set(store.read()) == {"ours"}
+    store.add(cell("ours", 1, 7.0))
+    assert store.read()["ours"][1]["clips"][0]["maje"] == 7.0, "the later line counts, on a line of its own"
+    assert sorted(store.read()["ours"]) == [1, 2]
+
+
+def test_rows_that_stand_on_different_things_are_not_compared(tmp_path: Path) -> None:
+    store = CellStore(tmp_path)
+    store.add(cell("ours", 1, 1.0, shared="a"))
+    store.add(cell("racer-cql", 1, 1.0, shared="its own bundle"))
+    assert set(store.read()) == {"ours", "racer-cql"}
+    store.add(cell("ours", 2, 1.0, shared="b"))
+    with pytest.raises(InputError, match="different presets"):
+        store.read()
+    assert set(store.read({"rg": "b"})["ours"]) == {2} and "racer-cql" in store.read({"rg": "b"})
+
+
+def test_figures_are_means_over_seeds_and_clips_by_their_weights() -> None:
+    rows = summaries({**cells_of(ours=[1.0, 2.0, 3.0]), "racer-cql": {1: cell("racer-cql", 1, 1.0)}})
+    assert rows["ours"]["figures"]["maje"].mean == 2.5 and rows["ours"]["decided"]
+    assert rows["ours"]["seconds"] == [3.0] * 3
+    figures = rows["racer-cql"]["figures"]
+    assert figures["return"].mean == 1.5 and figures["cosine"].mean == 1.75, "clips of 1 and of 3 decisions"
+    assert not rows["racer-cql"]["decided"]
+    half = cell("racer-cql", 1, 1.0)
+    del half["clips"][1]["maje"]  # it was not played
+    assert summaries({"racer-cql": {1: half}})["racer-cql"]["figures"]["maje"] == Interval(1.0, 1.0, 1.0, 1)
+
+
+def test_tables_of_stored_cells_keep_their_values() -> None:
+    cells = CellStore(STORED).read()
+    expected = loads((STORED / "expected.json").read_text())
+    rows = summaries(cells)
+    count = 0
+    for name, figures in expected["rows"].items():
+        for key, value in figures.items():
+            assert rows[name]["figures"][key].to_dict() == pytest.approx(value, rel=1e-9, nan_ok=True), (name, key)
+            count += 1
+    found = {(claim["where"], claim["first"], claim["second"], claim["metric"]): claim
+             for claim in claims.claims_table(cells).facts["claims"]}
+    for held in expected["claims"]:
+        own = found[held["where"], held["first"], held["second"], held["metric"]]
+        assert own["verdict"] == held["verdict"] and own["difference"] == pytest.approx(held["difference"], rel=1e-9)
+    assert count > 80 and len(expected["claims"]) > 5
+
+
+# ------------------------------------------------------------------------------------------------------------- tables
+
+def shown(table: Table) -> str:
+    return "\n".join("|".join(row) for row in table.cells())
+
+
+def test_tables_show_ours_beside_the_papers_and_mark_what_is_undecided() -> None:
+    rows = summaries(cells_of(ours=[1.0] * 3, no_style=[2.0]))
+    table = tables.paper_table("RG Table 1", rows, {"no-lexemes": "400 s counted"})
+    assert table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje"] == Interval(2.5, 2.0, 3.0, 2)
+    assert table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje, paper"] == "52.85 / 21.33"
+    assert table.rows["Ours (w/o SC) (400 s counted)"]["maje"] is None
+    assert "SG (not handed in)" in table.rows and "Ours (audio only) (not run)" in table.rows
+    assert table.rows["SG (not handed in)"]["maje, paper"] == "97.29 / -"
+
+
+def test_racers_table_pairs_seeds_and_names_what_is_the_same() -> None:
+    cells = {racer.SUPERVISED: {s: cell(racer.SUPERVISED, s, s) for s in (1, 2)},
+             racer.OURS: {s: cell(racer.OURS, s, s + 2.0) for s in (1, 2, 3)},
+             "racer-alpha=1": {s: {**cell("racer-alpha=1", s, s + 2.0), "run_as": racer.OURS} for s in (1, 2, 3)}}
+    rows = summaries(cells)
+    first = tables.paper_table("RACER Table 2, training reward", rows, {})
+    assert list(first.rows) == ["racer-supervised (undecided: 2 of 3 seeds)", "racer-cql", "racer-alpha=1 = racer-cql"]
+    assert first.rows["racer-cql"]["return, paper"] == "9.34"
+    apart = tables.racer_differences(cells)[0]
+    assert list(apart.rows) == ["racer-cql - racer-supervised"], "not with itself, nor under another name"
+    assert apart.rows["racer-cql - racer-supervised"]["cosine"] == Interval(2.0, 2.0, 2.0, 2)
+
+
+def test_a_control_beats_a_column_by_its_direction() -> None:
+    def rows(**means: float) -> dict[str, dict[str, dict[str, Interval]]]:
+        return {name: {"figures": {key: Interval.exact(value, 1) for key in COLUMNS}} for name, value in means.items()}
+
+    found = rows(ours=5.0, performer=4.0, jitter=3.2, still=9.0, halves=0.0)
+    assert tables.beaten(found, "maje") == {"jitter": 3.2}, "less is better"
+    assert tables.beaten(found, "pmb") == {"still": 9.0}, "more is better"
+    assert tables.beaten(found, "diversity") == {"jitter": 3.2}, "near the performer's is better"
+    assert tables.beaten(found, "accuracy") == {} == tables.beaten(rows(jitter=1.0), "maje")
+
+
+def test_tables_and_claims_are_drawn_again_from_the_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "ablation"
+    with pytest.raises(SystemExit) as error:
+        ablate.main(["--tables", "--out", str(out)])
+    assert error.value.code == 2 and "holds no cells" in capsys.readouterr().err
+    for seed in (1, 2, 3):
+        CellStore(out).add(cell(OURS, seed, 1.0 * seed))
+        CellStore(out).add(cell("no-style", seed, 2.0 * seed))
+    facts = {"preset": "tiny", "shared": {}, "refused": {}, "store": {"test_recordings": 2}}
+    save([Table("Ablation", {}, {}, facts=facts)], out / "table.json")
+    step = {"mean": 2.0, "low": 1.0, "high": 3.0, "n": 5}
+    save([Table("x", {"a": Column("a")}, {}, facts={"claim": [step, {**step, "low": 0.4}]})],
+         tmp_path / "style_editing.json")
+    assert ablate.main(["--tables", "--out", str(out)]) == 0
+    first = load(out / "table.json")[0]
+    assert first.facts["rows"]["no-style"]["figures"]["fgd"]["mean"] == 4.5 and first.facts["preset"] == "tiny"
+    table = next(one for one in load(out / "table.json") if one.title == "Ours less each row")
+    assert table.rows["no-style"]["fgd"] == Interval(-2.0, -3.0, -1.0, 2)
+    found = {claim["where"]: claim for claim in load(tmp_path / "claims.json")[0].facts["claims"]}
+    assert found["RG Fig. 10"]["verdict"] == HOLDS and found["RG Fig. 10"]["difference"]["low"] == 0.4
+    assert found["RG Fig. 13"]["verdict"] == UNDECIDED
+
+
+# ------------------------------------------------------------------------------------------------------------- claims
+
+LOWER = Claim("RG Table 1", "ours", "no-style", "fgd", "below")
+
+
+def fgd_cells(**rows: list[list[float]]) -> Cells:
+    """Cells with fgd = rows[row][seed][clip]; the performer has no seed."""
+    return {name.replace("_", "-"): {seed: {"clips": [{"name": f"clip {k}", "fgd": value}
+                                                      for k, value in enumerate(clips)]}
+                                     for seed, clips in enumerate(seeds, start=name != "performer")}
+            for name, seeds in rows.items()}
+
+
+@pytest.mark.parametrize(("low", "high", "above", "below", "alike"), [
+    (1.0, 2.0, HOLDS, FAILS, HOLDS), (-2.0, -1.0, FAILS, HOLDS, HOLDS), (-1.0, 1.0, UNDECIDED, UNDECIDED, HOLDS),
+    (-9.0, 9.0, UNDECIDED, UNDECIDED, UNDECIDED), (6.0, 9.0, HOLDS, FAILS, FAILS), (4.0, 9.0, HOLDS, FAILS, UNDECIDED)])
+def test_an_interval_decides(low: float, high: float, above: str, below: str, alike: str) -> None:
+    own = Interval((low + high) / 2, low, high, 10)
+    assert [claims.decided(own, says) for says in ("above", "below", "alike")] == [above, below, alike]
+
+
+def test_differences_are_paired_over_seeds_and_clips() -> None:
+    rng = np.random.default_rng(0)
+    hard = rng.normal(0, 100, size=(3, 12))  # what clips and seeds differ by is far more than what rows do
+    better = hard - 1 + rng.normal(0, 0.3, size=(3, 12))
+    found = claims.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=hard.tolist()))
+    assert found.verdict == HOLDS and (found.seeds, found.clips) == (3, 12)
+    assert found.difference is not None and found.difference.mean == pytest.approx(-1, abs=0.2)
+    assert claims.judged(LOWER, fgd_cells(ours=hard.tolist(), no_style=better.tolist())).verdict == FAILS
+    other = rng.normal(0, 100, size=(3, 12)).tolist()
+    assert claims.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=other)).verdict == UNDECIDED
+
+
+def test_fewer_than_three_seeds_or_no_figure_decide_nothing() -> None:
+    found = claims.judged(LOWER, fgd_cells(ours=[[1.0] * 9] * 2, no_style=[[2.0] * 9] * 3))
+    assert found.verdict == UNDECIDED and found.reason == "2 of 3 seeds"
+    assert found.difference is not None and found.difference.mean == -1.0, "it is shown all the same"
+    assert claims.judged(LOWER, fgd_cells(ours=[[1.0]] * 3)).reason == "not run: no-style"
+    empty = fgd_cells(ours=[[float("nan")] * 2] * 3, no_style=[[1.0] * 2] * 3)
+    assert claims.judged(LOWER, empty).reason == "no figure of a clip that both have"
+
+
+def test_only_seeds_and_clips_that_both_have_are_compared_and_the_performer_pairs_with_all() -> None:
+    own = fgd_cells(ours=[[1.0, 2.0, 3.0]] * 3, no_style=[[5.0, 5.0]] * 2, performer=[[5.0, 6.0]])
+    seeds, apart = tables.pairs(own["ours"], own["no-style"], "fgd")
+    assert seeds == [1, 2] and apart.tolist() == [[-4.0, -3.0]] * 2
+    assert tables.pairs(own["performer"], own["ours"], "fgd")[1].tolist() == [[4.0, 4.0]] * 3
+
+
+def test_every_claim_is_of_rows_and_figures_that_there_are() -> None:
+    assert len({(claim.where, claim.first, claim.second, claim.metric) for claim in CLAIMS}) == len(CLAIMS) == 77
+    decisions = {key for part in DECISIONS.values() for key in part}
+    for claim in (claim for claim in CLAIMS if not claim.needs):
+        assert claim.says in ("above", "below", "alike")
+        where = [table for title, table in TABLES.items() if title.split(",")[0] == claim.where]
+        assert {claim.first, claim.second} <= {line.row for table in where for line in table.lines}
+        assert claim.metric in (decisions if claim.where == claims.RACER_TABLE else COLUMNS)
+        splits = {ROWS[name].split for name in (claim.first, claim.second) if name in ROWS}
+        assert len(splits) == 1, "of one split"
+
+
+def test_the_papers_numbers_bear_their_claims_out() -> None:
+    """What is listed as a claim of the paper must be true of the paper's own figures."""
+    numbered = 0
+    for claim in CLAIMS:
+        text = "" if claim.needs else claims.papers_numbers(claim)
+        for place in filter(None, text.split("; ")):
+            one, other = (float(part) for part in place.split(" ", 1)[1].split(" and "))
+            numbered += 1
+            if claim.says == "alike":
+                assert abs(one - other) < claims.ALIKE, claim
+            else:
+                assert (one > other) == (claim.says == "above") and one != other, claim
+    assert numbered > 60
+    first = next(c for c in CLAIMS if (c.where, c.second, c.metric) == ("RG Table 1", "no-lexemes", "fgd"))
+    assert claims.papers_numbers(first) == "Trinity 10.78 and 29.75; TED 2.04 and 5.22"
+    reward = next(c for c in CLAIMS if (c.second, c.metric) == ("racer-dqn", "return"))
+    assert claims.papers_numbers(reward) == "Trinity 9.34 and 4.23"

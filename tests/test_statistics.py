@@ -1,0 +1,120 @@
+"""What is measured on the training split: known answers, and what an absent joint does."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from data_module.motion.skeletons import CHARACTER
+from data_module.speech.audio import load_speech
+from data_module.speech.features import Normaliser
+from gesticulator import bundle as bundles
+from gesticulator.pipeline import Gesticulator
+from gesticulator.presets import preset
+from gesticulator.stages.corpus import measured
+from gesticulator.statistics import LEAST_MOVEMENT, Statistics, control_rows
+
+EXAMPLE = Path(__file__).parent.parent / "examples" / "speech.flac"
+FRAMES = 10
+
+
+def recording(poses: np.ndarray, silent: np.ndarray | None = None, mask: np.ndarray | None = None) -> dict[str, Any]:
+    """A recording's cached arrays, of poses [N, K, D]."""
+    blocks, _, width = poses.shape
+    return {"motion": poses.astype(np.float32), "silent": np.zeros(blocks, bool) if silent is None else silent,
+            "mask": np.ones(width, bool) if mask is None else mask,
+            "control": np.tile(np.linspace(0, 1, blocks)[:, None, None], (1, FRAMES, 3)).astype(np.float32)}
+
+
+def heard(blocks: int) -> dict[str, Any]:
+    return {"low": np.random.default_rng(0).normal(size=(blocks, 3 * FRAMES, 4)).astype(np.float16)}
+
+
+def known(poses: list[np.ndarray], speaker_of: list[int], splits: list[str], **more: Any) -> Statistics:
+    names = tuple(f"speaker {k}" for k in range(max(speaker_of) + 1))
+    return measured(preset("tiny"), names, np.array(speaker_of), splits,
+                    [recording(own, **more) for own in poses], [heard(len(own)) for own in poses])
+
+
+def test_bounds_leave_out_one_frame_in_a_thousand_at_either_end() -> None:
+    # 10,001 frames from -2 to 2 in even steps: the mean is 0, and a thousandth of the way is 0.004.
+    ramp = np.linspace(-2, 2, 10_001)[:10_000].reshape(1000, FRAMES, 1)
+    ramp = ramp - ramp.mean()
+    found = known([ramp], [0], ["train"])
+    deviation = ramp.std()
+    np.testing.assert_allclose(found.deviation, [deviation], rtol=1e-5)
+    np.testing.assert_allclose(found.bounds[:, 0] * deviation, [-2 + 0.004, 2 - 0.004], atol=1e-3)
+
+
+def test_bounds_are_of_each_speakers_own_mean_and_of_the_training_split_alone() -> None:
+    rng = np.random.default_rng(0)
+    calm = rng.uniform(-1, 1, size=(200, FRAMES, 2))
+    poses = [calm + 50, calm - 50, calm * 100]
+    found = known(poses, [0, 1, 0], ["train", "train", "test"])
+    np.testing.assert_allclose(found.mean_pose, [[50, 50], [-50, -50]], atol=0.1)
+    widest = np.abs(found.bounds * found.deviation)
+    assert (widest > 0.9).all() and (widest < 1.1).all(), "neither the distance between speakers nor the test split"
+    assert (found.bounds[0] < 0).all() and (found.bounds[1] > 0).all()
+
+
+def test_rest_is_the_end_of_silences_that_are_settled() -> None:
+    poses = np.zeros((12, FRAMES, 1))
+    poses[:, :, 0] = np.arange(12)[:, None]
+    silent = np.zeros(12, bool)
+    silent[4:10] = True  # 4, 5, 6 are the arms coming down; 7, 8 and 9 are rest
+    assert known([poses], [0], ["train"], silent=silent).rest_pose[0, 0] == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize(("apart", "moves"), [(0.0, 0), (1e-27, 0), (5.6e-16, 0), (1e-3, 1), (2.0, 1)])
+def test_a_rounding_error_is_no_movement(apart: float, moves: int) -> None:
+    one = np.ones(1)
+    found = Statistics(("a",), one[None], one[None], one, np.array([[-apart / 2], [apart / 2]]), Normaliser(one, one),
+                       Normaliser(one, one))
+    assert found.present.tolist() == [moves]
+    assert 1e-15 < LEAST_MOVEMENT < 1e-3
+
+
+def test_a_joint_that_no_source_has_is_absent_though_its_numbers_are_not_quite_equal() -> None:
+    poses = np.random.default_rng(0).normal(size=(60, FRAMES, 4))
+    poses[..., 2:] = 1e-20 * np.random.default_rng(1).normal(size=(60, FRAMES, 2))
+    found = known([poses], [0], ["train"], mask=np.array([True, True, False, True]))
+    assert found.present.tolist() == [1, 1, 0, 0], "neither the absent dimension nor one that only trembles"
+    assert found.deviation[2] == 1 and found.deviation[3] == preset("tiny").motion.least_deviation
+
+
+def test_absent_joints_of_the_shipped_bundle_are_exactly_still_before_the_clamp() -> None:
+    bundle = bundles.load(bundles.SHIPPED)
+    spine = slice(3 * CHARACTER.index("Spine3"), 3 * CHARACTER.index("Spine3") + 3)
+    absent = np.flatnonzero(bundle.statistics.present.numpy() == 0)
+    assert set(range(spine.start, spine.stop)) <= set(absent.tolist()) and len(absent) < 6
+    generator, blocks = bundle.generator, []
+    assert generator is not None
+    step = generator.step
+
+    def seen(*given: Any, **named: Any) -> Any:
+        out = step(*given, **named)
+        blocks.append(out[0])
+        return out
+
+    generator.step = seen  # type: ignore[method-assign]
+    # Bounds so wide that the clamp does nothing.
+    wide = dataclasses.replace(bundle.statistics, bounds=np.where(
+        bundle.statistics.present.numpy() > 0, bundle.statistics.bounds * 1e3, [[-1e-9], [1e-9]]))
+    Gesticulator(dataclasses.replace(bundle, statistics=wide))(load_speech(EXAMPLE))
+    made = torch.cat(blocks)
+    assert len(blocks) > 10 and (made[..., absent] == 0).all()
+    assert (made.abs().amax(dim=(0, 1)) > 0).sum() == made.shape[-1] - len(absent), "all others move"
+    assert (bundle.lexicon.decode(bundle.vectors)[..., absent] == 0).all()  # type: ignore[operator]
+
+
+def test_control_rows_are_standardised_and_say_what_is_asked() -> None:
+    levels = bundles.load(bundles.SHIPPED).levels
+    assert levels is not None
+    given = np.array([True, False, True])
+    rows = control_rows(levels, levels.mean + 2 * levels.spread, given)
+    np.testing.assert_allclose(rows, [2, 0, 2, 1, 0, 1], atol=1e-6)

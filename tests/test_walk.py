@@ -1,0 +1,70 @@
+"""A short walk: how many of our files one gesture passes through."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+RUN = 41
+"""Files in which a function ran, while modules were imported or after. 41 before drawing a gesture stopped passing
+through the Q-network, reward models, gate, lexicon, transcripts and the training loop; since then ten files have come
+to the walk with what the command can do: batches, inputs, options, the rollout, decoders, headers of sound files, front
+ends, ranges of settings, one builder of models, one class for all verbs."""
+IMPORTED = 53
+"""Files that were imported, those of eight packages (`__init__`) included; 58 before."""
+NEVER = ("sklearn", "transformers", "matplotlib", "av", "tqdm.notebook")
+NOT_ASKED = ("interpreters.cql", "interpreters.reward", "interpreters.episodes", "interpreters.gate", "lexicon.racer",
+             "lexicon.autoencoder", "gesticulator.fit", "gesticulator.stages", "gesticulator.upgrade",
+             "data_module.store", "data_module.text.transcript", "eval")
+
+WALK = """
+import json, os, runpy, sys, threading
+root, ran = os.getcwd() + os.sep, set()
+FUNCTION = 1  # CO_OPTIMIZED: a function's own frame, and no class body or module
+
+def profile(frame, event, _):
+    code = frame.f_code
+    if event == "call" and code.co_flags & FUNCTION and code.co_filename.startswith(root) \\
+            and not code.co_name.startswith("<"):
+        ran.add(code.co_filename[len(root):])
+
+threading.setprofile(profile)
+sys.setprofile(profile)
+sys.argv = ["infer", sys.argv[1], "-o", sys.argv[2], "--quiet"]
+try:
+    runpy.run_module("gesticulator.infer", run_name="__main__")
+except SystemExit as stopped:
+    assert not stopped.code, stopped.code
+sys.setprofile(None)
+files = {getattr(module, "__file__", None) or "" for module in list(sys.modules.values())}
+ours = {file[len(root):] for file in files if file.startswith(root)} | {"gesticulator/infer.py"}
+print(json.dumps({"ran": sorted(ran), "imported": sorted(ours), "modules": sorted(sys.modules)}))
+"""
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """What one BVH of the example took, without what has nothing to do with our code."""
+    out = tmp_path_factory.mktemp("walk") / "o.bvh"
+    done = subprocess.run([sys.executable, "-c", WALK, "examples/speech.flac", str(out)], cwd=ROOT, check=True,
+                          capture_output=True, text=True)
+    assert out.stat().st_size > 10_000
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_one_gesture_runs_few_files(walk: dict[str, list[str]]) -> None:
+    assert len(walk["ran"]) <= RUN, walk["ran"]
+
+
+def test_one_gesture_imports_few_files(walk: dict[str, list[str]]) -> None:
+    assert len(walk["imported"]) <= IMPORTED, walk["imported"]
+
+
+@pytest.mark.parametrize("name", [*NEVER, *NOT_ASKED])
+def test_what_is_not_asked_for_is_not_imported(name: str, walk: dict[str, list[str]]) -> None:
+    assert name not in walk["modules"]
