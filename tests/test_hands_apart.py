@@ -12,7 +12,8 @@ from data_module.motion import kinematics, rotation
 from data_module.performer import hands, play, styles, text, trunk, voices
 from data_module.performer.hands import HANGING_LEVEL, Manner, PhraseHands
 from data_module.performer.play import Staging, perform
-from data_module.performer.strokes import LEFT, RIGHT, StrokeSet, procedural_strokes
+from data_module.performer.procedural import procedural_strokes
+from data_module.performer.strokes import LEFT, RIGHT, StrokeSet
 from data_module.performer.takes import FPS
 from data_module.performer.trunk import Segment
 from data_module.performer.types import Played, Spoken
