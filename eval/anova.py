@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import math
 from collections import Counter
@@ -259,7 +260,7 @@ def _pairs(title: str, names: Sequence[str], groups: Sequence[Array], means: Arr
     columns = {"tukey": Column("difference, Tukey"), "p": Column("p"), "bootstrap": Column("difference, bootstrap")}
     told = None if one_way(groups).reason else stats.tukey_hsd(*groups)
     rows: dict[str, dict[str, Cell]] = {}
-    for a, b in ((a, b) for a in range(len(groups)) for b in range(a + 1, len(groups))):
+    for a, b in itertools.combinations(range(len(groups)), 2):
         apart = _mean(groups[a]) - _mean(groups[b])
         tukey, p = Interval.exact(apart, raters), math.nan
         if told is not None:
