@@ -77,6 +77,8 @@ def read_key(path: Path) -> Key:
     try:
         systems, (low, high) = tuple(told["systems"]), told["scale"]
         items = {name: (int(own["clip"]), systems.index(own["system"])) for name, own in told["items"].items()}
+        if len(systems) < 2 or not all(0 <= clip < len(told["clips"]) for clip, _ in items.values()):
+            raise ValueError("an item belongs to no clip")
         return Key(told["study"], systems, tuple(told["aspects"]), len(told["clips"]), (int(low), int(high)), items)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InputError(path, "is not the key of a study", "give the key.json that `study make` wrote") from None
