@@ -184,7 +184,10 @@ def _of_table(path: Path, text: str, column: str | None) -> Iterator[tuple[str, 
                 start, until = _number(row[key]), _number(row.get(end))
                 if start is None or until is None:
                     raise InputError(path, f"line {table.line_num}: {row[key][:30]!r} is no time", "give seconds")
-                yield (row[who] or "").strip() if who else "", (start, until)
+                name = (row[who] or "").strip() if who else ""
+                if who and not name:
+                    raise InputError(path, f"line {table.line_num}: names no recording", f"fill the column {who!r}")
+                yield name, (start, until)
     except csv.Error as error:
         raise InputError(path, f"line {table.line_num + 1}: is no row of a table ({error})", _ADVICE) from None
 

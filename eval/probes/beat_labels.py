@@ -63,6 +63,8 @@ COLUMNS = {"per_second": Column("found", "Hz"), "precision": Column("precision",
 _BEYOND = 0.5
 """Seconds that a label may lie after the end."""
 _EPS = 1e-9
+_NONE = "$^"
+"""A pattern that no name has."""
 _FLAGS = {BeatFlag.ONSET: "beats: onset", BeatFlag.LOUD_PSEUDO: "beats: loud pseudo",
           BeatFlag.EVEN_PSEUDO: "beats: even pseudo"}
 LabelsOf = Callable[[str], Labels | None]
@@ -231,19 +233,23 @@ def from_store(store: Store, labels_of: LabelsOf) -> list[LabelledRecording]:
 
 
 def from_files(sound: Path | None, motion: Path | None, labels_of: LabelsOf, fps: float | None = None,
-               leave_out: re.Pattern[str] | None = None) -> list[LabelledRecording]:
+               leave_out: str = _NONE) -> list[LabelledRecording]:
     """A sound, a motion or both of one name, or all motions below a folder with the sounds of their names."""
+    try:
+        left_out = re.compile(leave_out)
+    except re.error as error:
+        raise InputError("--leave-out", f"is no regular expression ({error})", "quote what is no pattern") from None
     pairs = [(sound, motion)]
     if motion is not None and motion.is_dir():
         pairs = [(find_sound(sound, file.stem) if sound else None, file) for file in sorted(motion.rglob("*"))
-                 if file.suffix.lower() in MOTIONS and not (leave_out and leave_out.search(file.stem))]
+                 if file.suffix.lower() in MOTIONS and not left_out.search(file.stem)]
     clips = []
     for heard, moved in pairs:
-        first = moved or heard
+        first = heard or moved
         if first is None:
             raise InputError("--store, --sound or --motion", "is missing", "name what the labels belong to")
         if labels := labels_of(first.stem):
-            clips.append(LabelledRecording(first.stem, labels, load_speech(heard) if heard else None,
+            clips.append(LabelledRecording((moved or first).stem, labels, load_speech(heard) if heard else None,
                                            read_motion(moved, fps) if moved else None))
     return clips
 
@@ -257,7 +263,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--sound", type=Path, metavar="FILE|DIR", help="instead of a store")
     add("--motion", type=Path, metavar="FILE|DIR", help="BVH, SMPL-X npz or positions npy, alone or beside --sound")
     add("--fps", type=float, help="of the motion, where its file is wrong")
-    add("--leave-out", type=re.compile, metavar="REGEX", help="motions of a folder that are not judged")
+    add("--leave-out", default=_NONE, metavar="REGEX", help="motions of a folder that are not judged")
     add("--tolerance", type=float, nargs="+", default=list(TOLERANCES), metavar="SECONDS")
     add("--at", choices=AT, default="start", help="which moment of a mark that lasts (default: start)")
     add("--tier", help="of a TextGrid with several")
