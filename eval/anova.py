@@ -2,22 +2,21 @@
 
 Theory: one-way ANOVA asks whether systems differ at all, F = (spread between systems) / (spread within); Tukey's honest
 significant difference asks which pairs do, at 5 % for all pairs together. Both take every rating as an independent
-draw, as the paper does. That they are not: answers of one rater, and answers about one clip, are alike. Where raters
-are strict or mild towards all systems alike, this only makes the tests miss more; where some raters prefer a system
-and others do not, they find too much, because thirty answers of one rater count as thirty people. So the bootstrap
-interval draws raters AND clips anew (crossed, Owen 2007), and for a pair of systems the difference in the same draws:
-believe a difference that both it and Tukey's test find. What fools all of it: raters who do not look. One who gives
-the same answer to everything is named.
+draw, as the paper does, though answers of one rater, and about one clip, are alike: where some raters prefer a system
+and others do not, they find too much. So the bootstrap draws raters AND clips anew (crossed, Owen 2007): believe a
+difference that both it and Tukey's test find. What fools all of it: raters who do not look. One who gives the same
+answer to everything is named.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import math
-from collections import defaultdict
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,15 +28,14 @@ from scipy import stats
 from data_module.errors import InputError
 from data_module.files import read_text
 from data_module.types import Array
-from eval.stats import Interval, crossed_means
+from eval.stats import LEVEL, Interval, crossed_means, limits
 from eval.table import Cell, Column, Table
 
-DRAWS = 2000
-LEVEL = 0.95
 COLUMNS = ("study", "rater", "item", "aspect", "rating")
 """Of a CSV file of ratings, one rating a row; others are ignored."""
 _CONSTANT = 5
 """So many answers or more, all alike, name a rater."""
+_SHARE = (LEVEL[1] - LEVEL[0]) / 100
 
 
 @dataclass(frozen=True)
@@ -73,18 +71,15 @@ class Ratings:
     notes: tuple[str, ...]
 
 
-# ---------------------------------------------------------------- reading
-
 def read_key(path: Path) -> Key:
     """The key that `study make` wrote; InputError for anything else."""
     told = _json(path)
     try:
         systems, (low, high) = tuple(told["systems"]), told["scale"]
         items = {name: (int(own["clip"]), systems.index(own["system"])) for name, own in told["items"].items()}
-        key = Key(told["study"], systems, tuple(told["aspects"]), len(told["clips"]), (int(low), int(high)), items)
-        if len(systems) < 2 or not all(0 <= clip < key.clips for clip, _ in items.values()):
+        if len(systems) < 2 or not all(0 <= clip < len(told["clips"]) for clip, _ in items.values()):
             raise ValueError("an item belongs to no clip")
-        return key
+        return Key(told["study"], systems, tuple(told["aspects"]), len(told["clips"]), (int(low), int(high)), items)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InputError(path, "is not the key of a study", "give the key.json that `study make` wrote") from None
 
@@ -95,23 +90,19 @@ def read_answers(paths: Sequence[Path], key: Key) -> list[Answer]:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    if path.suffix.lower() == ".csv":
-        try:
-            rows = list(csv.DictReader(io.StringIO(read_text(path, "give the file that was saved"))))
-        except csv.Error as error:
-            raise InputError(path, f"is not a table ({error})", "give the file that was saved") from None
-        if rows and not set(COLUMNS) <= set(rows[0]):
-            raise InputError(path, "is not a file of ratings", f"its columns must be {', '.join(COLUMNS)}")
-        return rows
-    told = _json(path)
     try:
+        if path.suffix.lower() == ".csv":
+            table = csv.DictReader(io.StringIO(read_text(path, "give the file that was saved")))
+            return [{name: row[name] for name in COLUMNS} for row in table]
+        told = _json(path)
         return [{"study": told["study"], "rater": told["rater"], "item": str(own["item"]), "aspect": aspect,
                  "rating": rating} for own in told["answers"] for aspect, rating in own["ratings"].items()]
-    except (KeyError, TypeError, AttributeError):
-        raise InputError(path, "is not a file of ratings", "give what the page saved") from None
+    except (KeyError, TypeError, AttributeError, csv.Error):
+        raise InputError(path, "is not a file of ratings",
+                         f"give what the page saved; the columns of a table are {', '.join(COLUMNS)}") from None
 
 
-def _answer(row: dict[str, Any], key: Key, path: Path) -> Answer:
+def _answer(row: Mapping[str, Any], key: Key, path: Path) -> Answer:
     if row["study"] != key.study:
         raise InputError(path, f"belongs to study {row['study']!r}, and the key to {key.study!r}",
                          "give ratings and key of one study")
@@ -137,8 +128,6 @@ def _json(path: Path) -> Any:
         raise InputError(path, f"is not JSON (line {error.lineno})", "give the file that was saved") from None
 
 
-# ---------------------------------------------------------------- checking
-
 def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> Ratings:
     """The answers as a table, checked.
 
@@ -154,70 +143,58 @@ def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> 
         raise InputError("ratings", "hold no answer", "give what the raters saved")
     raters = tuple(sorted({answer.rater for answer in kept}, key=lambda name: (len(name), name)))
     values = np.full((len(raters), key.clips, len(key.systems), len(key.aspects)), np.nan)
-    first: dict[tuple[str, str, str], Answer] = {}
-    doubled: dict[str, int] = defaultdict(int)
+    doubled: Counter[str] = Counter()
     for answer in kept:
-        what = (answer.rater, answer.item, answer.aspect)
-        doubled[answer.rater] += what in first
-        known = first.setdefault(what, answer)
-        if known.rating != answer.rating:
-            raise InputError(answer.source, f"rater {answer.rater} rates {answer.item} twice and differently (also in "
-                             f"{known.source})", "give each rater a number of their own, or one file")
-        values[raters.index(answer.rater), *key.items[answer.item], key.aspects.index(answer.aspect)] = answer.rating
+        place = raters.index(answer.rater), *key.items[answer.item], key.aspects.index(answer.aspect)
+        known = bool(np.isfinite(values[place]))
+        doubled[answer.rater] += known
+        if known and values[place] != answer.rating:
+            raise InputError(answer.source, f"rater {answer.rater} rates {answer.item} twice and differently",
+                             "give each rater a number of their own, or one file")
+        values[place] = answer.rating
     notes = [f"left out on demand: rater {name}" for name in without]
     notes += [f"rater {name}: {n} answers are there twice and count once" for name, n in doubled.items() if n]
-    return Ratings(key, raters, values, (*notes, *_remarks(raters, values, key)))
-
-
-def _remarks(raters: Sequence[str], values: Array, key: Key) -> list[str]:
-    """Who left something out, and who says the same of everything."""
-    notes = []
-    asked = np.zeros(values.shape[1:], dtype=bool)
-    for clip, system in key.items.values():
-        asked[clip, system] = True
+    asked = len(key.items) * len(key.aspects)
     for name, own in zip(raters, values, strict=True):
-        missing, given = int(np.isnan(own[asked]).sum()), own[np.isfinite(own)]
-        if missing:
-            notes.append(f"rater {name}: {missing} of {int(asked.sum())} answers are missing")
+        given = own[np.isfinite(own)]
+        if len(given) < asked:
+            notes.append(f"rater {name}: {asked - len(given)} of {asked} answers are missing")
         if len(given) >= _CONSTANT and len(np.unique(given)) == 1:
             notes.append(f"rater {name}: gives {given[0]:g} to everything; consider --without {name}")
-    return notes
+    return Ratings(key, raters, values, tuple(notes))
 
 
 # ---------------------------------------------------------------- statistics
 
-def one_way(groups: Sequence[Array]) -> dict[str, Any]:
-    """One-way ANOVA of one array of ratings per system: F, p, both degrees of freedom, eta squared.
+@dataclass(frozen=True)
+class Anova:
+    """One-way ANOVA: F, its p and both degrees of freedom, eta squared; NaN where `reason` says they are undefined."""
 
-    F, p and eta squared are None, and `reason` says why, where they are not defined.
-    """
-    count, between = sum(map(len, groups)), len(groups) - 1
-    result: dict[str, Any] = {"F": None, "p": None, "df": [between, count - len(groups)], "eta_squared": None}
+    f: float
+    p: float
+    df: tuple[int, int]
+    eta_squared: float
+    reason: str = ""
+
+    def line(self) -> str:
+        """For a table's notes."""
+        if self.reason:
+            return f"One-way ANOVA is not defined: {self.reason}."
+        return (f"One-way ANOVA: F({self.df[0]}, {self.df[1]}) = {self.f:.2f}, p {_p(self.p, '= ')}, eta squared "
+                f"{self.eta_squared:.3f}.")
+
+
+def one_way(groups: Sequence[Array]) -> Anova:
+    """One-way ANOVA of one array of ratings per system."""
+    df = len(groups) - 1, sum(map(len, groups)) - len(groups)
     if min(map(len, groups)) < 2:
-        return {**result, "reason": "a system has fewer than two ratings"}
+        return Anova(math.nan, math.nan, df, math.nan, "a system has fewer than two ratings")
     within = sum(float(((own - own.mean()) ** 2).sum()) for own in groups)
     if within == 0:
-        return {**result, "reason": "no system's ratings differ among themselves"}
+        return Anova(math.nan, math.nan, df, math.nan, "no system's ratings differ among themselves")
     pooled = np.concatenate(list(groups))
     f, p = stats.f_oneway(*groups)
-    share = 1.0 - within / float(((pooled - pooled.mean()) ** 2).sum())
-    return {**result, "F": float(f), "p": float(p), "eta_squared": share}
-
-
-def pairs(groups: Sequence[Array], draws: Array, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Tukey's test for each pair of systems, and the bootstrap interval of the pair's difference from draws [D, K]."""
-    defined = one_way(groups)["F"] is not None
-    told = stats.tukey_hsd(*groups) if defined else None
-    limits = told.confidence_interval(LEVEL) if told is not None else None
-    rows = []
-    for a in range(len(groups)):
-        for b in range(a + 1, len(groups)):
-            row: dict[str, Any] = {"pair": [names[a], names[b]], "difference": _mean(groups[a], groups[b]),
-                                   "p": None, "tukey": None, "bootstrap": _limits(draws[:, a] - draws[:, b])}
-            if told is not None and limits is not None:
-                row |= {"p": float(told.pvalue[a, b]), "tukey": [float(limits.low[a, b]), float(limits.high[a, b])]}
-            rows.append(row)
-    return rows
+    return Anova(float(f), float(p), df, 1.0 - within / float(((pooled - pooled.mean()) ** 2).sum()))
 
 
 def rank_counts(values: Array) -> NDArray[np.int64]:
@@ -233,99 +210,72 @@ def rank_counts(values: Array) -> NDArray[np.int64]:
     return np.stack([np.bincount(places[:, k], minlength=systems) for k in range(systems)])
 
 
-def analyse(ratings: Ratings, seed: int = 0, draws: int = DRAWS) -> dict[str, Any]:
-    """Every figure of the study, as plain values; None where something is not defined."""
-    key = ratings.key
-    aspects: dict[str, Any] = {}
-    for number, aspect in enumerate(key.aspects):
-        values = ratings.values[..., number]
-        groups = [own[np.isfinite(own)] for own in np.moveaxis(values, 2, 0)]
-        means = crossed_means(values, seed, draws)
-        places = rank_counts(values)
-        scores = np.arange(key.scale[0], key.scale[1] + 1)
-        aspects[aspect] = {
-            "systems": {name: {"ratings": len(own), "mean": _mean(own), "t": _t_interval(own),
-                               "bootstrap": _limits(means[:, k]), "total": int(own.sum()),
-                               "scores": [int((own == score).sum()) for score in scores],
-                               "places": places[k].tolist()}
-                        for k, (name, own) in enumerate(zip(key.systems, groups, strict=True))},
-            "comparisons": int(places[0].sum()), "anova": one_way(groups), "pairs": pairs(groups, means, key.systems)}
-    return {"study": key.study, "raters": len(ratings.raters), "clips": key.clips, "systems": list(key.systems),
-            "scale": list(key.scale), "notes": list(ratings.notes), "aspects": aspects}
-
-
-def _mean(own: Array, less: Array | None = None) -> float | None:
-    """Mean of the ratings, less the mean of others where they are given."""
-    if len(own) == 0 or (less is not None and len(less) == 0):
-        return None
-    return float(own.mean() - (0.0 if less is None else less.mean()))
-
-
-def _t_interval(own: Array) -> list[float] | None:
+def _t_interval(own: Array) -> Interval:
     """Student's interval of the mean, every rating taken as a draw of its own, as Figure 12's bars seem to be."""
+    mean = _mean(own)
     if len(own) < 2:
-        return None
-    half = float(stats.t.ppf(0.5 + LEVEL / 2, len(own) - 1) * own.std(ddof=1) / math.sqrt(len(own)))
-    return [float(own.mean()) - half, float(own.mean()) + half]
+        return Interval.exact(mean, len(own))
+    half = float(stats.t.ppf(0.5 + _SHARE / 2, len(own) - 1) * own.std(ddof=1) / math.sqrt(len(own)))
+    return Interval(mean, mean - half, mean + half, len(own))
 
 
-def _limits(drawn: Array) -> list[float] | None:
-    finite = drawn[np.isfinite(drawn)]
-    if len(finite) == 0:
-        return None
-    low, high = np.percentile(finite, [50 * (1 - LEVEL), 50 * (1 + LEVEL)])
-    return [float(low), float(high)]
+def _mean(own: Array) -> float:
+    return float(own.mean()) if len(own) else math.nan
 
 
 # ---------------------------------------------------------------- tables
 
-def tables(ratings: Ratings, seed: int = 0, draws: int = DRAWS) -> list[Table]:
-    """For each aspect its systems and their pairs; the raw figures of `analyse` are facts of the first."""
-    result = analyse(ratings, seed, draws)
-    low, high = result["scale"]
-    about = (f"Study {result['study']}: {result['raters']} raters, {result['clips']} clips, {len(result['systems'])} "
-             f"systems, ratings from {low} (worst) to {high} (best). Intervals are of 95 %: t takes every rating as "
+def tables(ratings: Ratings, seed: int = 0) -> list[Table]:
+    """For each aspect its systems and their pairs."""
+    key, out = ratings.key, list[Table]()
+    about = (f"Study {key.study}: {len(ratings.raters)} raters, {key.clips} clips, {len(key.systems)} systems, ratings "
+             f"from {key.scale[0]} (worst) to {key.scale[1]} (best). Intervals are of 95 %: t takes every rating as "
              "independent, the bootstrap draws raters and clips anew.")
-    out: list[Table] = []
-    for aspect, own in result["aspects"].items():
-        title = aspect.replace("_", " ")
-        scores = {f"rated {score}": Column(f"rated {score}") for score in range(low, high + 1)}
-        places = {f"place {place + 1}": Column(f"place {place + 1}") for place in range(len(own["systems"]))}
-        columns = {"ratings": Column("ratings"), "t": Column("mean, t"), "bootstrap": Column("mean, bootstrap"),
-                   **scores, "total": Column("total"), **places}
-        rows: dict[str, dict[str, Cell]] = {
-            name: {"ratings": s["ratings"], "total": s["total"],
-                   **{key: _interval(s["mean"], s[key], s["ratings"]) for key in ("t", "bootstrap")},
-                   **dict(zip(scores, s["scores"], strict=True)), **dict(zip(places, s["places"], strict=True))}
-            for name, s in own["systems"].items()}
-        out.append(Table(title, columns, rows, "system", [
-            *([] if out else [about, *(f"To be looked at: {note}." for note in result["notes"])]),
-            _anova_line(own["anova"])], {} if out else result))
-        pair_columns = {"tukey": Column("difference, Tukey"), "p": Column("p"),
-                        "bootstrap": Column("difference, bootstrap")}
-        compared: dict[str, dict[str, Cell]] = {
-            " - ".join(row["pair"]): {"p": _p(row["p"]), **{
-                key: _interval(row["difference"], row[key], result["raters"]) for key in ("tukey", "bootstrap")}}
-            for row in own["pairs"]}
-        out.append(Table(f"{title}, pairs", pair_columns, compared, "pair"))
+    for number, aspect in enumerate(key.aspects):
+        values = ratings.values[..., number]
+        groups = [own[np.isfinite(own)] for own in np.moveaxis(values, 2, 0)]
+        title, means, anova = aspect.replace("_", " "), crossed_means(values, seed), one_way(groups)
+        notes = [] if out else [about, *(f"To be looked at: {note}." for note in ratings.notes)]
+        out += [_systems(title, key, values, groups, means, [*notes, anova.line()]),
+                _pairs(f"{title}, pairs", key.systems, groups, means, len(ratings.raters))]
     return out
 
 
-def _interval(mean: float | None, bounds: Sequence[float] | None, n: int) -> Interval:
-    low, high = bounds if bounds is not None else (math.nan, math.nan)
-    return Interval(math.nan if mean is None else mean, low, high, n)
+def _systems(title: str, key: Key, values: Array, groups: Sequence[Array], means: Array, notes: Sequence[str]) -> Table:
+    """Of each system its mean by both intervals, and how often it got each rating and took each place."""
+    low, high = key.scale
+    columns = {"ratings": Column("ratings"), "t": Column("mean, t"), "bootstrap": Column("mean, bootstrap"),
+               **{f"rated {score}": Column(f"rated {score}") for score in range(low, high + 1)},
+               "total": Column("total"),
+               **{f"place {place + 1}": Column(f"place {place + 1}") for place in range(len(groups))}}
+    ranks = rank_counts(values)
+    rows: dict[str, dict[str, Cell]] = {name: {
+        "ratings": len(own), "t": _t_interval(own), "bootstrap": limits(_mean(own), means[:, k], len(own)),
+        "total": int(own.sum()), **{f"rated {score}": int((own == score).sum()) for score in range(low, high + 1)},
+        **{f"place {place + 1}": int(count) for place, count in enumerate(ranks[k])}}
+        for k, (name, own) in enumerate(zip(key.systems, groups, strict=True))}
+    return Table(title, columns, rows, "system", notes)
 
 
-def _anova_line(own: dict[str, Any]) -> str:
-    if own["F"] is None:
-        return f"One-way ANOVA is not defined: {own['reason']}."
-    return (f"One-way ANOVA: F({own['df'][0]}, {own['df'][1]}) = {own['F']:.2f}, p {_p(own['p'], '= ')}, "
-            f"eta squared {own['eta_squared']:.3f}.")
+def _pairs(title: str, names: Sequence[str], groups: Sequence[Array], means: Array, raters: int) -> Table:
+    """Tukey's test for each pair of systems, and the bootstrap interval of their difference from means [draws, K]."""
+    columns = {"tukey": Column("difference, Tukey"), "p": Column("p"), "bootstrap": Column("difference, bootstrap")}
+    told = None if one_way(groups).reason else stats.tukey_hsd(*groups)
+    rows: dict[str, dict[str, Cell]] = {}
+    for a, b in itertools.combinations(range(len(groups)), 2):
+        apart = _mean(groups[a]) - _mean(groups[b])
+        tukey, p = Interval.exact(apart, raters), math.nan
+        if told is not None:
+            bounds, p = told.confidence_interval(_SHARE), float(told.pvalue[a, b])
+            tukey = Interval(apart, float(bounds.low[a, b]), float(bounds.high[a, b]), raters)
+        rows[f"{names[a]} - {names[b]}"] = {"tukey": tukey, "p": _p(p), "bootstrap": limits(
+            apart, means[:, a] - means[:, b], raters)}
+    return Table(title, columns, rows, "pair")
 
 
-def _p(value: float | None, sign: str = "") -> str:
+def _p(value: float, sign: str = "") -> str:
     """p with the asterisks of RG Figure 12: one below 0.05, two below 0.01, three below 0.001."""
-    if value is None:
+    if math.isnan(value):
         return "-"
     stars = sum(value < limit for limit in (0.05, 0.01, 0.001))
     return ("< 0.0001" if value < 1e-4 else f"{sign}{value:.4f}") + (" " + "*" * stars if stars else "")

@@ -86,6 +86,17 @@ class ClipMeasurement:
         """Mean hand speed in settled silence, m/s; NaN where there is no such frame."""
         return _mean(self.hand_speed[self.silent])
 
+    def piece(self, start: float, end: float, fps: float) -> ClipMeasurement:
+        """What lies between two times, at the motion's frame rate. It keeps the thresholds of the whole, and no seams.
+
+        Pieces whose times join hold everything once.
+        """
+        onsets, beats = (own[(own >= start) & (own < end)] - start for own in (self.onsets, self.beats))
+        first = round(start * fps)
+        last = round(end * fps) if end < self.duration else len(self.hand_speed) + 1
+        return ClipMeasurement(onsets, beats, end - start, self.hand_speed[first:last], self.silent[first:last],
+                               self.heights[first:last])
+
 
 def _mean(values: Array) -> float:
     return float(values.mean()) if values.size else float("nan")

@@ -4,8 +4,6 @@ The layout is chosen by what the file holds, not by its name:
 
 - a TextGrid of Praat or ELAN (long or short form), point tier or interval tier: the entries that have a text;
 - a label track of Audacity: START tab END tab LABEL, or two numbers with a tab between;
-- JSON: a list of numbers, of [time, label] or of objects with "time" (or "start"), bare or below "beats", "labels",
-  "onsets", "strokes" or "times";
 - plain text: one number a line, with an optional label behind it; `#` begins a remark;
 - a table with a head (comma, semicolon or tab): the column that the caller names, else one of `COLUMNS`. With a column
   of `FILES` it is a table of many recordings, one mark a row.
@@ -16,18 +14,16 @@ Anything else is refused with the line. A mark that lasts has three moments; `at
 from __future__ import annotations
 
 import csv
-import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from data_module.errors import InputError, shown
+from data_module.errors import InputError
 from data_module.files import read_text
-from data_module.text.transcript_formats import NUMBER, SILENCES
+from data_module.text.transcript_formats import NUMBER, SILENCES, textgrid_tiers
 from data_module.types import Array
 
 COLUMNS = ("time", "seconds", "second", "sec", "t", "timestamp", "beat", "beats", "onset", "emphasis", "start")
@@ -39,19 +35,14 @@ OTHERS = frozenset({".bvh", ".npz", ".npy", ".fbx", ".wav", ".flac", ".ogg", ".m
                     ".vtt", ".pdf", ".md"})
 """Endings of what lies beside labels and is none."""
 
-_LISTS = ("beats", "labels", "onsets", "strokes", "times")
 _WANTED = re.compile(r"beat|emphas|stroke|gesture|onset|apex", re.IGNORECASE)
-_ADVICE = ("give seconds, one a line; a table with a head (time,label); an Audacity label track; a Praat TextGrid "
-           "(ELAN exports one); or a JSON list")
-_LARGEST = 1e300
-"""Of a number in JSON: a larger whole number has no float."""
+_ADVICE = ("give seconds, one a line; a table with a head (time,label); an Audacity label track; or a Praat "
+           "TextGrid (ELAN exports one)")
 _LATEST = 1e6
 """Seconds (eleven days) into a recording: a later time is no moment of it."""
 # Possessive (++): what was matched is never given back, so that time grows with the length alone.
-_NUMBER = re.compile(NUMBER)
+_NUMBER = re.compile(rf"\s*+({NUMBER})\s*+")
 _LINE = re.compile(rf"\s*+(?P<time>{NUMBER})(?:(?P<between>\s*[;,]\s*+|\s++)(?P<rest>.*)|)")
-# Of a TextGrid quoted text, numbers that stand alone and the flag count; the rest is there for people.
-_TOKEN = re.compile(rf'"(?P<text>(?:[^"]++|"")*+)"|(?<![^\s=])(?P<number>{NUMBER})(?!\S)|(?P<flag><\w++>)')
 
 Mark = tuple[float, float]
 
@@ -84,46 +75,35 @@ class LabelChoice:
             raise InputError("--label-fps", f"is {self.rate:g}", "give a positive number of frames a second")
 
 
-def read_labels(path: Path, choice: LabelChoice | None = None) -> Labels:
-    """The moments of one recording. InputError for a file of another kind, one without marks, or marks before 0."""
+def read_recordings(path: Path, choice: LabelChoice | None = None) -> dict[str, Labels]:
+    """The moments of a file by what it calls each recording: a column of `FILES`; "" where it names none.
+
+    InputError for a file of another kind, one without marks, or marks before 0.
+    """
     choice = choice or LabelChoice()
     text = read_text(path, _ADVICE)
-    if text.lstrip()[:1] in ("[", "{"):
-        return _labels(path, _of_json(path, text), choice, "JSON")
-    if "ooTextFile" in text[:200] or re.match(r'\s*"?Praat', text):
-        return _labels(path, _of_textgrid(path, text, choice.tier), choice, "TextGrid")
-    if "-->" in text:
-        raise InputError(path, "holds subtitles, which time what is said and no gestures", _ADVICE)
-    rows = _rows(text)
-    if not rows:
-        raise InputError(path, "holds no labels", _ADVICE)
-    if _LINE.fullmatch(rows[0][1]) is None:
-        told = list(_of_table(path, text, choice.column))
-        if len({name for name, _ in told}) > 1:
-            raise InputError(path, "holds the labels of several recordings", "name all of them (--motion DIR, --store)")
-        return _labels(path, [mark for _, mark in told], choice, "table")
-    marks, layout = _of_numbers(path, rows)
-    return _labels(path, marks, choice, layout)
-
-
-def is_table_of_recordings(path: Path) -> bool:
-    """Whether a file is a table whose rows tell the recording that they belong to."""
-    try:
-        head = read_text(path, _ADVICE).lstrip().splitlines()[:1]
-    except InputError:
-        return False
-    return bool(head) and any(cell.strip().lower() in FILES for cell in re.split(r"[,;\t]", head[0]))
-
-
-def read_table(path: Path, choice: LabelChoice | None = None) -> dict[str, Labels]:
-    """The moments of many recordings, by what the table calls each: a column of `FILES`, one mark a row."""
-    choice = choice or LabelChoice()
     marks: dict[str, list[Mark]] = {}
-    for name, mark in _of_table(path, read_text(path, _ADVICE), choice.column):
-        marks.setdefault(name, []).append(mark)
-    if not marks:
+    if "ooTextFile" in text[:200]:
+        layout, marks[""] = "TextGrid", _of_textgrid(path, text, choice.tier)
+    elif "-->" in text:
+        raise InputError(path, "holds subtitles, which time what is said and no gestures", _ADVICE)
+    elif not (rows := _rows(text)) or _LINE.fullmatch(rows[0][1]):
+        layout, marks[""] = _of_numbers(path, rows)
+    else:
+        for name, mark in _of_table(path, text, choice.column):
+            marks.setdefault(name, []).append(mark)
+        layout = "table" if "" in marks else "table of recordings"
+    if not any(marks.values()):
         raise InputError(path, "holds no labels", _ADVICE)
-    return {name: _labels(path, own, choice, "table of recordings") for name, own in marks.items()}
+    return {name: Labels(_moments(path, own, choice), layout) for name, own in marks.items()}
+
+
+def read_labels(path: Path, choice: LabelChoice | None = None) -> Labels:
+    """The moments of a file of one recording; InputError as in `read_recordings`, and where it holds several."""
+    first, *others = read_recordings(path, choice).values()
+    if others:
+        raise InputError(path, "holds the labels of several recordings", "name all of them (--motion DIR, --store)")
+    return first
 
 
 def find_labels(folder: Path, name: str) -> Path | None:
@@ -139,16 +119,8 @@ def find_labels(folder: Path, name: str) -> Path | None:
     return found[0] if found else None
 
 
-# ---------------------------------------------------------------------------------------------------- what all share
-
-def _number(cell: str) -> float | None:
-    value = float(cell) if _NUMBER.fullmatch(cell.strip()) else None
-    return value if value is not None and np.isfinite(value) else None
-
-
-def _labels(path: Path, marks: Sequence[Mark], choice: LabelChoice, layout: str) -> Labels:
-    if not marks:
-        raise InputError(path, "holds no labels", _ADVICE)
+def _moments(path: Path, marks: Sequence[Mark], choice: LabelChoice) -> Array:
+    """[n] seconds, rising, of marks (start, end)."""
     start, end = np.array(marks, dtype=np.float64).T
     with np.errstate(over="ignore"):
         latest = float(np.abs(np.stack([start, end]) / choice.rate).max())
@@ -160,10 +132,13 @@ def _labels(path: Path, marks: Sequence[Mark], choice: LabelChoice, layout: str)
     times = {"start": start, "middle": (start + end) / 2, "end": end}[choice.at] / choice.rate
     if times.min() < 0:
         raise InputError(path, f"has a label before the recording, at {times.min():g} s", "labels are seconds from 0")
-    return Labels(np.unique(times), layout)
+    return np.unique(times)
 
 
-# ---------------------------------------------------------------------------------------------------- numbers in lines
+def _number(cell: str | None) -> float | None:
+    match = _NUMBER.fullmatch(cell or "")
+    return float(match[1]) if match and np.isfinite(float(match[1])) else None
+
 
 def _rows(text: str) -> list[tuple[int, str]]:
     """Lines that say something, with their number; `#` begins a remark, and a backslash Audacity's range of pitch."""
@@ -171,7 +146,7 @@ def _rows(text: str) -> list[tuple[int, str]]:
     return [(number, line) for number, line in rows if line.strip() and not line.startswith("\\")]
 
 
-def _of_numbers(path: Path, rows: Sequence[tuple[int, str]]) -> tuple[list[Mark], str]:
+def _of_numbers(path: Path, rows: Sequence[tuple[int, str]]) -> tuple[str, list[Mark]]:
     """Lines that begin with a number: an Audacity track (two numbers and a tab) or seconds with an optional label."""
     marks: list[Mark] = []
     lasting = 0
@@ -188,112 +163,44 @@ def _of_numbers(path: Path, rows: Sequence[tuple[int, str]]) -> tuple[list[Mark]
         lasting += second is not None
     if lasting not in (0, len(rows)):
         raise InputError(path, "has lines with one number and lines with two", _ADVICE)
-    return marks, "Audacity label track" if lasting else "seconds, one a line"
+    return "Audacity label track" if lasting else "seconds, one a line", marks
 
-
-# ---------------------------------------------------------------------------------------------------- tables
 
 def _of_table(path: Path, text: str, column: str | None) -> Iterator[tuple[str, Mark]]:
     """(recording or "", mark) of each row; a row without a time carries no mark."""
     first = text.lstrip().split("\n", 1)[0]
     table = csv.DictReader(text.lstrip().split("\n"), delimiter=max(",;\t", key=first.count))
     try:
-        yield from _of_rows(path, table, column, first)
+        heads = {(head or "").strip().lower(): head for head in table.fieldnames or ()}
+        wanted = (column.strip().lower(),) if column else COLUMNS
+        key = next((heads[name] for name in wanted if name in heads), None)
+        if key is None:
+            raise InputError(path, f"line 1: {first.strip()[:60]!r} names no column of times"
+                             + (f" called {column!r}" if column else ""), _ADVICE)
+        end = heads.get("end", key) if key.strip().lower() == "start" else key
+        who = next((heads[name] for name in FILES if name in heads), None)
+        for row in table:
+            if (row.get(key) or "").strip():
+                start, until = _number(row[key]), _number(row.get(end))
+                if start is None or until is None:
+                    raise InputError(path, f"line {table.line_num}: {row[key][:30]!r} is no time", "give seconds")
+                name = (row[who] or "").strip() if who else ""
+                if who and not name:
+                    raise InputError(path, f"line {table.line_num}: names no recording", f"fill the column {who!r}")
+                yield name, (start, until)
     except csv.Error as error:
         raise InputError(path, f"line {table.line_num + 1}: is no row of a table ({error})", _ADVICE) from None
 
 
-def _of_rows(path: Path, table: csv.DictReader[str], column: str | None, first: str) -> Iterator[tuple[str, Mark]]:
-    heads = {(head or "").strip().lower(): head for head in table.fieldnames or ()}
-    wanted = (column.strip().lower(),) if column else COLUMNS
-    key = next((heads[name] for name in wanted if name in heads), None)
-    if key is None:
-        raise InputError(path, f"line 1: {first.strip()[:60]!r} names no column of times"
-                         + (f" called {column!r}" if column else ""), _ADVICE)
-    end = heads.get("end") if key.strip().lower() == "start" else None
-    who = next((heads[name] for name in FILES if name in heads), None)
-    for row in table:
-        if not (row.get(key) or "").strip():
-            continue
-        times = [_number(row.get(head) or "") for head in (key, end or key)]
-        if times[0] is None or times[1] is None:
-            raise InputError(path, f"line {table.line_num}: {(row[key] or '')[:30]!r} is no time", "give seconds")
-        yield (row[who] or "").strip() if who else "", (times[0], times[1])
-
-
-# ---------------------------------------------------------------------------------------------------- JSON
-
-def _of_json(path: Path, text: str) -> list[Mark]:
-    try:
-        told = json.loads(text)
-    except (ValueError, RecursionError):
-        raise InputError(path, "begins as JSON and is none", "write it again") from None
-    if isinstance(told, Mapping):
-        told = next((told[name] for name in _LISTS if isinstance(told.get(name), list)), None)
-    if not isinstance(told, list):
-        raise InputError(path, "holds no list of times", f"write a list, bare or below one of {', '.join(_LISTS)}")
-    return [_json_mark(path, item, place) for place, item in enumerate(told)]
-
-
-def _json_mark(path: Path, item: Any, place: int) -> Mark:
-    if isinstance(item, Mapping):
-        start = item.get("time", item.get("start"))
-        times = [start, item.get("end", start)]
-    else:
-        times = [item[0] if isinstance(item, list) and item else item] * 2
-    if not all(isinstance(time, int | float) and not isinstance(time, bool) and abs(time) <= _LARGEST
-               for time in times):
-        raise InputError(path, f"[{place}]: {shown(item)} tells no time", 'write 1.25 or {"time": 1.25}')
-    return float(times[0]), float(times[1])
-
-
-# ---------------------------------------------------------------------------------------------------- TextGrid
-
 def _of_textgrid(path: Path, text: str, tier: str | None) -> list[Mark]:
     """The entries with a text of the tier that is named, the only one, or the only one named like a gesture."""
-    tiers = _tiers(path, text)
+    tiers = textgrid_tiers(str(path), text)
     names = [name for name in tiers if name == tier] if tier is not None else (
         list(tiers) if len(tiers) == 1 else [name for name in tiers if _WANTED.search(name)])
     if len(names) != 1:
         raise InputError(path, f"has the tiers {', '.join(tiers)[:200] or '(none)'}", "choose with --tier")
-    marks = tiers[names[0]]
+    marks = [(entry.start, entry.end) for entry in tiers[names[0]][1]
+             if entry.start is not None and entry.end is not None and entry.text.lower() not in SILENCES]
     if not marks:
         raise InputError(path, f"has no entry with a text in the tier {names[0]!r}", "label them, or take another tier")
     return marks
-
-
-def _tiers(path: Path, text: str) -> dict[str, list[Mark]]:
-    """The labelled entries of each tier."""
-    words = _TOKEN.finditer(text)
-
-    def take(kind: str) -> str:
-        match = next(words, None)
-        if match is None:
-            raise InputError(path, "ends before all that it announces", "it is cut off: copy it again")
-        if match[kind] is None:
-            line = text.count("\n", 0, match.start()) + 1
-            raise InputError(path, f"line {line}: a {kind} was expected, not {match[0][:30]}", "save it again")
-        return match[kind]
-
-    if "ooTextFile" not in take("text") or take("text") != "TextGrid":
-        raise InputError(path, "is a file of Praat, but no TextGrid", "save it as a text file")
-    def count() -> int:
-        told = float(take("number"))
-        if not 0 <= told <= len(text):
-            raise InputError(path, f"announces {told:g} entries", "save it again")
-        return int(told)
-
-    take("number"), take("number"), take("flag")
-    tiers: dict[str, list[Mark]] = {}
-    for _ in range(count()):
-        kind, name = take("text"), take("text")
-        if kind not in ("IntervalTier", "TextTier"):
-            raise InputError(path, f"has a tier of an unknown kind, {kind[:30]!r}", "save it again")
-        take("number"), take("number")
-        own = tiers.setdefault(name, [])
-        for _ in range(count()):
-            start = float(take("number"))
-            end = float(take("number")) if kind == "IntervalTier" else start
-            if take("text").strip().lower() not in SILENCES:
-                own.append((start, end))
-    return tiers

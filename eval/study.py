@@ -5,11 +5,9 @@
     gesticulator study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
 
 `make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
-that works from a disk without a server or a network (FOLDER/page/index.html), and FOLDER/key.json, which raters must
-not get. No video encoder is needed: the page draws the figure itself, the same body in the same place for every system,
-at one frame rate, so that neither the skeleton nor the file tells whose motion it is. Its ids are opaque. With
-`--videos` each item is a file beside the page instead (FOLDER/page/ID.mp4), of the same figure, for those who must show
-videos or need them elsewhere: all are equally long, and equally large, since a still figure takes fewer bytes.
+that works from a disk without a server (FOLDER/page/index.html), and FOLDER/key.json, which raters must not get. The
+page draws the figure itself, the same body for every system at one frame rate, and its ids are opaque. With `--videos`
+each item is a file beside the page instead, of the same figure: all equally long, and equally large.
 
 Theory: each rater sees every clip by every system, one clip's versions in a row. The order is a Williams design
 (Williams 1949): over its rows each system comes in each place equally often, and after each other equally often, so
@@ -25,7 +23,7 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -43,9 +41,9 @@ from data_module.types import Motion, Speech
 from eval import anova
 from eval.draw import video
 from eval.draw.strips import figure_points
+from eval.foreign import find_sound
 from eval.table import publish
 from gesticulator.export import sound
-from gesticulator.stages.sounds import SUFFIXES
 
 ASPECTS = {
     "human_likeness": "How human-like does the figure move? Please leave the speech aside for this question.",
@@ -93,9 +91,8 @@ class StudyClip:
 
 @dataclass(frozen=True)
 class StudyOptions:
-    """clips: how many stretches, `seconds` long each. seed: which stretches, and the order. raters: how many orders the
-    page holds; rater raters + 1 gets that of rater 1. videos: "mp4" or "webm" writes each item as a video beside the
-    page, which then draws nothing."""
+    """clips: stretches, `seconds` long each. seed: which, and the order. raters: how many orders the page holds; rater
+    raters + 1 gets that of rater 1. videos: "mp4" or "webm" for a video of each item beside the page."""
 
     clips: int = 10
     seconds: float = 30.0
@@ -103,6 +100,13 @@ class StudyOptions:
     raters: int = 30
     aspects: Sequence[str] = DEFAULT_ASPECTS
     videos: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.raters < 1:
+            raise InputError("--raters", f"must be 1 or more, not {self.raters}")
+        if self.clips < 1 or not (np.isfinite(self.seconds) and self.seconds >= 1):
+            raise InputError("--clips, --seconds", f"cannot be {self.clips} and {self.seconds:g}",
+                             "ask for one clip of 1 s at least")
 
 
 # ---------------------------------------------------------------- the material
@@ -124,30 +128,25 @@ def parse_systems(entries: Sequence[str]) -> dict[str, Path]:
     return systems
 
 
-def _pairs(folder: Path) -> dict[str, tuple[Path, Path]]:
-    """stem -> (motion, sound) of a folder."""
-    motions = {file.stem: file for file in sorted(folder.iterdir()) if file.suffix.lower() == ".bvh"}
-    sounds = {file.stem: file for file in sorted(folder.iterdir()) if file.suffix.lower() in SUFFIXES}
-    both = {stem: (motions[stem], sounds[stem]) for stem in sorted(motions.keys() & sounds.keys())}
-    if not both:
-        raise InputError(folder, "has no BVH file with a sound file of the same name", "put both there")
-    return both
-
-
-def read_takes(systems: dict[str, Path]) -> list[StudyTake]:
+def read_takes(systems: Mapping[str, Path]) -> list[StudyTake]:
     """The recordings that every system has; InputError when there is none, or when the sound of one differs."""
-    found = {name: _pairs(folder) for name, folder in systems.items()}
-    common = sorted(set.intersection(*(set(pairs) for pairs in found.values())))
+    found = []
+    for folder in systems.values():
+        found.append({file.stem: (file, heard) for file in sorted(folder.iterdir()) if file.suffix.lower() == ".bvh"
+                      and (heard := find_sound(folder, file.stem))})
+        if not found[-1]:
+            raise InputError(folder, "has no BVH file with a sound file of the same name", "put both there")
+    common = sorted(set.intersection(*map(set, found)))
     if not common:
         raise InputError("--systems", "have no recording in common", "use the same file names in each folder")
     takes = []
     for stem in common:
-        files = [pairs[stem] for pairs in found.values()]
-        first = load_speech(files[0][1])
-        for _, other in files[1:]:
-            if not _same_sound(first, load_speech(other)):
-                raise InputError(other, f"is not the sound of {files[0][1]}", "compare systems on the same speech")
-        takes.append(StudyTake(stem, first, tuple(read_bvh(motion) for motion, _ in files)))
+        (_, first), *others = files = [pairs[stem] for pairs in found]
+        speech = load_speech(first)
+        for _, other in others:
+            if not _same_sound(speech, load_speech(other)):
+                raise InputError(other, f"is not the sound of {first}", "compare systems on the same speech")
+        takes.append(StudyTake(stem, speech, tuple(read_bvh(motion) for motion, _ in files)))
     return takes
 
 
@@ -162,17 +161,15 @@ def _same_sound(a: Speech, b: Speech) -> bool:
 
 def choose_clips(takes: Sequence[StudyTake], count: int, seconds: float, seed: int) -> list[StudyClip]:
     """`count` stretches that do not overlap, spread over the takes, each with enough speech; InputError for fewer."""
-    if count < 1 or not (np.isfinite(seconds) and seconds >= 1):
-        raise InputError("--clips, --seconds", f"cannot be {count} and {seconds:g}", "ask for one clip of 1 s at least")
     rng = np.random.default_rng(seed)
     offered: list[list[StudyClip]] = []
     for number, take in enumerate(takes):
         slots = int((take.seconds + 1e-6) // seconds)
         shift = rng.uniform(0.0, max(take.seconds - slots * seconds, 0.0))
         loud = ~pauses(silent_frames(take.speech.samples, take.speech.sample_rate))
-        starts = shift + seconds * np.arange(slots)
-        clips = [StudyClip(number, round(start, 3), round(_share(loud, start, seconds), 3))
-                 for start in starts.tolist()]
+        clips = [StudyClip(number, round(start, 3), round(float(
+            loud[round(start / FRAME):round((start + seconds) / FRAME)].mean()), 3))
+            for start in (shift + seconds * np.arange(slots)).tolist()]
         clips = [clip for clip in clips if clip.speech >= ENOUGH_SPEECH]
         offered.append([clips[k] for k in rng.permutation(len(clips))])
     # One of each take before a second one of any.
@@ -182,10 +179,6 @@ def choose_clips(takes: Sequence[StudyTake], count: int, seconds: float, seed: i
         raise InputError("--clips", f"only {len(turns)} stretches of {seconds:g} s with enough speech, not {count}",
                          "ask for fewer or shorter ones, or give more recordings")
     return turns[:count]
-
-
-def _share(loud: NDArray[np.bool_], start: float, seconds: float) -> float:
-    return float(loud[round(start / FRAME):round((start + seconds) / FRAME)].mean())
 
 
 # ---------------------------------------------------------------- the order
@@ -216,10 +209,8 @@ def orders(systems: int, clips: int, raters: int, seed: int) -> list[list[tuple[
 
 def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same page and key."""
-    clips, seconds, seed, raters = options.clips, options.seconds, options.seed, options.raters
-    aspects, videos = options.aspects, options.videos
-    if raters < 1:
-        raise InputError("--raters", f"must be 1 or more, not {raters}")
+    clips, seconds, seed, aspects, videos = (options.clips, options.seconds, options.seed, options.aspects,
+                                             options.videos)
     if videos is not None:
         # What cannot be written is said before minutes of drawing.
         video.format_of(f".{videos}")
@@ -242,12 +233,12 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
             "questions": [[name, ASPECTS[name]] for name in aspects]}
     if videos is None:
         data |= {"stepsPerMetre": STEPS_PER_METRE, "points": list(shown[items[0]]), "soundType": sound.MEDIA_TYPE,
-                 "sounds": [_base64(sound.compress(heard[c])) for c in sounds],
+                 "sounds": [base64.b64encode(sound.compress(heard[c])).decode() for c in sounds],
                  "items": [{"id": ids[c, k], "sound": sounds.index(c), "motion": _encode(shown[c, k])}
                            for c, k in items]}
     else:
         data |= {"videos": videos, "items": [{"id": ids[pair]} for pair in items]}
-    data["orders"] = [[items.index(pair) for pair in row] for row in orders(len(systems), clips, raters, seed)]
+    data["orders"] = [[items.index(pair) for pair in row] for row in orders(len(systems), clips, options.raters, seed)]
     (out / "page").mkdir(parents=True, exist_ok=True)
     write_text(out / "key.json", json.dumps(key, indent=1) + "\n")
     if videos is not None:
@@ -287,7 +278,7 @@ def _places(motion: Motion, start: float, seconds: float) -> dict[str, NDArray[n
 
 def _encode(points: dict[str, NDArray[np.float64]]) -> str:
     steps = np.round(np.stack(list(points.values()), axis=1) * STEPS_PER_METRE)
-    return _base64(np.clip(steps, -32768, 32767).astype("<i2").tobytes())
+    return base64.b64encode(np.clip(steps, -32768, 32767).astype("<i2").tobytes()).decode()
 
 
 def _stretch(speech: Speech, start: float, seconds: float) -> Speech:
@@ -306,10 +297,6 @@ def _page(data: dict[str, Any]) -> str:
     parts = {"data": told, "study": data["study"], "media": "'self' file:" if "videos" in data else "blob:"}
     text = (resources.files("eval") / "assets" / "study.html").read_text(encoding="utf-8")
     return _SLOT.sub(lambda found: parts[found.group(1)], text)
-
-
-def _base64(data: bytes) -> str:
-    return base64.b64encode(data).decode("ascii")
 
 
 # ---------------------------------------------------------------- the command

@@ -209,13 +209,8 @@ TRANSCRIPTS = {
 LABELS = {
     "seconds": "# beats\n0.5 beat\n1.25\n2.0\n", "audacity": "0.5\t0.7\tb\n1.25\t1.5\tc\n",
     "table": "file,time,end\na,0.5,0.7\na,1.25,1.5\nb,2.0,2.5\n",
-    "json": '{"beats": [0.5, {"time": 1.25}, [2.0, "b"]]}',
     "textgrid": published.textgrid_of(WORDS),
 }
-
-
-def _read_any_labels(file: Path) -> object:
-    return label_files.read_table(file) if label_files.is_table_of_recordings(file) else label_files.read_labels(file)
 
 
 def _store(mutated: str) -> Callable[[Path], Path]:
@@ -382,8 +377,8 @@ READERS: dict[str, Case] = {
        for name in ("rotations", "fps", "joints", "word_text", "strokes_beat", "strokes_held_out")},
     "strokes, manifest": Case(_strokes("manifest.csv"), _read_strokes, ("read_manifest", "load_strokes", "read_table")),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes, ("load_strokes",)),
-    **{f"labels, {kind}": Case(_written("labels", text), _read_any_labels, ("read_labels", "read_table"))
-       for kind, text in LABELS.items()},
+    **{f"labels, {kind}": Case(_written("labels", text), label_files.read_recordings,
+                                   ("read_labels", "read_recordings")) for kind, text in LABELS.items()},
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion, ("read_motion", "read_positions", "read_npy")),
     "foreign sidecar": Case(_positions("a.json"), lambda file: foreign.read_motion(file.with_suffix(".npy")),
                             ("read_motion", "read_positions")),

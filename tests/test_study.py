@@ -175,24 +175,32 @@ def _table(values: Array, high: int = 5) -> anova.Ratings:
     return anova.gather(answers, key)
 
 
+def _rows_of(ratings: anova.Ratings) -> tuple[Any, Any]:
+    """The rows of the systems and of the pairs."""
+    systems, pairs = anova.tables(ratings)
+    return systems.rows, pairs.rows
+
+
 def test_anova_and_tukey_of_a_worked_example() -> None:
     """Means 5, 9, 10 of six each: SSB = 84, SSW = 68, F = (84 / 2) / (68 / 15) = 9.26; Tukey's reach is
     q(0.05; 3, 15) sqrt(MSW / 6) = 3.674 * 0.8692 = 3.19."""
     groups = np.array([[6, 8, 4, 5, 3, 4], [8, 12, 9, 11, 6, 8], [13, 9, 11, 8, 7, 12]], dtype=float)
-    own = anova.analyse(_table(groups.T[:, None, :], high=13))["aspects"]["beat_match"]
-    assert own["anova"]["F"] == pytest.approx((84 / 2) / (68 / 15)) and own["anova"]["df"] == [2, 15]
-    assert own["anova"]["p"] == pytest.approx(float(stats.f.sf(42 / (68 / 15), 2, 15)))
-    assert own["anova"]["p"] == pytest.approx(0.0024, abs=5e-5)
-    assert own["anova"]["eta_squared"] == pytest.approx(84 / 152)
+    own = anova.one_way(list(groups))
+    assert own.f == pytest.approx((84 / 2) / (68 / 15)) and own.df == (2, 15)
+    assert own.p == pytest.approx(float(stats.f.sf(42 / (68 / 15), 2, 15)))
+    assert own.p == pytest.approx(0.0024, abs=5e-5)
+    assert own.eta_squared == pytest.approx(84 / 152)
+    systems, pairs = _rows_of(_table(groups.T[:, None, :], high=13))
     reach = float(stats.studentized_range.ppf(0.95, 3, 15)) * np.sqrt(68 / 15 / 6)
     assert reach == pytest.approx(3.19, abs=0.01)
-    for row, difference in zip(own["pairs"], (-4, -5, -1), strict=True):
-        assert row["difference"] == pytest.approx(difference)
-        assert row["tukey"] == pytest.approx([difference - reach, difference + reach], abs=2e-3)
-        assert (row["p"] < 0.05) == (abs(difference) > reach)
-    first = own["systems"]["A"]
+    for row, difference in zip(pairs.values(), (-4, -5, -1), strict=True):
+        assert row["tukey"].mean == pytest.approx(difference)
+        assert row["tukey"].low == pytest.approx(difference - reach, abs=2e-3)
+        assert row["tukey"].high == pytest.approx(difference + reach, abs=2e-3)
+        assert ("*" in row["p"]) == (abs(difference) > reach)
+    first = systems["A"]["t"]
     half = 2.5706 * groups[0].std(ddof=1) / np.sqrt(6)  # t(0.975; 5)
-    assert first["mean"] == 5 and first["t"] == pytest.approx([5 - half, 5 + half], abs=1e-3)
+    assert first.mean == 5 and (first.low, first.high) == pytest.approx((5 - half, 5 + half), abs=1e-3)
 
 
 def _study(rng: np.random.Generator, better: float, raters: int = 20, clips: int = 8) -> Array:
@@ -204,16 +212,17 @@ def _study(rng: np.random.Generator, better: float, raters: int = 20, clips: int
 def test_a_better_system_is_found_and_equal_ones_are_not() -> None:
     false = 0
     for seed in range(1, 7):
-        own = anova.analyse(_table(_study(np.random.default_rng(seed), 0.8)), draws=500)["aspects"]["beat_match"]
-        ab, ac, bc = own["pairs"]
-        assert own["anova"]["p"] < 1e-6 and ab["p"] < 0.001 and ac["p"] < 0.001
-        assert ab["bootstrap"][0] > 0 and ac["bootstrap"][0] > 0
-        false += bc["p"] < 0.05
+        ratings = _table(_study(np.random.default_rng(seed), 0.8))
+        assert anova.one_way(list(np.moveaxis(ratings.values[..., 0], 2, 0).reshape(3, -1))).p < 1e-6
+        ab, ac, bc = _rows_of(ratings)[1].values()
+        assert ab["p"].endswith(" ***") and ac["p"].endswith(" ***")
+        assert ab["bootstrap"].low > 0 and ac["bootstrap"].low > 0
+        false += "*" in bc["p"]
     # One of these six (the first) does tell two equal systems apart, as one in twenty may.
     assert false <= 1
     # Of fifty studies without a difference about one in twenty may say so, not many more.
     rng = np.random.default_rng(2)
-    found = [anova.one_way(list(np.moveaxis(_study(rng, 0.0), 2, 0).reshape(3, -1)))["p"] < 0.05 for _ in range(50)]
+    found = [anova.one_way(list(np.moveaxis(_study(rng, 0.0), 2, 0).reshape(3, -1))).p < 0.05 for _ in range(50)]
     assert sum(found) <= 6
 
 
@@ -235,10 +244,10 @@ def test_rank_counts_share_the_better_place() -> None:
     nan = np.nan
     values = np.array([[[5, 3, 1], [4, 4, 2], [3, 3, 3], [1, nan, 5]]], dtype=float)
     assert anova.rank_counts(values).tolist() == [[3, 0, 0], [2, 1, 0], [1, 0, 2]]
-    result = anova.analyse(_table(values))["aspects"]["beat_match"]
-    assert result["comparisons"] == 3
-    assert result["systems"]["A"] | {"t": 0, "bootstrap": 0} == {
-        "ratings": 4, "mean": 3.25, "t": 0, "bootstrap": 0, "total": 13, "scores": [1, 0, 1, 1, 1], "places": [3, 0, 0]}
+    first = _rows_of(_table(values))[0]["A"]
+    assert (first["ratings"], first["total"], first["t"].mean, first["bootstrap"].mean) == (4, 13, 3.25, 3.25)
+    assert [first[f"rated {score}"] for score in range(1, 6)] == [1, 0, 1, 1, 1]
+    assert [first[f"place {place}"] for place in (1, 2, 3)] == [3, 0, 0]
 
 
 def test_what_is_odd_is_named_and_what_is_undefined_is_none() -> None:
@@ -250,14 +259,12 @@ def test_what_is_odd_is_named_and_what_is_undefined_is_none() -> None:
     one = anova.Answer("1", "item0_0", "beat_match", 3, "a.json")
     ratings = anova.gather([one, one], _key())
     assert "rater 1: 1 answers are there twice and count once" in ratings.notes
-    result = anova.analyse(ratings)
-    own = result["aspects"]["beat_match"]
-    assert own["anova"]["F"] is None and "fewer than two" in own["anova"]["reason"]
-    assert own["systems"]["A"]["t"] is None and own["systems"]["B"]["mean"] is None
-    json.dumps(result, allow_nan=False)
-    assert "not defined" in anova.tables(ratings)[0].notes[-1]
-    alike = anova.analyse(_table(np.full((3, 4, 2), 4.0)))["aspects"]["beat_match"]["anova"]
-    assert alike["F"] is None and "differ" in alike["reason"]
+    systems, pairs = _rows_of(ratings)
+    assert systems["A"]["t"].text() == "3.00" and systems["B"]["t"].text() == systems["B"]["bootstrap"].text() == "-"
+    assert {row["p"] for row in pairs.values()} == {"-"}
+    last = anova.tables(ratings)[0].notes[-1]
+    assert "not defined" in last and "fewer than two" in last
+    assert "ratings differ" in anova.tables(_table(np.full((3, 4, 2), 4.0)))[0].notes[-1]
 
 
 # ---------------------------------------------------------------- the command
@@ -289,11 +296,10 @@ def test_analyse_command_writes_tables(made: Path, tmp_path: Path, capsys: Any) 
     out, analyse = tmp_path / "figures" / "study.json", ["analyse", "--key", str(made / "key.json")]
     assert ask([*analyse, "--out", str(out), *files]) == 0
     systems, pairs, *_ = load(out)
-    assert systems.title == "human likeness" and systems.facts["raters"] == 4 and systems.facts["notes"] == []
+    assert systems.title == "human likeness" and "4 raters" in systems.notes[0] and len(systems.notes) == 2
     quokka: Any = systems.rows["quokka"]
-    values = systems.facts["aspects"]["human_likeness"]["systems"]["quokka"]
     assert quokka["ratings"] == 16 == sum(quokka[f"rated {score}"] for score in range(1, 6))
-    assert quokka["bootstrap"].mean == values["mean"] and quokka["bootstrap"].low == values["bootstrap"][0]
+    assert quokka["bootstrap"].mean == quokka["total"] / 16 > quokka["bootstrap"].low
     assert "p < 0.0001 ***" in systems.notes[-1]
     assert ["**" in str(row["p"]) for row in pairs.rows.values()] == [True, False, True]
     capsys.readouterr()

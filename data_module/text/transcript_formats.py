@@ -60,12 +60,19 @@ def plain(source: str, text: str, speaker: str | None = None) -> Content:
 
 def textgrid(source: str, text: str, speaker: str | None = None) -> Content:
     """A Praat TextGrid in its long or its short form, as the Montreal Forced Aligner and others write it."""
+    intervals = {name: entries for name, (kind, entries) in textgrid_tiers(source, text).items()
+                 if kind == "IntervalTier"}
+    return Content(words=_spoken_tier(source, intervals, speaker))
+
+
+def textgrid_tiers(source: str, text: str) -> dict[str, tuple[str, list[Entry]]]:
+    """By name each tier's kind and entries; a point has one time twice. Of tiers of one name the first counts."""
     tokens = _Tokens(source, text)
     if not tokens.text().startswith("ooTextFile") or tokens.text() != "TextGrid":
         raise InputError(source, "is no TextGrid", "save it from Praat as a text file or a short text file")
     tokens.number(), tokens.number()
     tokens.flag()
-    tiers: dict[str, list[Entry]] = {}
+    tiers: dict[str, tuple[str, list[Entry]]] = {}
     for _ in range(tokens.count()):
         kind, name = tokens.text(), tokens.text()
         if kind not in ("IntervalTier", "TextTier"):
@@ -77,9 +84,9 @@ def textgrid(source: str, text: str, speaker: str | None = None) -> Content:
             end = tokens.number() if kind == "IntervalTier" else start
             where = f"line {tokens.line}"
             entries.append(Entry(" ".join(tokens.text().split()), start, end, where))
-        if kind == "IntervalTier":
-            tiers.setdefault(name, entries)
-    return Content(words=_spoken_tier(source, tiers, speaker))
+        if tiers.get(name, ("",))[0] != "IntervalTier":
+            tiers[name] = kind, entries
+    return tiers
 
 
 class _Tokens:

@@ -22,19 +22,19 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import safetensors.torch
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
 from data_module.layers import SLOPE, freeze
 from data_module.motion.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
-from data_module.store import Split, Store
+from data_module.store import Store
 from data_module.types import Array, Motion
 from gesticulator.fit import FitOptions, FitSettings, Task, fit
 
@@ -44,38 +44,17 @@ FPS = 15.0
 """Frames a second of the papers' network, and of ours unless told."""
 PUBLISHED = "h36m_gesture_encoder"
 PUBLISHED_AXES = (-1.0, -1.0, 1.0)
-"""Our directions times these are those that the published network learned: Y down, joints 4 to 6 at -X, facing +Z."""
-PUBLISHED_JOINTS = (("spine", "Spine2"), ("neck", "Neck"), ("nose", "Head"), ("head", "Head"),
-                    ("one shoulder", "LeftArm"), ("one elbow", "LeftForeArm"), ("one wrist", "LeftHand"),
-                    ("other shoulder", "RightArm"), ("other elbow", "RightForeArm"), ("other wrist", "RightHand"))
-"""Its ten joints, in order, and which joint of our character each is, or rides on: nose and crown are points on the
-head (`data_module.motion.representation.ted_positions` puts all ten in space)."""
+"""Our directions times these are those that the published network learned: Y down, joints 4 to 6 at -X, facing +Z. Its
+ten joints are those of `data_module.motion.representation.ted_positions`, the joints 4 to 6 our left arm."""
+NAME = "gesture_features"
+"""Of the files of our own network."""
+NETWORK_FRAMES = (34, 60)
+"""Windows of our own networks, at 15 fps: that of the papers' network, and one of 4 s."""
+PUBLISHED_FOLDER = "fgd"
+"""In GESTICULATOR_DATA: where the papers' network lies, if it is there."""
 _REFERENCE = "h36m_reference.npz"
 _FORMAT = 1
 _LEAST_FRAMES = 12
-
-
-class Features(Protocol):
-    """What the distance is measured in."""
-
-    @property
-    def name(self) -> str:
-        """What a table calls it."""
-
-    @property
-    def frames(self) -> int:
-        """Frames of a window."""
-
-    @property
-    def fps(self) -> float:
-        """Frames a second of a window."""
-
-    @property
-    def sha256(self) -> str:
-        """Of the file of weights; "none" where nothing was trained."""
-
-    def features(self, windows: Array) -> Array:
-        """[N, E] of windows [N, frames, 27] of bone directions in our axes."""
 
 
 def directions(motion: Motion, fps: float) -> Array:
@@ -97,55 +76,53 @@ def windows(motion: Motion, frames: int, fps: float = FPS, stride: int | None = 
 
 
 @dataclass(frozen=True)
-class NetworkFeatures:
-    """A trained network as `Features`. encode: [N, frames, 27] to [N, E], in evaluation mode."""
+class Features:
+    """What the distance is measured in. frames: of a window; sha256: of the file of weights, "none" without one.
+
+    encode: [N, frames, 27] to [N, E].
+    """
 
     name: str
     frames: int
     fps: float
     sha256: str
-    encode: Callable[[Tensor], Tensor]
-    axes: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    encode: Callable[[Array], Array]
 
     def features(self, windows: Array) -> Array:
-        """See `Features.features`; ValueError for another shape or numbers not finite."""
-        own = _checked(windows, self.frames) * np.tile(self.axes, len(TED_BONES))
-        with torch.no_grad():
-            parts = [self.encode(part) for part in torch.as_tensor(own, dtype=torch.float32).split(512)]
-        return torch.cat(parts).double().numpy() if parts else np.zeros((0, 0))
+        """[N, E] of windows [N, frames, 27] in our axes; ValueError for another shape or numbers not finite."""
+        own = np.asarray(windows, dtype=np.float64)
+        if own.ndim != 3 or own.shape[1:] != (self.frames, DIRECTIONS):
+            raise ValueError(f"windows must be [N, {self.frames}, {DIRECTIONS}], not {own.shape}")
+        if not np.isfinite(own).all():
+            raise ValueError("windows must be finite")
+        return self.encode(own)
 
 
-@dataclass(frozen=True)
-class RawFeatures:
+class RawFeatures(Features):
     """No network: the directions of `count` frames, evenly chosen of the window, themselves.
 
     Nothing is learned, so nothing is hidden; but all is weighed alike, and there are many numbers: 27 each.
     """
 
-    frames: int
-    fps: float = FPS
-    count: int = 2
-    sha256: str = "none"
-
-    @property
-    def name(self) -> str:
-        """See `Features.name`."""
-        return f"raw directions of {self.count} frames"
-
-    def features(self, windows: Array) -> Array:
-        """See `Features.features`."""
-        own = _checked(windows, self.frames)
-        at = np.linspace(0, self.frames - 1, self.count).round().astype(int)
-        return own[:, at].reshape(len(own), self.count * DIRECTIONS)
+    def __init__(self, frames: int, fps: float = FPS, count: int = 2) -> None:
+        at = np.linspace(0, frames - 1, count).round().astype(int)
+        super().__init__(f"raw directions of {count} frames", frames, fps, "none",
+                         lambda own: own[:, at].reshape(len(own), count * DIRECTIONS))
 
 
-def _checked(values: Array, frames: int) -> Array:
-    own = np.asarray(values, dtype=np.float64)
-    if own.ndim != 3 or own.shape[1:] != (frames, DIRECTIONS):
-        raise ValueError(f"windows must be [N, {frames}, {DIRECTIONS}], not {own.shape}")
-    if not np.isfinite(own).all():
-        raise ValueError("windows must be finite")
-    return own
+def _batched(encode: Callable[[Tensor], Tensor], axes: Sequence[float] = (1.0, 1.0, 1.0)) -> Callable[[Array], Array]:
+    """A network in evaluation mode as what `Features` takes. axes: of our directions to the network's."""
+    def of(own: Array) -> Array:
+        told = torch.as_tensor(own * np.tile(axes, len(TED_BONES)), dtype=torch.float32)
+        with torch.no_grad():
+            return torch.cat([encode(part) for part in told.split(512)]).double().numpy()
+
+    return of
+
+
+def pooled(motions: Sequence[Motion], by: Features, stride: int | None = None) -> list[Array]:
+    """For each motion the features [n, E] of its windows."""
+    return [by.features(windows(motion, by.frames, by.fps, stride)) for motion in motions]
 
 
 class Encoder(nn.Module):
@@ -186,32 +163,27 @@ def _length(frames: int) -> int:
 _THEIR_NAMES = {"net": "convolutions", "out_net": "linear", "fc_mu": "feature"}
 
 
-def published(folder: str | Path) -> NetworkFeatures:
-    """The papers' own Human3.6M network, of a folder with `h36m_gesture_encoder.safetensors` (or .npz) and .json.
+def published(folder: str | Path) -> Features:
+    """The papers' own Human3.6M network, of a folder with `h36m_gesture_encoder.safetensors` and .json.
 
     Where `h36m_reference.npz` lies beside it, the features that the original gave for its windows must come out, or
     the folder is refused. InputError for a file that is missing or is something else.
     """
-    place = Path(folder)
-    listing = place / f"{PUBLISHED}.json"
-    weights = next((file for ending in ("safetensors", "npz")
-                    if (file := place / f"{PUBLISHED}.{ending}").is_file()), None)
-    if weights is None or not listing.is_file():
-        raise InputError(place, f"holds no {PUBLISHED}.safetensors (or .npz) with its .json",
-                         "name the folder of the Human3.6M gesture encoder")
+    weights = Path(folder) / f"{PUBLISHED}.safetensors"
     try:
-        told = json.loads(listing.read_text(encoding="utf-8"))
+        told = json.loads(weights.with_suffix(".json").read_text(encoding="utf-8"))
         frames, fps, width = int(told["frames"]), float(told["fps"]), int(told["dim"])
         if width != DIRECTIONS:
             raise ValueError(f"it reads {width} numbers a frame, not {DIRECTIONS}")
         network = Encoder(frames, slope=1.0)
-        network.load_state_dict({_our_name(key): value for key, value in _tensors(weights).items()})
-    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        network.load_state_dict({_our_name(key): value for key, value in safetensors.torch.load_file(weights).items()})
+    except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(weights, f"is not the Human3.6M gesture encoder ({str(error).splitlines()[0]})",
-                         "fetch it again") from None
-    made = NetworkFeatures("Human3.6M (Yoon et al. 2020)", frames, fps, _sha256(weights.read_bytes()),
-                           freeze(network), PUBLISHED_AXES)
-    if (place / _REFERENCE).is_file() and (off := reference_error(made, place / _REFERENCE)) > 1e-3:
+                         "name the folder that holds it with its .json, or fetch both again") from None
+    made = Features("Human3.6M (Yoon et al. 2020)", frames, fps, _sha256(weights.read_bytes()),
+                    _batched(freeze(network), PUBLISHED_AXES))
+    reference = weights.with_name(_REFERENCE)
+    if reference.is_file() and (off := reference_error(made, reference)) > 1e-3:
         raise InputError(weights, f"gives features that are up to {off:.2g} off those of {_REFERENCE}",
                          "fetch both again")
     return made
@@ -235,13 +207,6 @@ def reference_error(network: Features, path: str | Path) -> float:
 def _our_name(theirs: str) -> str:
     part, _, rest = theirs.removeprefix("pose_encoder.").partition(".")
     return f"{_THEIR_NAMES.get(part, part)}.{rest}"
-
-
-def _tensors(weights: Path) -> dict[str, Tensor]:
-    if weights.suffix == ".npz":
-        with np.load(weights, allow_pickle=False) as stored:
-            return {key: torch.as_tensor(stored[key]) for key in stored.files}
-    return safetensors.torch.load_file(weights)
 
 
 # --- our own
@@ -305,11 +270,6 @@ class Autoencoder(nn.Module):
         return {"reconstruction": error.abs().mean(), "velocity": torch.diff(error, dim=1).abs().mean()}
 
 
-def windows_of(store: Store, split: Split, frames: int, fps: float, stride: int | None = None) -> list[Array]:
-    """For each recording of a split its windows [n, frames, 27], by the store's order; short ones give none."""
-    return [windows(store.load(info.name).motion, frames, fps, stride) for info in store.of_split(split)]
-
-
 def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = None,
           settings: FitSettings = SETTINGS, *, seed: int = 0, progress: bool = True) -> Autoencoder:
     """Our own network on the windows of a store's training split; `folder` holds the run's checkpoint and log.
@@ -317,9 +277,9 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
     The figures of its validation split are kept in `origin`. InputError when no recording is as long as two windows.
     """
     chosen = config or AutoencoderConfig()
-    step = max(1, chosen.frames // 4)
-    data = np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)),
-                           *windows_of(store, "train", chosen.frames, chosen.fps, step)])
+    data, held = (np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)), *(
+        windows(store.load(info.name).motion, chosen.frames, chosen.fps, max(1, chosen.frames // 4))
+        for info in store.of_split(split))]) for split in ("train", "val"))
     if len(data) < 2:
         raise InputError(store.path, f"has no training motion of {chosen.frames} frames at {chosen.fps:g} fps",
                          "use shorter windows or a larger store")
@@ -327,8 +287,6 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
     network = Autoencoder(chosen)
     network.standardise(data)
     pool = torch.as_tensor(data, dtype=torch.float32)
-    held = np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)),
-                           *windows_of(store, "val", chosen.frames, chosen.fps, step)])
 
     def batch(rng: np.random.Generator) -> dict[str, Tensor]:
         return {"windows": pool[torch.as_tensor(rng.integers(len(pool), size=settings.batch))]}
@@ -341,50 +299,44 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
         return {key: round(float(term), 5) for key, term in terms.items()}
 
     Path(folder).mkdir(parents=True, exist_ok=True)
-    figures = fit(f"gesture_features_{chosen.frames}", network, Task(batch, validate=validate), settings,
-                  Path(folder), FitOptions(seed=seed, progress=progress))
+    figures = fit(f"{NAME}_{chosen.frames}", network, Task(batch, validate=validate), settings, Path(folder),
+                  FitOptions(seed=seed, progress=progress))
     freeze(network)
     network.origin = {"store": store.corpus, "fingerprint": store.fingerprint, "licence": store.licence, "seed": seed,
                       "steps": settings.steps, "windows": len(data), "validation": figures}
     return network
 
 
-def as_features(network: Autoencoder) -> NetworkFeatures:
-    """Our own network as `Features`, pinned by the hash of the file that `save` writes of it."""
+def as_features(network: Autoencoder) -> Features:
+    """Our own network, pinned by the hash of the file that `save` writes of it."""
     freeze(network)
     config = network.config
-    return NetworkFeatures(f"own {config.frames} frames", config.frames, config.fps, _sha256(_bytes(network)),
-                           network.encode)
+    return Features(f"own {config.frames} frames", config.frames, config.fps, _sha256(_bytes(network)),
+                    _batched(network.encode))
 
 
-def save(network: Autoencoder, folder: str | Path, name: str = "gesture_features") -> str:
+def save(network: Autoencoder, folder: str | Path) -> str:
     """Write NAME.safetensors and NAME.json into `folder`; the SHA-256 of the former, which the latter holds too."""
     place, data = Path(folder), _bytes(network)
     place.mkdir(parents=True, exist_ok=True)
     told = {"format": _FORMAT, "sha256": _sha256(data), "config": asdict(network.config), "origin": network.origin}
-    write_bytes(place / f"{name}.safetensors", data)
-    write_text(place / f"{name}.json", json.dumps(told, indent=1, sort_keys=True) + "\n")
+    write_bytes(place / f"{NAME}.safetensors", data)
+    write_text(place / f"{NAME}.json", json.dumps(told, indent=1, sort_keys=True) + "\n")
     return _sha256(data)
 
 
-def load(folder: str | Path, name: str = "gesture_features") -> Autoencoder:
+def load(folder: str | Path) -> Autoencoder:
     """The inverse of `save`; InputError when a file is missing, was changed or is of another format."""
-    weights, listing = (Path(folder) / f"{name}.{ending}" for ending in ("safetensors", "json"))
-    for file in (weights, listing):
-        if not file.is_file():
-            raise InputError(file, "is missing", "train the gesture features again")
+    weights = Path(folder) / f"{NAME}.safetensors"
     try:
-        told = json.loads(listing.read_text(encoding="utf-8"))
-        if told["format"] != _FORMAT:
-            raise InputError(listing, f"has format {told['format']}, and this version reads {_FORMAT}", "train again")
-        if _sha256(weights.read_bytes()) != told["sha256"]:
-            raise InputError(weights, "is not the file that its .json tells of (wrong SHA-256)", "copy both again")
-        with safe_open(weights, "pt") as stored:
-            # The configuration counts among what is pinned: it stands in the weights' file too.
-            config = AutoencoderConfig(**json.loads(stored.metadata()["config"]))
-        network = Autoencoder(config)
-        network.load_state_dict(safetensors.torch.load_file(weights))
-    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        told, data = json.loads(weights.with_suffix(".json").read_text(encoding="utf-8")), weights.read_bytes()
+        if (told["format"], told["sha256"]) != (_FORMAT, _sha256(data)):
+            raise ValueError("its .json tells of another format or another file")
+        network = Autoencoder(AutoencoderConfig(**told["config"]))
+        network.load_state_dict(safetensors.torch.load(data))
+        if _bytes(network) != data:
+            raise ValueError("its .json tells of another configuration")
+    except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(weights, f"is not a network of gesture features ({str(error).splitlines()[0]})",
                          "train it again") from None
     network.origin = told.get("origin", {})
@@ -393,7 +345,8 @@ def load(folder: str | Path, name: str = "gesture_features") -> Autoencoder:
 
 
 def _bytes(network: Autoencoder) -> bytes:
-    """The file of weights. One entry of metadata only: the order of several is not fixed."""
+    """The file of weights, and of what they are the weights of: so the hash pins both. One entry of metadata only: the
+    order of several is not fixed."""
     state = {key: value.detach().cpu().contiguous() for key, value in network.state_dict().items()}
     return safetensors.torch.save(state, metadata={"config": json.dumps(asdict(network.config), sort_keys=True)})
 
@@ -402,23 +355,12 @@ def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def pooled(motions: Sequence[Motion], by: Features, stride: int | None = None) -> list[Array]:
-    """For each motion the features [n, E] of its windows."""
-    return [by.features(windows(motion, by.frames, by.fps, stride)) for motion in motions]
-
-
-NETWORK_FRAMES = (34, 60)
-"""Windows of our own networks, at 15 fps: that of the papers' network, and one of 4 s."""
-PUBLISHED_FOLDER = "fgd"
-"""In GESTICULATOR_DATA: where the papers' network lies, if it is there."""
-
-
 def networks(store: Store, work: Path, progress: bool = True) -> list[Features]:
     """Our own networks, trained on the store's training split once and kept in `work`; the papers' where it is."""
     found: list[Features] = []
     for frames in NETWORK_FRAMES:
         folder = work / f"fgd-{store.fingerprint[:12]}-{frames}"
-        if not (folder / "gesture_features.json").is_file():
+        if not (folder / f"{NAME}.json").is_file():
             save(train(store, folder, AutoencoderConfig(frames=frames), progress=progress), folder)
         found.append(as_features(load(folder)))
     place = os.environ.get("GESTICULATOR_DATA")

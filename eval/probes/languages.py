@@ -15,16 +15,13 @@ from __future__ import annotations
 import argparse
 import functools
 import itertools
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import gammaln
 from tqdm import tqdm
 
 from data_module.corpora.performer import TEST_READINGS, tail_begins
@@ -36,9 +33,9 @@ from data_module.store import Store
 from data_module.types import Array, Motion, Speech
 from eval.clip import ClipMeasurement, measure
 from eval.metrics import pmb
-from eval.metrics.diversity import entropy
-from eval.stats import mean_interval
-from eval.table import Column, Table
+from eval.metrics.diversity import entropy, expected_kinds
+from eval.stats import Interval, mean_interval
+from eval.table import Cell, Column, Table
 from gesticulator.pipeline import FPS, Gesticulator
 from interpreters import INTERPRETERS
 
@@ -46,9 +43,15 @@ PIECE = 15.0
 """Seconds of the pieces whose means have an interval."""
 NAMES = {"en": "English", "de": "German", "es": "Spanish", "cmn": "Mandarin"}
 RULE = "the performer of the store, by its rule"
-_FOLDER_SOUNDS = (".flac", ".wav")
-_ROWS = ("onsets_per_second", "motion_beats_per_second", "pmb", "chance", "above_chance", "entropy", "speech_speed",
-         "silence_speed")
+MEASURED = {"onsets_per_second": Column("onsets", "Hz"), "motion_beats_per_second": Column("motion beats", "Hz"),
+            "pmb": Column("PMB", "%", 1), "chance": Column("chance", "%", 1),
+            "above_chance": Column("above chance", "%", 1, "high"), "entropy": Column("entropy", "nats"),
+            "speech_speed": Column("hands in speech", "m/s"), "silence_speed": Column("in silence", "m/s", 3)}
+"""Of each piece."""
+COLUMNS = {"seconds": Column("speech", "s", 0), "pieces": Column("pieces"), **MEASURED,
+           "used": Column("lexicon used", "share"), "used_equally": Column("used by as many blocks", "share")}
+
+Lexemes = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,18 @@ class Passage:
         return f"{NAMES.get(self.language, self.language)}, {'synthetic' if self.engine else 'real'}"
 
 
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a performance: what was measured on it, and the lexemes of the blocks that begin in it."""
+
+    clip: ClipMeasurement
+    lexemes: Lexemes
+
+
+Player = Callable[[Passage], list[list[Piece]]]
+"""Gives [pieces][performances] of a passage."""
+
+
 # --------------------------------------------------------------------------------------------------- passages
 
 def passages(places: Sequence[Path], spoken: Sequence[str] | None, seconds: float) -> list[Passage]:
@@ -82,19 +97,16 @@ def passages(places: Sequence[Path], spoken: Sequence[str] | None, seconds: floa
     found: dict[str, Passage] = {}
     for place in places:
         own = _of_store(Store.open(place)) if (place / "store.json").is_file() else _of_folder(place)
-        for one in own:
-            if one.name not in found or found[one.name].motion is None:
-                found[one.name] = one
-    listed = list(found.values())
+        if not own:
+            raise InputError(place, "holds no speech kept for test", "name files LANGUAGE_NAME.flac: de_prose.flac")
+        found |= {one.name: one for one in own if one.name not in found or found[one.name].motion is None}
     if spoken is None:
-        spoken = () if any(one.language == "cmn" for one in listed) else ("cmn",)
-    return listed + [passage for language in spoken for passage in speak(language, seconds)]
+        spoken = () if any(one.language == "cmn" for one in found.values()) else ("cmn",)
+    return [*found.values(), *(passage for language in spoken for passage in speak(language, seconds))]
 
 
 def speak(language: str, seconds: float, seed: int = 1) -> list[Passage]:
     """About `seconds` of our own sentences by each test voice of a language."""
-    if language not in voices.VOICES_OF:
-        raise InputError(f"--speak {language}", "nobody here speaks it", f"choose among {', '.join(voices.VOICES_OF)}")
     out = []
     for number, voice in enumerate(voices.VOICES_OF[language][1]):
         rng = np.random.default_rng([seed, number])
@@ -107,18 +119,15 @@ def _of_folder(folder: Path) -> list[Passage]:
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", "--data takes folders of speech and stores")
     out = []
-    for file in sorted(f for f in folder.iterdir() if f.suffix.lower() in _FOLDER_SOUNDS):
+    for file in sorted(f for f in folder.iterdir() if f.suffix.lower() in (".flac", ".wav")):
         language = file.stem.split("_")[0]
-        if language == "en":
-            if file.stem.startswith(TEST_READINGS):
-                out.append(Passage(file.stem, language, "", load_speech(file)))
-        else:
-            speech = load_speech(file)
+        if language == "en" and not file.stem.startswith(TEST_READINGS):
+            continue
+        name, speech = file.stem, load_speech(file)
+        if language != "en":
             kept = speech.samples[tail_begins(speech.samples, speech.sample_rate):]
-            tail = replace(speech, samples=np.ascontiguousarray(kept))
-            out.append(Passage(f"{file.stem}_tail", language, "", tail))
-    if not out:
-        raise InputError(folder, "holds no speech kept for test", "name files LANGUAGE_NAME.flac: de_prose.flac")
+            name, speech = f"{name}_tail", replace(speech, samples=np.ascontiguousarray(kept))
+        out.append(Passage(name, language, "", speech))
     return out
 
 
@@ -129,8 +138,6 @@ def _of_store(store: Store) -> list[Passage]:
         engine = _engine(info.voice) if info.voice in voices.VOICES else ""
         name = f"{store.path.name}/{info.name} by {info.voice}" if engine else info.group or info.name
         out.append(Passage(name, info.language, engine, recording.speech, recording.motion))
-    if not out:
-        raise InputError(store.path, "has no test split", "build it again")
     return out
 
 
@@ -138,100 +145,7 @@ def _engine(voice: str) -> str:
     return {"espeak": "espeak-ng"}.get(voices.VOICES[voice].engine, voices.VOICES[voice].engine)
 
 
-# ---------------------------------------------------------------------------------------------------- figures
-
-def expected_kinds(labels: NDArray[np.int64], drawn: int) -> float:
-    """How many different lexemes `drawn` of the labels, drawn without replacement, hold on average (rarefaction)."""
-    counts = np.unique(labels, return_counts=True)[1].astype(np.float64)
-    total = float(len(labels))
-    if not 0 <= drawn <= total:
-        raise ValueError(f"{drawn} of {len(labels)} labels cannot be drawn")
-    rest = total - counts
-    # The probability that a kind is missed, C(rest, drawn) / C(total, drawn); impossible where too few others exist.
-    missed = np.where(rest >= drawn, np.exp(gammaln(rest + 1) - gammaln(np.maximum(rest - drawn, 0) + 1)
-                                            - gammaln(total + 1) + gammaln(total - drawn + 1)), 0.0)
-    return float((1 - missed).sum())
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A stretch of a performance: what was measured on it, and the lexemes of the blocks that begin in it."""
-
-    clip: ClipMeasurement
-    lexemes: NDArray[np.int64]
-
-
-def pieces(clip: ClipMeasurement, starts: Array, lexemes: NDArray[np.int64], fps: float, seconds: float = PIECE
-           ) -> list[Piece]:
-    """A performance in pieces of one length near `seconds`. starts, lexemes: [N] of its blocks.
-
-    The whole is measured before it is cut, so that a piece keeps the thresholds of its recording.
-    """
-    count = max(1, round(clip.duration / seconds))
-    edges = np.linspace(0.0, clip.duration, count + 1)
-    frames = np.round(edges * fps).astype(int)
-    frames[-1] = len(clip.hand_speed) + 1
-    out = []
-    for start, end, first, last in zip(edges, edges[1:], frames, frames[1:], strict=False):
-        onsets, beats = (own[(own >= start) & (own < end)] - start for own in (clip.onsets, clip.beats))
-        part = ClipMeasurement(onsets, beats, float(end - start), clip.hand_speed[first:last],
-                               clip.silent[first:last], clip.heights[first:last])
-        out.append(Piece(part, lexemes[(starts >= start) & (starts < end)]))
-    return out
-
-
-def figures_of(piece: Piece) -> dict[str, float]:
-    """The figures of one piece by the names of `_ROWS`: per second, percent, nats and m/s; NaN where undefined."""
-    clip, rhythm = piece.clip, piece.clip.rhythm()
-    values = (len(clip.onsets) / clip.duration, clip.beats_per_second, rhythm.pmb, rhythm.chance, rhythm.above_chance,
-              lexeme_entropy(piece.lexemes), clip.speech_speed, clip.silence_speed)
-    return dict(zip(_ROWS, values, strict=True))
-
-
-def lexeme_entropy(labels: NDArray[np.int64]) -> float:
-    """Of the lexemes' frequencies, nats (RG Eq. 23); NaN for none."""
-    return entropy(np.unique(labels, return_counts=True)[1])
-
-
-def _row(played: Sequence[Sequence[Piece]], size: int) -> dict[str, Any]:
-    """A row over pieces of speech, each played several times: [pieces][performances].
-
-    A piece's figure is the mean over its performances, since it is pieces of speech that the interval draws.
-    """
-    row: dict[str, Any] = {"seconds": round(sum(players[0].clip.duration for players in played), 1)}
-    own = [[figures_of(piece) for piece in players] for players in played]
-    for name in _ROWS:
-        values = np.array([[one[name] for one in players] for players in own])
-        known = np.isfinite(values)
-        means = np.where(known, values, 0).sum(1) / np.where(known.any(1), known.sum(1), np.nan)
-        row[name] = mean_interval(means)
-    labels = _lexemes(played)
-    return row | {"pieces": len(played), "blocks": len(labels), "entropy_of_all": lexeme_entropy(labels),
-                  "used": len(np.unique(labels)) / size if len(labels) else float("nan")}
-
-
-def _lexemes(played: Sequence[Sequence[Piece]]) -> NDArray[np.int64]:
-    return np.concatenate([piece.lexemes for players in played for piece in players])
-
-
-def rows(heard: Iterable[Passage], play: Callable[[Passage], list[list[Piece]]], size: int) -> dict[str, Any]:
-    """{"groups": {"German, real": row}, "clips": {name: row}, "equal_blocks": n} of whoever plays the passages.
-
-    play: what gives [pieces][performances] for a passage; size: of the lexicon. `used_equally` is the share of it that
-    turns up in n blocks, n being the blocks of the smallest group.
-    """
-    clips: dict[str, list[list[Piece]]] = {}
-    groups: dict[str, list[list[Piece]]] = {}
-    for passage in heard:
-        played = play(passage)
-        clips[f"{passage.name} ({passage.group})"] = played
-        groups.setdefault(passage.group, []).extend(played)
-    table = {name: _row(own, size) for name, own in groups.items()}
-    least = min(row["blocks"] for row in table.values())
-    for name, row in table.items():
-        row["used_equally"] = expected_kinds(_lexemes(groups[name]), least) / size if least else float("nan")
-    return {"groups": table, "clips": {name: _row(own, size) for name, own in clips.items()}, "equal_blocks": least}
-
+# ---------------------------------------------------------------------------------------------------- players
 
 def played_by(system: Gesticulator, passage: Passage, interpreter: str, takes: int = 1) -> list[list[Piece]]:
     """[pieces][performances]: every performer of the bundle, `takes` times each, on one passage without its words."""
@@ -246,78 +160,83 @@ def played_by(system: Gesticulator, passage: Passage, interpreter: str, takes: i
 
 def performed(passage: Passage) -> list[list[Piece]]:
     """[pieces][1]: what the corpus's performer did with a passage that has its motion; lexemes are unknown."""
-    if passage.motion is None:
-        raise ValueError(f"{passage.name} has no motion")
+    assert passage.motion is not None
     clip = measure(passage.motion, passage.speech)
     return [[one] for one in pieces(clip, np.zeros(0), np.zeros(0, dtype=np.int64), passage.motion.fps)]
 
 
-def figures(systems: dict[str, Gesticulator], heard: Sequence[Passage], interpreters: Sequence[str] = ("lstm",), *,
-            takes: int = 1, progress: bool = False) -> dict[str, Any]:
-    """Rows of every model and interpreter on the same passages, and which of them a person speaks."""
-    told: dict[str, Any] = {}
-    known = [one for one in heard if one.motion is not None]
-    if known:
-        told[RULE] = rows(known, performed, 1)
-    for name, system in systems.items():
-        for interpreter in interpreters:
-            label = f"{name}, {interpreter}"
-            play = functools.partial(played_by, system, interpreter=interpreter, takes=takes)
-            # Of the lexicon that plays: RACER's own codec has another size than the setting of ours.
-            told[label] = rows(tqdm(heard, desc=label, disable=not progress), play,
-                               system.bundle.lexicon.quantizer.size)
-    speech = [{"name": one.name, "language": one.language, "spoken_by": one.engine or "a person", "group": one.group,
-               "seconds": round(one.speech.duration, 1)} for one in heard]
-    return {"speech": speech, "takes": takes, "systems": told}
+def pieces(clip: ClipMeasurement, starts: Array, lexemes: Lexemes, fps: float) -> list[Piece]:
+    """A performance in pieces of one length near `PIECE`. starts, lexemes: [N] of its blocks."""
+    edges = np.linspace(0.0, clip.duration, max(1, round(clip.duration / PIECE)) + 1)
+    return [Piece(clip.piece(start, end, fps), lexemes[(starts >= start) & (starts < end)])
+            for start, end in itertools.pairwise(edges.tolist())]
 
 
-# ------------------------------------------------------------------------------------------------------ tables
+# ---------------------------------------------------------------------------------------------------- figures
 
-COLUMNS = {"seconds": Column("speech", "s", 0), "pieces": Column("pieces"),
-           "onsets_per_second": Column("onsets", "Hz"), "motion_beats_per_second": Column("motion beats", "Hz"),
-           "pmb": Column("PMB", "%", 1), "chance": Column("chance", "%", 1),
-           "above_chance": Column("above chance", "%", 1, "high"), "entropy": Column("entropy", "nats"),
-           "used": Column("lexicon used", "share"), "used_equally": Column("used by as many blocks", "share"),
-           "speech_speed": Column("hands in speech", "m/s"), "silence_speed": Column("in silence", "m/s", 3)}
+def figures_of(piece: Piece) -> dict[str, float]:
+    """The figures of one piece, by the keys of `MEASURED`; NaN where undefined."""
+    clip, rhythm = piece.clip, piece.clip.rhythm()
+    values = (len(clip.onsets) / clip.duration, clip.beats_per_second, rhythm.pmb, rhythm.chance, rhythm.above_chance,
+              entropy(np.bincount(piece.lexemes)), clip.speech_speed, clip.silence_speed)
+    return dict(zip(MEASURED, values, strict=True))
 
 
-def tables(result: dict[str, Any]) -> list[Table]:
-    """By group and by clip for every player, and who spoke what.
+def player_table(title: str, heard: Iterable[Passage], play: Player, size: int) -> Table:
+    """A row for each language, real and synthetic. size: of the lexicon that plays.
+
+    A piece's figure is the mean over its performances, since it is pieces of speech that the interval draws.
+    `used_equally` is the share of the lexicon that turns up in as many blocks as the smallest group has.
+    """
+    groups: dict[str, list[list[Piece]]] = {}
+    for passage in heard:
+        groups.setdefault(passage.group, []).extend(play(passage))
+    lexemes = {name: np.concatenate([one.lexemes for players in own for one in players])
+               for name, own in groups.items()}
+    least = min(map(len, lexemes.values()))
+    rows: dict[str, dict[str, Cell]] = {}
+    for name, played in groups.items():
+        figures = [[figures_of(one) for one in players] for players in played]
+        rows[name] = {"seconds": sum(players[0].clip.duration for players in played), "pieces": len(played)}
+        for key in MEASURED:
+            values = np.ma.masked_invalid([[one[key] for one in players] for players in figures])
+            rows[name][key] = mean_interval(values.mean(axis=1).filled(np.nan))
+        if least:
+            rows[name] |= {"used": len(np.unique(lexemes[name])) / size,
+                           "used_equally": expected_kinds(lexemes[name], least) / size}
+    return Table(title, COLUMNS, rows, "speech", facts={"equal_blocks": least})
+
+
+def tables(systems: dict[str, Gesticulator], heard: Sequence[Passage], interpreters: Sequence[str] = ("lstm",), *,
+           takes: int = 1, progress: bool = False) -> list[Table]:
+    """Who spoke what, then every player: the store's performer, and each model with each interpreter.
 
     The facts of the first have the claim of RG Fig. 13: PMB above chance on each language but English, by the first
     bundle.
     """
-    spoken: dict[str, set[str]] = {}
-    for one in result["speech"]:
-        spoken.setdefault(one["group"], set()).add(one["spoken_by"])
     about = (f"Means over pieces of about {PIECE:.0f} s (intervals are too narrow under ten pieces); every performer "
-             f"of a bundle plays every piece, in {result['takes']} take(s); no words are given. PMB at {pmb.DELTA:g} "
-             "s; entropy of the lexemes of a piece; lexicon used by all blocks, and by as many as the smallest group "
-             "has.")
-    first: dict[str, Any] = next((of for name, of in result["systems"].items() if name != RULE), {"groups": {}})
-    claim = [row["above_chance"].to_dict() for name, row in first["groups"].items() if not name.startswith("English")]
-    voices = Table("Speech", {"by": Column("spoken by")},
-                   {group: {"by": ", ".join(sorted(by))} for group, by in spoken.items()}, "language", [about],
-                   {"claim": claim, "speech": result["speech"], "takes": result["takes"],
-                    "equal_blocks": {name: of["equal_blocks"] for name, of in result["systems"].items()}})
-    out = [voices]
-    for name, of in result["systems"].items():
-        for title, key in ((name, "groups"), (f"{name}, each clip", "clips")):
-            columns = {key: column for key, column in COLUMNS.items()
-                       if any(key in row for row in of["groups" if title == name else "clips"].values())}
-            out.append(Table(title, columns, {label: {key: row.get(key) for key in columns}
-                                              for label, row in of[key].items()}, "speech"))
-    return out
+             f"of a bundle plays every piece, in {takes} take(s); no words are given. PMB at {pmb.DELTA:g} s; entropy "
+             "of the lexemes of a piece; lexicon used by all blocks, and by as many as the smallest group has.")
+    known = [one for one in heard if one.motion is not None]
+    out = [player_table(RULE, known, performed, 1)] if known else []
+    for (name, system), who in itertools.product(systems.items(), interpreters):
+        # Of the lexicon that plays: RACER's own codec has another size than the setting of ours.
+        out.append(player_table(f"{name}, {who}", tqdm(heard, desc=name, disable=not progress),
+                                functools.partial(played_by, system, interpreter=who, takes=takes),
+                                system.bundle.lexicon.quantizer.size))
+    first = next(table for table in out if table.title != RULE)
+    claim = [row["above_chance"].to_dict() for group, row in first.rows.items()
+             if not group.startswith("English") and isinstance(row["above_chance"], Interval)]
+    by: dict[str, set[str]] = {}
+    for one in heard:
+        by.setdefault(one.group, set()).add(one.engine or "a person")
+    return [Table("Speech", {"by": Column("spoken by")},
+                  {group: {"by": ", ".join(sorted(own))} for group, own in by.items()}, "language", [about],
+                  {"claim": claim, "speech": [one.name for one in heard], "takes": takes}), *out]
 
 
-def _listed(told: str | None, known: Iterable[str], option: str) -> tuple[str, ...] | None:
-    if told is None:
-        return None
-    names = tuple(filter(None, told.split(",")))
-    for name in names:
-        if name not in known:
-            raise InputError(f"{option} {name}", "is not known", f"choose among {', '.join(known)}")
-    return names
+def _listed(told: str) -> tuple[str, ...]:
+    return tuple(filter(None, told.split(",")))
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -327,9 +246,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="folders of LANGUAGE_NAME.flac, and stores (their test split)")
     add("--bundle", metavar="DIR", help="default: the shipped one")
     add("--reverse", metavar="DIR", help="a bundle trained on another language, on the same speech")
-    add("--interpreters", default="lstm", metavar="A,B", help=f"of {', '.join(INTERPRETERS)} (lstm)")
-    add("--speak", metavar="cmn,de", help="languages to speak here with synthetic voices (cmn, where --data has none; "
-        "'' for none)")
+    add("--interpreters", default=("lstm",), type=_listed, metavar="A,B", help=f"of {', '.join(INTERPRETERS)} (lstm)")
+    add("--speak", type=_listed, metavar="cmn,de", help="languages to speak here with synthetic voices (cmn, where "
+        "--data has none; '' for none)")
     add("--seconds", type=float, default=60.0, help="of --speak, by each of the language's test voices (60)")
     add("--takes", type=int, default=3, help="times that each performer plays everything, with other lexemes sampled "
         "and so with another rhythm (3)")
@@ -338,15 +257,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> list[Table]:
     """Play everything; InputError for options that cannot be."""
     torch.set_num_threads(1)
-    if not (math.isfinite(arguments.seconds) and arguments.seconds > 0):
-        raise InputError("--seconds", f"is {arguments.seconds:g}", "give a number over 0")
-    if arguments.takes < 1:
-        raise InputError("--takes", f"is {arguments.takes}", "give 1 or more")
-    interpreters = _listed(arguments.interpreters, INTERPRETERS, "--interpreters") or ("lstm",)
-    spoken = _listed(arguments.speak, voices.VOICES_OF, "--speak")
+    for option, names, known in (("--interpreters", arguments.interpreters, INTERPRETERS),
+                                 ("--speak", arguments.speak or (), voices.VOICES_OF)):
+        if unknown := [name for name in names if name not in known]:
+            raise InputError(f"{option} {unknown[0]}", "is not known", f"choose among {', '.join(known)}")
+    if not (0 < arguments.seconds < float("inf") and arguments.takes >= 1):
+        raise InputError("--seconds, --takes", f"are {arguments.seconds:g}, {arguments.takes}", "give numbers over 0")
     name = "shipped" if arguments.bundle is None else Path(arguments.bundle).name
     systems = {name: Gesticulator.from_pretrained(arguments.bundle)}
     if arguments.reverse is not None:
         systems[f"{Path(arguments.reverse).name} (reverse)"] = Gesticulator.from_pretrained(arguments.reverse)
-    heard = passages(arguments.data, spoken, arguments.seconds)
-    return tables(figures(systems, heard, interpreters, takes=arguments.takes, progress=True))
+    heard = passages(arguments.data, arguments.speak, arguments.seconds)
+    return tables(systems, heard, arguments.interpreters, takes=arguments.takes, progress=True)

@@ -7,7 +7,7 @@ speaker's most frequent lexeme, and, where GESTICULATOR_DATA is set, a real take
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,13 +24,11 @@ from eval import stats
 from eval.baselines import Bigram, Majority
 from eval.clip import ClipMeasurement, measure, real_take
 from eval.context import EvalContext
-from eval.metrics import pmb
 from eval.policy import Decisions, accuracy
 from eval.table import Cell, Column, Table
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import FPS, Gesticulator
 from gesticulator.stages.lexicon import lexicon_figures
-from gesticulator.stages.q_network import takes_of
 from gesticulator.statistics import representation_of
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter
@@ -41,6 +39,8 @@ DELTAS = (0.05, 0.1, 0.2)
 """Seconds: the tolerances that are shown; the papers print the last."""
 QUANTILES = (5, 25, 50, 75, 95, 99)
 """Percentiles of hand speed."""
+HEIGHTS = (5, 50, 95)
+Rows = dict[str, dict[str, Cell]]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,35 +49,26 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Sequence[Table]:
-    """All four tables."""
-    return quality(EvalContext.of(arguments))
-
-
-def quality(context: EvalContext) -> list[Table]:
     """Lexicon, accuracy, rhythm and hands."""
+    context = EvalContext.of(arguments)
     bundle, recordings, take = context.bundle, context.recordings(), real_take(FPS)
-    baselines: dict[str, LexemeInterpreter] = {"statistical": bundle.statistical(), "majority": Majority(bundle)}
-    clips: dict[str, list[ClipMeasurement]] = {"performer": [
-        measure(one.motion, one.speech, cut(one.speech, bundle.config.rhythm).edges) for one in recordings]}
-    clips["lstm"] = play(context.system, recordings, "lstm", context.progress)
-    read = {}
+    interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.block_models.interpreter}
+    clips = {"performer": [measure(one.motion, one.speech, cut(one.speech, bundle.config.rhythm).edges)
+                           for one in recordings], "lstm": play(context.system, recordings, "lstm", context.progress)}
     if bundle.interpreter_text is not None:
+        interpreters["lstm with text"] = bundle.interpreter_text
         clips["lstm with text"] = play(context.system, recordings, "lstm", context.progress, words=True)
-        read["lstm with text"] = bundle.interpreter_text
-    for name, interpreter in baselines.items():
-        clips[name] = play(context.system, recordings, interpreter, context.progress)
+    interpreters |= {
+        "previous lexeme and speaker": Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size),
+        "statistical": bundle.statistical(), "majority": Majority(bundle)}
+    for name in ("statistical", "majority"):
+        clips[name] = play(context.system, recordings, interpreters[name], context.progress)
     if take is not None:
-        motion, speech = take
-        made = context.system(speech)
-        clips["real take (BEAT)"] = [measure(motion, speech, made.blocks.edges)]
-        clips["lstm on the real take's voice"] = [measure(made.motion, speech, made.blocks.edges)]
-    bigram = Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size)
-    seconds = sum(one.speech.duration for one in recordings)
-    lexicon = lexicon_table(context, recordings, take)
-    interpreters: dict[str, LexemeInterpreter] = {
-        "lstm": bundle.block_models.interpreter, **read, "previous lexeme and speaker": bigram, **baselines}
-    return [replace(lexicon, facts={**lexicon.facts, **context.described(), "seconds": seconds}),
-            accuracy_table(context, interpreters), rhythm_table(clips), hands_table(clips)]
+        made = context.system(take[1])
+        clips |= {name: [measure(motion, take[1], made.blocks.edges)] for name, motion in (
+            ("real take (BEAT)", take[0]), ("lstm on the real take's voice", made.motion))}
+    return [lexicon_table(context, recordings, take), accuracy_table(context, interpreters), rhythm_table(clips),
+            hands_table(clips)]
 
 
 def play(system: Gesticulator, recordings: Sequence[Recording], interpreter: str | LexemeInterpreter, progress: bool,
@@ -124,11 +115,10 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
     bundle, corpus = context.bundle, context.corpus
     train = torch.as_tensor(corpus.select("train"))
     test = torch.as_tensor(np.concatenate([corpus.blocks_of(number) for number in context.numbers()]))
-    size, width = bundle.config.lexicon.size, bundle.config.lexicon.code_width
     known, unknown = (corpus.motion[part].flatten(1).numpy().astype(np.float64) for part in (train, test))
     few = known[np.random.default_rng(0).permutation(len(known))[:FIT_BLOCKS]]
-    linear = PCA(min(width, *few.shape), random_state=0).fit(few)
-    means = KMeans(min(size, len(few)), n_init=3, random_state=0).fit(few)
+    linear = PCA(min(bundle.config.lexicon.code_width, *few.shape), random_state=0).fit(few)
+    means = KMeans(min(bundle.config.lexicon.size, len(few)), n_init=3, random_state=0).fit(few)
     errors = {"PCA": ((linear.inverse_transform(linear.transform(unknown)) - unknown) ** 2).mean(1),
               "k-means": ((means.cluster_centers_[means.predict(unknown)] - unknown) ** 2).mean(1),
               **reconstructions(bundle, corpus.motion[test])}
@@ -136,23 +126,25 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
     for name, kind in (("quantised, strokes seen in training", 0), ("quantised, strokes never seen", 1)):
         errors[name] = np.where(kinds == kind, errors["quantised"], np.nan)
     owner = corpus.recording[test.numpy()]
-    body: dict[str, dict[str, Cell]] = {name: {"error": stats.mean_interval([
+    rows: Rows = {name: {"error": stats.mean_interval([
         np.nanmean(error[owner == clip]) if np.isfinite(error[owner == clip]).any() else np.nan
         for clip in np.unique(owner)])} for name, error in errors.items()}
     if take is not None:
         blocks = normalise_motion(take[0], cut(take[1], bundle.config.rhythm), representation_of(bundle.config))
         centred = (blocks - blocks.mean(axis=(0, 1))) / bundle.statistics.deviation
-        for name, error in reconstructions(bundle, torch.as_tensor(centred, dtype=torch.float32)).items():
-            body[f"real take (BEAT), {name}"] = {"error": float(error.mean())}
+        rows |= {f"real take (BEAT), {name}": {"error": float(error.mean())} for name, error in
+                 reconstructions(bundle, torch.as_tensor(centred, dtype=torch.float32)).items()}
     used = lexicon_figures(bundle.block_models.lexicon, corpus.motion[test])
-    return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, body,
+    variance = float(unknown.var(0).mean())
+    return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, rows,
                  "through", [f"Lexemes used on the test split: {100 * used['usage']:.0f} %; perplexity "
-                             f"{used['perplexity']:.1f}. Variance of the features: {unknown.var(0).mean():.3f}. Means "
+                             f"{used['perplexity']:.1f}. Variance of the features: {variance:.3f}. Means "
                              "over recordings with bootstrap 95 % intervals."],
-                 {**used, "variance": float(unknown.var(0).mean())})
+                 {**used, "variance": variance, **context.described(),
+                  "seconds": sum(one.speech.duration for one in recordings)})
 
 
-# ----------------------------------------------------------------------------------------------------------- accuracy
+# ------------------------------------------------------------------------------------------------ accuracy and motion
 
 def accuracy_table(context: EvalContext, rows: Mapping[str, LexemeInterpreter]) -> Table:
     """Share of test blocks whose lexeme is the performer's (with the silent hint), teacher-forced and free-running.
@@ -161,30 +153,25 @@ def accuracy_table(context: EvalContext, rows: Mapping[str, LexemeInterpreter]) 
     with words).
     """
     columns = {"teacher_forced": Column("teacher-forced", "%", 1), "free_running": Column("free-running", "%", 1)}
-    takes = takes_of(context.corpus, context.labels, "test")
-    body: dict[str, dict[str, Cell]] = {}
+    decisions = replace(Decisions.of(context.bundle, context.corpus, context.labels), masked=True)
+    body: Rows = {}
     for name, interpreter in rows.items():
-        reads = isinstance(interpreter, LstmInterpreter) and interpreter.config.reads
-        wanted = set(context.numbers(with_text=reads))
-        decisions = Decisions(context.corpus, [take for take in takes if take.recording in wanted],
-                              context.bundle.silent, True, len(context.bundle.vectors))
+        wanted = context.numbers(with_text=isinstance(interpreter, LstmInterpreter) and interpreter.config.reads)
+        takes = [take for take in decisions.takes if take.recording in wanted]
         body[name] = {kind: stats.mean_interval(
-            [accuracy(interpreter, decisions, take, kind == "teacher_forced") for take in decisions.takes],
-            [len(take.blocks) - 1 for take in decisions.takes]) for kind in columns}
+            [accuracy(interpreter, decisions, take, kind == "teacher_forced") for take in takes],
+            [len(take.blocks) - 1 for take in takes]) for kind in columns}
     return Table("Lexeme accuracy", columns, body, "interpreter")
 
 
-# ------------------------------------------------------------------------------------------------------------- motion
-
 def rhythm_table(rows: Mapping[str, Sequence[ClipMeasurement]]) -> Table:
-    """PMB with its chance level and the share above it at three deltas; the curve over delta in the facts."""
+    """PMB with its chance level and the share above it at three deltas."""
     columns = {"rate": Column("motion beats", "1/s")}
     for delta in DELTAS:
         columns |= {f"pmb {delta:g}": Column(f"PMB at {delta:g} s", "%", 1, "high"),
                     f"chance {delta:g}": Column("chance", "%", 1),
                     f"above {delta:g}": Column("above chance", "%", 1, "high")}
-    body: dict[str, dict[str, Cell]] = {}
-    curves, sure = {}, {}
+    body: Rows = {}
     for name, clips in rows.items():
         body[name] = {"rate": stats.mean_interval([clip.beats_per_second for clip in clips])}
         for delta in DELTAS:
@@ -192,30 +179,24 @@ def rhythm_table(rows: Mapping[str, Sequence[ClipMeasurement]]) -> Table:
             body[name] |= {f"pmb {delta:g}": stats.mean_interval([one.pmb for one in found]),
                            f"chance {delta:g}": stats.mean_interval([one.chance for one in found]),
                            f"above {delta:g}": stats.mean_interval([one.above_chance for one in found])}
-            sure[f"{name}, {delta:g}"] = sum(one.p_value < 0.01 for one in found)
-        curves[name] = np.nanmean([pmb.delta_curve(clip.beats, clip.onsets).percent for clip in clips], axis=0).tolist()
-    return Table("In time with the voice", columns, body, "motion", facts={
-        "deltas": list(pmb.DELTAS), "curves": curves, "clips_with_p_below_0.01": sure})
+    return Table("In time with the voice", columns, body, "motion")
 
 
 def hands_table(rows: Mapping[str, Sequence[ClipMeasurement]]) -> Table:
     """Hand speeds in speech and in settled silence, percentiles, stillness, heights, speed across the seams."""
-    columns = {f"speed {level}": Column(f"speed, {level} %", "m/s", 2, "near") for level in QUANTILES}
-    columns |= {"still": Column("under 0.1 m/s", "%", 0, "near"), "speech": Column("in speech", "m/s", 2, "near"),
-                "silence": Column("in silence", "m/s", 3, "near"),
-                **{f"height {level}": Column(f"height over hips, {level} %", "m", 2, "near") for level in (5, 50, 95)},
-                "seam": Column("seam speed, 99 %", "m/s", 2, "near")}
-    body: dict[str, dict[str, Cell]] = {}
-
-    def over(clips: Sequence[ClipMeasurement], of: Callable[[ClipMeasurement], float]) -> stats.Interval:
-        return stats.mean_interval([of(clip) for clip in clips])
-
+    columns = {**{f"speed {level}": Column(f"speed, {level} %", "m/s", 2, "near") for level in QUANTILES},
+               "still": Column("under 0.1 m/s", "%", 0, "near"), "speech": Column("in speech", "m/s", 2, "near"),
+               "silence": Column("in silence", "m/s", 3, "near"),
+               **{f"height {level}": Column(f"height over hips, {level} %", "m", 2, "near") for level in HEIGHTS},
+               "seam": Column("seam speed, 99 %", "m/s", 2, "near")}
+    body: Rows = {}
     for name, clips in rows.items():
         speed, heights, seams = (np.concatenate([getattr(clip, key).ravel() for clip in clips])
                                  for key in ("hand_speed", "heights", "seam_speed"))
-        body[name] = {f"speed {level}": float(np.percentile(speed, level)) for level in QUANTILES}
-        body[name] |= {"still": 100 * float((speed < 0.1).mean()), "speech": over(clips, lambda c: c.speech_speed),
-                       "silence": over(clips, lambda c: c.silence_speed),
-                       **{f"height {level}": float(np.percentile(heights, level)) for level in (5, 50, 95)},
-                       "seam": float(np.percentile(seams, 99)) if len(seams) else None}
+        body[name] = {**{f"speed {level}": float(np.percentile(speed, level)) for level in QUANTILES},
+                      "still": 100 * float((speed < 0.1).mean()),
+                      "speech": stats.mean_interval([clip.speech_speed for clip in clips]),
+                      "silence": stats.mean_interval([clip.silence_speed for clip in clips]),
+                      **{f"height {level}": float(np.percentile(heights, level)) for level in HEIGHTS},
+                      "seam": float(np.percentile(seams, 99)) if len(seams) else None}
     return Table("Hands", columns, body, "motion")
