@@ -4,6 +4,8 @@ The layout is chosen by what the file holds, not by its name:
 
 - a TextGrid of Praat or ELAN (long or short form), point tier or interval tier: the entries that have a text;
 - a label track of Audacity: START tab END tab LABEL, or two numbers with a tab between;
+- JSON: a list of numbers, of [time, label] or of objects with "time" (or "start"), bare or below "beats", "labels",
+  "onsets", "strokes" or "times";
 - plain text: one number a line, with an optional label behind it; `#` begins a remark;
 - a table with a head (comma, semicolon or tab): the column that the caller names, else one of `COLUMNS`. With a column
   of `FILES` it is a table of many recordings, one mark a row.
@@ -14,14 +16,16 @@ Anything else is refused with the line. A mark that lasts has three moments; `at
 from __future__ import annotations
 
 import csv
+import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
 from data_module.files import read_text
 from data_module.text.transcript_formats import NUMBER, SILENCES, textgrid_tiers
 from data_module.types import Array
@@ -35,9 +39,12 @@ OTHERS = frozenset({".bvh", ".npz", ".npy", ".fbx", ".wav", ".flac", ".ogg", ".m
                     ".vtt", ".pdf", ".md"})
 """Endings of what lies beside labels and is none."""
 
+_LISTS = ("beats", "labels", "onsets", "strokes", "times")
 _WANTED = re.compile(r"beat|emphas|stroke|gesture|onset|apex", re.IGNORECASE)
-_ADVICE = ("give seconds, one a line; a table with a head (time,label); an Audacity label track; or a Praat "
-           "TextGrid (ELAN exports one)")
+_ADVICE = ("give seconds, one a line; a table with a head (time,label); an Audacity label track; a Praat TextGrid "
+           "(ELAN exports one); or a JSON list")
+_LARGEST = 1e300
+"""Of a number in JSON: a larger whole number has no float."""
 _LATEST = 1e6
 """Seconds (eleven days) into a recording: a later time is no moment of it."""
 # Possessive (++): what was matched is never given back, so that time grows with the length alone.
@@ -83,7 +90,9 @@ def read_recordings(path: Path, choice: LabelChoice | None = None) -> dict[str, 
     choice = choice or LabelChoice()
     text = read_text(path, _ADVICE)
     marks: dict[str, list[Mark]] = {}
-    if "ooTextFile" in text[:200]:
+    if text.lstrip()[:1] in ("[", "{"):
+        layout, marks[""] = "JSON", _of_json(path, text)
+    elif "ooTextFile" in text[:200]:
         layout, marks[""] = "TextGrid", _of_textgrid(path, text, choice.tier)
     elif "-->" in text:
         raise InputError(path, "holds subtitles, which time what is said and no gestures", _ADVICE)
@@ -190,6 +199,29 @@ def _of_table(path: Path, text: str, column: str | None) -> Iterator[tuple[str, 
                 yield name, (start, until)
     except csv.Error as error:
         raise InputError(path, f"line {table.line_num + 1}: is no row of a table ({error})", _ADVICE) from None
+
+
+def _of_json(path: Path, text: str) -> list[Mark]:
+    try:
+        told = json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError(path, "begins as JSON and is none", "write it again") from None
+    if isinstance(told, Mapping):
+        told = next((told[name] for name in _LISTS if isinstance(told.get(name), list)), None)
+    if not isinstance(told, list):
+        raise InputError(path, "holds no list of times", f"write a list, bare or below one of {', '.join(_LISTS)}")
+    return [_json_mark(path, item, place) for place, item in enumerate(told)]
+
+
+def _json_mark(path: Path, item: Any, place: int) -> Mark:
+    start = end = item[0] if isinstance(item, list) and item else item
+    if isinstance(item, Mapping):
+        start = item.get("time", item.get("start"))
+        end = item.get("end", start)
+    if not all(isinstance(time, int | float) and not isinstance(time, bool) and abs(time) <= _LARGEST
+               for time in (start, end)):
+        raise InputError(path, f"[{place}]: {shown(item)} tells no time", 'write 1.25 or {"time": 1.25}')
+    return float(start), float(end)
 
 
 def _of_textgrid(path: Path, text: str, tier: str | None) -> list[Mark]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,9 @@ LAYOUTS = {
     "audacity regions": ("0.5\t0.7\tb\n\\\t100.0\t200.0\n1.25\t1.5\n2.0\t2.5\t3\n", "Audacity label track"),
     "table": ("label;Time\nb;0.5\nb;1.25\nnone;\nb;2.0\n", "table"),
     "table of marks that last": ("start,end,label\n0.5,0.7,b\n1.25,1.5,\n2,2.5,b\n", "table"),
+    "json numbers": ("[0.5, 1.25, 2]", "JSON"),
+    "json pairs": ('[[0.5, "b"], [1.25, "b"], [2.0, "b"]]', "JSON"),
+    "json objects": ('{"speaker": 1, "beats": [{"time": 0.5}, {"start": 1.25, "end": 1.5}, {"time": 2}]}', "JSON"),
     "textgrid, long": (_LONG_GRID, "TextGrid"),
     "textgrid, short": (_SHORT_GRID, "TextGrid"),
 }
@@ -85,8 +89,8 @@ def test_every_layout_gives_the_same_moments(name: str, encoding: str, tmp_path:
 
 
 @pytest.mark.parametrize(("text", "wrong"), [
-    ("", "holds no labels"), ("# nothing\n", "holds no labels"), ('{"beats": [0.5]}', "no column of times"),
-    ("0.5 0.7\n1 2\n", "second number"),
+    ("", "holds no labels"), ("# nothing\n", "holds no labels"), ("[]", "no labels"), ("{\"a\": 1}", "no list"),
+    ("[1, true]", r"\[1\].*no time"), ("[1,", "is none"), ("0.5 0.7\n1 2\n", "second number"),
     ("1,0.5\n2,0.7\n", "head"), ("0.5\t0.7\tb\n1.0\n", "one number and lines with two"), ("0.5\nhello\n", "line 2"),
     ("2\t1\tb\n", "before it starts"),
     ("-1\n2\n", "before the recording"), ("who,what\na,b\n", "no column of times"), ("time\nsoon\n", "line 2.*no time"),
@@ -107,9 +111,9 @@ def test_what_is_no_label_file_is_refused_in_one_line(text: str, wrong: str, tmp
 @pytest.mark.parametrize(("text", "wrong"), [
     ("1" * 16_000 + "x\n", "column"), ("time\n" + "1" * 130_000 + "x\n", "no time"),
     (_LONG_GRID.replace("number = 1.25", "number = " + "1" * 16_000 + "x"), "expected"),
-    (_LONG_GRID + '"' * 20_001, None),
-    ("time\n" + "1" * 140_000 + "\n", "field larger"),
-    ("1e999\n", "at inf s"), ("1e200\t1e300\n", "1e"),
+    (_LONG_GRID + '"' * 20_001, None), ('[' * 900 + ']' * 900, "no time"),
+    ("time\n" + "1" * 140_000 + "\n", "field larger"), ("[1" + "0" * 400 + "]", "no time"),
+    ("[1e999]", "no time"), ("1e999\n", "at inf s"), ("1e200\t1e300\n", "1e"),
     (_LONG_GRID.replace("number = 1.25", "number = 1e999"), "number was expected"),
     (_LONG_GRID.replace("points: size = 3", "points: size = 1e999"), "number was expected"),
 ])
@@ -244,7 +248,7 @@ def test_the_recordings_of_a_store_that_have_labels(tiny_store: Path, tmp_path: 
     truth = store.load(name).truth
     assert truth is not None
     beats = [stroke.beat for stroke in truth.strokes]
-    (tmp_path / f"{name}_beats.txt").write_text("\n".join(map(str, beats)))
+    (tmp_path / f"{name}_beats.json").write_text(json.dumps(beats))
     clips = beat_labels.from_store(store, beat_labels.labels_by_name(tmp_path, LabelChoice()))
     assert [clip.name for clip in clips] == [name]
     row: Any = judge(clips, [0.1])[0].rows["motion beats A"]

@@ -209,6 +209,7 @@ TRANSCRIPTS = {
 LABELS = {
     "seconds": "# beats\n0.5 beat\n1.25\n2.0\n", "audacity": "0.5\t0.7\tb\n1.25\t1.5\tc\n",
     "table": "file,time,end\na,0.5,0.7\na,1.25,1.5\nb,2.0,2.5\n",
+    "json": '{"beats": [0.5, {"time": 1.25}, [2.0, "b"]]}',
     "textgrid": published.textgrid_of(WORDS),
 }
 
