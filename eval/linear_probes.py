@@ -169,11 +169,3 @@ def _frames(spoken: Sequence[LevelFeatures], row: str, target: Target) -> tuple[
     if not features:
         return np.zeros((0, spoken[0].features[row].shape[-1])), np.zeros(0), np.zeros(0, np.int64)
     return np.concatenate(features), np.concatenate(targets), np.concatenate(recording)
-
-
-def grouped(judged: ProbeScore, groups: Sequence[str]) -> ProbeScore:
-    """One figure per group: recordings of one group share their speech and count once in an interval."""
-    names = sorted(set(groups))
-    number = np.array([names.index(group) for group in groups])
-    there = np.isfinite(judged.values)
-    return _per_recording(judged.values[there], judged.weights[there], number[there], len(names))

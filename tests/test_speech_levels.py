@@ -20,7 +20,6 @@ from eval.linear_probes import (
     LevelFeatures,
     ProbeScore,
     Tokens,
-    grouped,
     probe_frames,
     probe_words,
     same_word,
@@ -28,6 +27,7 @@ from eval.linear_probes import (
 )
 from eval.metrics import audio_clusters
 from eval.probes import speech_levels
+from eval.stats import Interval
 from eval.table import load
 from gesticulator import config as configs
 from gesticulator import presets
@@ -143,17 +143,17 @@ def test_too_little_to_fit_is_no_figure() -> None:
 
 def test_recordings_of_a_group_count_once_and_differences_are_paired() -> None:
     judged = ProbeScore(np.array([0.2, 0.4, np.nan, 0.9]), np.array([1.0, 3.0, 0.0, 2.0]))
-    both = grouped(judged, ["a", "a", "b", "c"])
-    assert np.allclose(both.values, [0.35, np.nan, 0.9], equal_nan=True)
-    assert both.weights.tolist() == [4, 0, 2]
     low = ProbeScore(judged.values - 0.1, judged.weights)
     rows = {"level 8": dict.fromkeys(speech_levels.TASKS, judged), "level 2": dict.fromkeys(speech_levels.TASKS, low)}
-    found = speech_levels.summary(rows, ["a", "a", "b", "c"])
-    assert found["table"]["level 8"]["pitch"].mean == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)
-    by_task = {own["task"]: own for own in found["differences"]}
-    assert by_task["new_words"]["more"] == "level 8" and by_task["pitch"]["more"] == "level 2"
-    for task, sign in (("known_words", 1), ("energy", -1)):
-        assert [by_task[task]["difference"].low, by_task[task]["difference"].high] == pytest.approx([sign * 0.1] * 2)
+    probed, claimed = speech_levels.summary(rows, ["a", "a", "b", "c"])
+    cell = probed.rows["level 8"]["pitch"]
+    assert isinstance(cell, Interval) and cell.mean == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)
+    assert (cell.n, cell.low, cell.high) == (2, pytest.approx(0.35), pytest.approx(0.9)), "the first two are one"
+    told = {name: row["difference"] for name, row in claimed.rows.items()}
+    assert list(told) == ["new words, AUC: level 8 - level 2", "known words, recall: level 8 - level 2",
+                          "energy, R2: level 2 - level 8", "pitch, R2: level 2 - level 8"]
+    for name, sign in (("known words, recall: level 8 - level 2", 1), ("energy, R2: level 2 - level 8", -1)):
+        assert [told[name].low, told[name].high] == pytest.approx([sign * 0.1] * 2)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("hertz", [90.0, 210.0])

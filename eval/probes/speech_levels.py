@@ -24,6 +24,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,10 +41,10 @@ from data_module.text.word_vectors import word_frames
 from data_module.types import Array, Samples
 from eval.draw.lexicon_map import evenly
 from eval.encode import encode_motion
-from eval.linear_probes import LevelFeatures, ProbeScore, grouped, probe_frames, probe_words, tokens_of
+from eval.linear_probes import LevelFeatures, ProbeScore, probe_frames, probe_words, tokens_of
 from eval.metrics import audio_clusters
-from eval.stats import Interval, mean_interval
-from eval.table import Column, Table
+from eval.stats import mean_interval, paired
+from eval.table import Cell, Column, Table
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
@@ -113,40 +114,33 @@ def plain(word: str, language: str) -> str:
     return f"{language}:{bare}" if bare else ""
 
 
-def probes(train: Sequence[LevelFeatures], test: Sequence[LevelFeatures], progress: bool = False
-           ) -> dict[str, dict[str, ProbeScore]]:
-    """Every task for every row that both have: {row: {task: figure per recording}}."""
-    out: dict[str, dict[str, ProbeScore]] = {}
-    for row in tqdm(test[0].features, desc="probes", disable=not progress):
-        out[row] = probe_words(tokens_of(train, row), tokens_of(test, row), len(test))
-        out[row]["energy"] = probe_frames(train, test, row, lambda own: own.energy)
-        out[row]["pitch"] = probe_frames(train, test, row, lambda own: own.pitch)
-    return out
-
-
-def compare(rows: Mapping[str, Mapping[str, ProbeScore]], groups: Sequence[str], task: str, better: str, worse: str
-            ) -> Interval:
-    """How much more one row knows of a task than another, paired over recordings, with its interval."""
-    a, b = (grouped(rows[name][task], groups) for name in (better, worse))
-    return mean_interval(a.values - b.values, a.weights)
+def probes(train: Sequence[LevelFeatures], test: Sequence[LevelFeatures]) -> dict[str, dict[str, ProbeScore]]:
+    """Every task for every row: {row: {task: figure per recording}}."""
+    return {row: {**probe_words(tokens_of(train, row), tokens_of(test, row), len(test)),
+                  "energy": probe_frames(train, test, row, lambda own: own.energy),
+                  "pitch": probe_frames(train, test, row, lambda own: own.pitch)}
+            for row in tqdm(test[0].features, "probes")}
 
 
 def summary(rows: Mapping[str, Mapping[str, ProbeScore]], groups: Sequence[str], low: int = LOW, high: int = HIGH
-            ) -> dict[str, Any]:
-    """The table, and what the paper claims as paired differences: above 0 where it holds."""
-    table: dict[str, dict[str, Interval]] = {}
-    for name, tasks in rows.items():
-        table[name] = {}
-        for task, judged in tasks.items():
-            own = grouped(judged, groups)
-            table[name][task] = mean_interval(own.values, own.weights)
+            ) -> list[Table]:
+    """Every row's figures, and what the paper claims as paired differences: above 0 where it holds.
+
+    groups: of each recording; those of one group share their speech and count once in an interval.
+    """
+    cells: dict[str, dict[str, Cell]] = {
+        name: {task: mean_interval(judged.values, judged.weights, groups=groups) for task, judged in tasks.items()}
+        for name, tasks in rows.items()}
     lower, upper = level_name(low), level_name(high)
     pairs = [(task, *((upper, lower) if task.endswith("words") else (lower, upper))) for task in TASKS]
-    pairs += [(task, upper, f"untrained {upper}") for task in ("new_words", "known_words")]
-    pairs += [(task, lower, f"untrained {lower}") for task in ("energy", "pitch")]
-    return {"table": table, "differences": [
-        {"task": task, "more": a, "less": b, "difference": compare(rows, groups, task, a, b)}
-        for task, a, b in pairs if a in rows and b in rows]}
+    pairs += [(task, *((upper, f"untrained {upper}") if task.endswith("words") else (lower, f"untrained {lower}")))
+              for task in TASKS]
+    differences: dict[str, dict[str, Cell]] = {f"{TASKS[task]}: {more} - {less}": {"difference": paired(
+        rows[more][task].values, rows[less][task].values, rows[more][task].weights, groups=groups)}
+        for task, more, less in pairs if more in rows and less in rows}
+    return [Table("Linear probes", {task: Column(title, digits=3, good="high") for task, title in TASKS.items()}, cells,
+                  "features"),
+            Table("What is said of the levels", {"difference": Column("difference", digits=3)}, differences, "task")]
 
 
 def hold_out(store: Store, split: Split, limit: int | None, train_limit: int) -> tuple[
@@ -177,81 +171,27 @@ def encoder_of(bundle: Bundle, subject: str) -> SpeechEncoder:
                      "give a bundle trained with front_end.name=vqwav2vec")
 
 
-def lexemes(system: Gesticulator, recording: Recording, seed: int = 0) -> dict[str, NDArray[np.int64]]:
+def lexemes(system: Gesticulator, recording: Recording) -> dict[str, NDArray[np.int64]]:
     """[N] the lexeme of each block by whose motion it is: the performer's, and that made for the same speech."""
-    known = recording.info.speaker in system.speakers
-    made = system(recording.speech, speaker=recording.info.speaker if known else None, seed=seed,
-                  fps=recording.motion.fps)
-    length = min(len(made.motion), len(recording.motion))
-    blocks = block_module.cut(recording.speech, system.bundle.config.rhythm)
-    return {name: encode_motion(system.bundle, motion, blocks, recording.info.speaker).labels
-            for name, motion in (("performer", recording.motion), ("generated", made.motion.crop(0, length)))}
+    speaker, motion = recording.info.speaker, recording.motion
+    made = system(recording.speech, speaker=speaker if speaker in system.speakers else None, seed=0, fps=motion.fps)
+    generated = made.motion.crop(0, min(len(made.motion), len(motion)))
+    return {name: encode_motion(system.bundle, own, made.blocks, speaker).labels
+            for name, own in (("performer", motion), ("generated", generated))}
 
 
 def figure_14(test: Sequence[LevelFeatures], labels: Sequence[Mapping[str, NDArray[np.int64]]], low: str, high: str,
               clusters: int = audio_clusters.CLUSTERS) -> dict[str, Any]:
     """`audio_clusters.association` of the blocks with speech, for each whose motion (RG Figure 14)."""
     spoken = [~own.silent for own in test]
-    names = sorted({own.group for own in test})
-    sizes = [int(kept.sum()) for kept in spoken]
-    recording = np.repeat(np.arange(len(test)), sizes)
-    group = np.array([names.index(own.group) for own in test])[recording]
-    groups = np.unique(group, return_inverse=True)[1]
+    recording = np.repeat(np.arange(len(test)), [int(kept.sum()) for kept in spoken])
+    group = np.unique(np.array([own.group for own in test])[recording], return_inverse=True)[1]
     found = {f"{kind}, {row}": audio_clusters.cluster(np.concatenate(
         [own.features[row][kept].astype(np.float32).mean(axis=1) for own, kept in zip(test, spoken, strict=True)]),
         clusters) for kind, row in (("low", low), ("high", high))}
-    return {whose: audio_clusters.association(
-        found, np.concatenate([own[whose][kept] for own, kept in zip(labels, spoken, strict=True)]), recording, groups)
+    return {whose: audio_clusters.association(found, np.concatenate(
+        [own[whose][kept] for own, kept in zip(labels, spoken, strict=True)]), recording, group)
         for whose in labels[0]}
-
-
-def figures(system: Gesticulator, store: Store, *, split: Split = "test", limit: int | None = None,
-            train_limit: int = 24, progress: bool = True) -> dict[str, Any]:
-    """Every table, as plain values."""
-    config = system.bundle.config
-    encoder = encoder_of(system.bundle, "--bundle")
-    encoders = {"": encoder, "untrained ": untrained(encoder)}
-    train_infos, test_infos, apart = hold_out(store, split, limit, train_limit)
-
-    def heard(infos: Sequence[RecordingInfo], title: str) -> list[LevelFeatures]:
-        return [listen(store.load(info.name), config, encoders)
-                for info in tqdm(infos, desc=title, disable=not progress)]
-
-    train, test = heard(train_infos, "train"), heard(test_infos, split)
-    low, high = config.front_end.layers or (LOW, HIGH)
-    rows = probes(train, test, progress)
-    labels = [lexemes(system, store.load(info.name)) for info in tqdm(test_infos, desc="motion", disable=not progress)]
-    met = {word for own in train for word in own.words}
-    return {
-        "fitted_on": {"recordings": len(train), "voices": sorted({own.voice for own in train}),
-                      "seconds": round(sum(info.seconds for info in train_infos), 1)},
-        "judged_on": {"recordings": len(test), "voices": sorted({own.voice for own in test}), "voices_unheard": apart,
-                      "seconds": round(sum(info.seconds for info in test_infos), 1),
-                      "new_words": len({word for own in test for word in own.words} - met)},
-        "low": low, "high": high, **summary(rows, [own.group for own in test], low, high),
-        "figure_14": figure_14(test, labels, level_name(low), level_name(high))}
-
-
-def tables(result: Mapping[str, Any]) -> list[Table]:
-    """What every level knows, what the paper says of them, and Figure 14.
-
-    The facts of the first have the claim of RG Fig. 14: how much more the high level says of the lexemes that were
-    made than the low one.
-    """
-    fitted, judged = result["fitted_on"], result["judged_on"]
-    voices = "none of them among the first" if judged["voices_unheard"] else "SOME OF THEM AMONG THE FIRST"
-    about = (f"Linear probes on frozen features, fitted on {fitted['recordings']} recordings "
-             f"({fitted['seconds']:.0f} s, {len(fitted['voices'])} voices), judged on {judged['recordings']} "
-             f"({judged['seconds']:.0f} s, {len(judged['voices'])} voices, {voices}; {judged['new_words']} new words).")
-    claim = [own.to_dict() for own in result["figure_14"]["generated"]["gain_differences"].values()]
-    facts = {key: result[key] for key in ("fitted_on", "judged_on", "low", "high", "store") if key in result}
-    differences = {f"{TASKS[own['task']]}: {own['more']} - {own['less']}": {"difference": own["difference"]}
-                   for own in result["differences"]}
-    return [Table("Linear probes", {task: Column(title, digits=3, good="high") for task, title in TASKS.items()},
-                  result["table"], "features", [about], {**facts, "claim": claim}),
-            Table("What is said of the levels", {"difference": Column("difference", digits=3)}, differences, "task"),
-            *(audio_clusters.table(found, [name for name in found if name.startswith(("low, ", "high, "))], whose)
-              for whose, found in result["figure_14"].items())]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -264,13 +204,36 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
-    """Probe every level; InputError for a bundle without a speech encoder."""
+    """What every level knows, what the paper says of them, and Figure 14; InputError for a bundle without a speech
+    encoder.
+
+    The facts of the first have the claim of RG Fig. 14: how much more the high level says of the lexemes that were
+    made than the low one.
+    """
     torch.set_num_threads(1)
     if arguments.train < 1:
         raise InputError("--train", "must be 1 or more", "give the number of recordings")
-    store = Store.open(arguments.data)
-    system = Gesticulator.from_pretrained(arguments.bundle)
-    encoder_of(system.bundle, arguments.bundle or "the shipped bundle")
-    result = figures(system, store, split=arguments.split, limit=arguments.limit, train_limit=arguments.train)
-    return tables({**result, "store": {"name": store.corpus, "fingerprint": store.fingerprint,
-                                       "split": arguments.split}})
+    store, system = Store.open(arguments.data), Gesticulator.from_pretrained(arguments.bundle)
+    encoder, config = encoder_of(system.bundle, arguments.bundle or "the shipped bundle"), system.bundle.config
+    train_infos, test_infos, apart = hold_out(store, arguments.split, arguments.limit, arguments.train)
+    encoders = {"": encoder, "untrained ": untrained(encoder)}
+    train, test = ([listen(store.load(info.name), config, encoders) for info in tqdm(infos, "listening")]
+                   for infos in (train_infos, test_infos))
+    low, high = config.front_end.layers or (LOW, HIGH)
+    probed, claimed = summary(probes(train, test), [own.group for own in test], low, high)
+    clusters = figure_14(test, [lexemes(system, store.load(info.name)) for info in tqdm(test_infos, "motion")],
+                         level_name(low), level_name(high))
+    met = {word for own in train for word in own.words}
+    fitted, judged = ({"recordings": len(own), "voices": sorted({info.voice for info in own}),
+                       "seconds": round(sum(info.seconds for info in own), 1)} for own in (train_infos, test_infos))
+    judged |= {"voices_unheard": apart, "new_words": len({word for own in test for word in own.words} - met)}
+    voices = "none of them among the first" if apart else "SOME OF THEM AMONG THE FIRST"
+    about = (f"Linear probes on frozen features, fitted on {fitted['recordings']} recordings "
+             f"({fitted['seconds']:.0f} s, {len(fitted['voices'])} voices), judged on {judged['recordings']} "
+             f"({judged['seconds']:.0f} s, {len(judged['voices'])} voices, {voices}; {judged['new_words']} new words).")
+    facts = {"fitted_on": fitted, "judged_on": judged, "low": low, "high": high,
+             "store": {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split},
+             "claim": [own.to_dict() for own in clusters["generated"]["gain_differences"].values()]}
+    return [replace(probed, notes=[about], facts=facts), claimed,
+            *(audio_clusters.table(found, [name for name in found if name.startswith(("low, ", "high, "))], whose)
+              for whose, found in clusters.items())]
