@@ -18,7 +18,7 @@ from eval.commands import PROBE
 from eval.context import EvalContext
 from eval.metrics import ranking
 from eval.probes import rewards
-from eval.probes.rewards import RewardProbe
+from eval.reward_probe import RewardProbe
 from eval.table import load
 from gesticulator import bundle as bundles
 from gesticulator.stages.corpus import Corpus, prepare

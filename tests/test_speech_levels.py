@@ -15,9 +15,10 @@ from data_module.errors import InputError
 from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.store import RecordingInfo, Store
 from data_module.types import Array
+from eval import level_features
 from eval.commands import PROBE
+from eval.level_features import LevelFeatures
 from eval.linear_probes import (
-    LevelFeatures,
     ProbeScore,
     Tokens,
     probe_frames,
@@ -162,7 +163,7 @@ def test_pitch_is_heard_in_the_middle_of_its_frame(hertz: float) -> None:
     phase = 2 * np.pi * np.cumsum(frequency) / 16000
     tone = sum(np.sin(k * phase) / k for k in range(1, 6)).astype(np.float32)
     tone[3 * 8000:] = 0
-    found = speech_levels.pitch_of(0.1 * tone.reshape(4, 8000), 10, 16000)
+    found = level_features.pitch_of(0.1 * tone.reshape(4, 8000), 10, 16000)
     assert found.shape == (4, 10)
     assert np.allclose(2 ** found[:2].ravel()[:-1], hertz, rtol=0.02)
     assert np.allclose(2 ** found[2, 1:-1], 1.5 * hertz, rtol=0.02)
@@ -170,9 +171,9 @@ def test_pitch_is_heard_in_the_middle_of_its_frame(hertz: float) -> None:
 
 
 def test_words_lose_their_marks_and_keep_their_language() -> None:
-    assert speech_levels.plain("“Don't,”", "en") == "en:don't"
-    assert speech_levels.plain("die", "de") != speech_levels.plain("die", "en")
-    assert speech_levels.plain("…", "en") == ""
+    assert level_features.plain("“Don't,”", "en") == "en:don't"
+    assert level_features.plain("die", "de") != level_features.plain("die", "en")
+    assert level_features.plain("…", "en") == ""
 
 
 # ---------------------------------------------------------------------------------------------------- Figure 14
@@ -275,7 +276,7 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     config = presets.preset("tiny")
     torch.manual_seed(1)
     encoder = SpeechEncoder(EncoderConfig(width=4)).eval()
-    heard = speech_levels.listen(recording, config, {"": encoder})
+    heard = level_features.listen(recording, config, {"": encoder})
     from data_module.speech.front_ends import front_end
     from gesticulator.speech_features import encode_speech
 
@@ -287,9 +288,9 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     assert np.allclose(heard.energy, usual.low[:, 10:20, 5], atol=2e-2)
     assert heard.features["mel"].shape == (*heard.energy.shape, 34)
     assert len(heard.words) == len(recording.speech.words or ())
-    fresh = speech_levels.untrained(encoder)
+    fresh = level_features.untrained(encoder)
     assert not torch.equal(fresh.convolutions[0].weight, encoder.convolutions[0].weight)
-    again = speech_levels.untrained(encoder)
+    again = level_features.untrained(encoder)
     assert torch.equal(fresh.convolutions[3].weight, again.convolutions[3].weight)
 
 

@@ -22,7 +22,6 @@ one of its columns. The encoder itself has heard the training voices.
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -32,86 +31,21 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from data_module import blocks as block_module
 from data_module.errors import InputError
-from data_module.speech.features import MelFrontEnd, reference_level, scaled_windows
-from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
+from data_module.speech.speech_encoder import HIGH, LOW, SpeechEncoder, load_fairseq
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
-from data_module.text.word_vectors import word_frames
-from data_module.types import Array, Samples
 from eval.draw.lexicon_map import evenly
 from eval.encode import encode_motion
-from eval.linear_probes import LevelFeatures, ProbeScore, probe_frames, probe_words, tokens_of
+from eval.level_features import LevelFeatures, level_name, listen, untrained
+from eval.linear_probes import ProbeScore, probe_frames, probe_words, tokens_of
 from eval.metrics import audio_clusters
 from eval.stats import mean_interval, paired
 from eval.table import Cell, Column, Table
 from gesticulator.bundle import Bundle
-from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
 
-MEL = "mel"
 TASKS = {"new_words": "new words, AUC", "known_words": "known words, recall", "energy": "energy, R2",
          "pitch": "pitch, R2"}
-_LOWEST, _HIGHEST = 60.0, 500.0  # Hz, of the voice
-_BATCH = 4
-
-
-def level_name(level: int) -> str:
-    """What a row of the table is called."""
-    return f"level {level}"
-
-
-def untrained(encoder: SpeechEncoder, seed: int = 0) -> SpeechEncoder:
-    """An encoder of the same shape as it was before training."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return SpeechEncoder(encoder.config).eval()
-
-
-def pitch_of(stretched: Samples, frames: int, sample_rate: int) -> Array:
-    """[N, K] log2 of the fundamental frequency in Hz in the middle of each frame of blocks [N, L]; NaN if unvoiced."""
-    import librosa
-
-    hop = stretched.shape[1] // frames
-    # pyin's frames stand at multiples of the hop: half a frame is cut off, so that they stand in the middles.
-    sound = np.append(stretched.ravel()[hop // 2:], np.zeros(hop, np.float32))
-    found, _, _ = librosa.pyin(sound, fmin=_LOWEST, fmax=_HIGHEST, sr=sample_rate, frame_length=1024, hop_length=hop,
-                               resolution=0.2)
-    return np.asarray(np.log2(found[:stretched.shape[0] * frames]), dtype=np.float64).reshape(-1, frames)
-
-
-def listen(recording: Recording, config: Config, encoders: Mapping[str, SpeechEncoder]) -> LevelFeatures:
-    """A recording through every encoder (rows "NAMElevel L") and the mel front end, as in use: windows of three blocks
-    at the voice's own level."""
-    speech, rate = recording.speech, recording.speech.sample_rate
-    blocks = block_module.cut(speech, config.rhythm)
-    frames, per_frame = blocks.frames, block_module.samples_per_frame(rate, blocks.fps)
-    mel = MelFrontEnd(frames=3 * frames, samples_per_frame=per_frame, sample_rate=rate)
-    stretched = block_module.stretch_speech(speech, blocks)
-    windows = block_module.windows_of(stretched)
-    reference = reference_level(speech.samples, rate, blocks.edges)
-    parts: dict[str, list[NDArray[np.float16]]] = {}
-    middle = slice(frames, 2 * frames)
-    for _, scaled in scaled_windows(windows, reference, windows.shape[1], _BATCH):
-        parts.setdefault(MEL, []).append(mel.rows(scaled)[:, middle].astype(np.float16))
-        for prefix, encoder in encoders.items():
-            with torch.inference_mode():
-                levels = encoder.levels(torch.from_numpy(scaled), 3 * frames, range(1, LEVELS + 1))
-            for level, rows in enumerate(levels, 1):
-                parts.setdefault(prefix + level_name(level), []).append(rows[:, middle].numpy().astype(np.float16))
-    features = {name: np.concatenate(rows) for name, rows in parts.items()}
-    words, info = speech.words or (), recording.info
-    return LevelFeatures(
-        info.name, info.group or info.name, info.voice, features,
-        features[MEL][..., -1].astype(np.float64),
-        pitch_of(stretched, frames, rate), word_frames(words, blocks, config.text.bridge),
-        tuple(plain(word.text, info.language) for word in words), blocks.silent)
-
-
-def plain(word: str, language: str) -> str:
-    """A word in small letters without the marks around it, after its language; "" for none."""
-    bare = re.sub(r"^[\W_]+|[\W_]+$", "", word.lower())
-    return f"{language}:{bare}" if bare else ""
 
 
 def probes(train: Sequence[LevelFeatures], test: Sequence[LevelFeatures]) -> dict[str, dict[str, ProbeScore]]:
@@ -194,6 +128,12 @@ def figure_14(test: Sequence[LevelFeatures], labels: Sequence[Mapping[str, NDArr
         for whose in labels[0]}
 
 
+def described(infos: Sequence[RecordingInfo]) -> dict[str, Any]:
+    """How much speech there is, and whose."""
+    return {"recordings": len(infos), "voices": sorted({info.voice for info in infos}),
+            "seconds": round(sum(info.seconds for info in infos), 1)}
+
+
 def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, a bundle, how many recordings."""
     parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
@@ -224,8 +164,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     clusters = figure_14(test, [lexemes(system, store.load(info.name)) for info in tqdm(test_infos, "motion")],
                          level_name(low), level_name(high))
     met = {word for own in train for word in own.words}
-    fitted, judged = ({"recordings": len(own), "voices": sorted({info.voice for info in own}),
-                       "seconds": round(sum(info.seconds for info in own), 1)} for own in (train_infos, test_infos))
+    fitted, judged = described(train_infos), described(test_infos)
     judged |= {"voices_unheard": apart, "new_words": len({word for own in test for word in own.words} - met)}
     voices = "none of them among the first" if apart else "SOME OF THEM AMONG THE FIRST"
     about = (f"Linear probes on frozen features, fitted on {fitted['recordings']} recordings "
