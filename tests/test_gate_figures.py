@@ -212,7 +212,6 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert use.rows["0"]["gesturing"].mean == 0 == use.rows["1"]["hand_speed_change"].mean  # type: ignore[union-attr]
     assert "gesturing_change" not in use.rows["performer"]
     for wrong, says in ((["--bundle", str(tmp_path / "without")], "has no gate"),
-                        (["--bundle", str(tmp_path / "with"), "--split", "val"], "has no recordings"),
                         (["--bundle", str(tmp_path / "with"), "--limit", "0"], "must be 1 or more")):
         capsys.readouterr()
         with pytest.raises(SystemExit) as stopped:

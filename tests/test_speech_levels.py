@@ -260,13 +260,13 @@ def test_probes_are_judged_on_voices_that_they_were_not_fitted_on(tmp_path: Path
 
     test = [info("t1", "test", "a"), info("t2", "test", "b")]
     own = [info(f"r{i}", "train", voice) for i, voice in enumerate("abcdcd")]
-    train, judged, apart = speech_levels.hold_out(store(test + own), "test", None, 3)
+    train, judged, apart = speech_levels.hold_out(store(test + own), None, 3)
     assert (judged, apart) == (test, True)
     assert [i.voice for i in train] == ["c", "c", "d"]
-    train, _, apart = speech_levels.hold_out(store(test + own[:2]), "test", None, 9)
+    train, _, apart = speech_levels.hold_out(store(test + own[:2]), None, 9)
     assert (len(train), apart) == (2, False)
     with pytest.raises(InputError, match="no recording to fit"):
-        speech_levels.hold_out(store(test), "test", None, 9)
+        speech_levels.hold_out(store(test), None, 9)
 
 
 def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:

@@ -19,8 +19,9 @@ the blocks that it closed, each beside the same blocks of the same speech withou
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,14 +31,13 @@ from tqdm import tqdm
 
 from data_module.errors import InputError
 from data_module.speech.silence import FRAME, frame_levels
-from data_module.store import SPLITS, Recording, Store
+from data_module.store import Recording, Store
 from data_module.types import Array, Motion, Speech
-from eval import stats
 from eval.draw.lexicon_map import block_of_frames, evenly
 from eval.encode import encode_motion
 from eval.metrics.calibration import auc, brier, calibration, calibration_error
 from eval.metrics.smoothness import hand_speeds
-from eval.stats import Interval, mean_interval, paired
+from eval.stats import mean_interval, of_groups, paired
 from eval.table import Cell, Column, Table
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
@@ -49,8 +49,6 @@ ASKED = 0.5
 DRAWS = 500
 Flags = NDArray[np.bool_]
 
-
-# ------------------------------------------------------------------------------------------------ known when?
 
 @dataclass(frozen=True)
 class GateScores:
@@ -70,24 +68,25 @@ def knowledge(judged: Sequence[GateScores], facts: Mapping[str, Any], draws: int
     scores = {name: np.concatenate([own.scores[name] for own in judged]) for name in judged[0].scores}
     said, sizes = scores[GATE], np.bincount(owner)
 
-    def pooled(figure: Callable[[Array], float]) -> Interval:
-        return stats.of_groups(figure, owner, draws=draws)
+    pooled = partial(of_groups, owner=owner, draws=draws)
+
+    def lead(score: Array, weights: Array) -> float:
+        return auc(active, said, weights) - auc(active, score, weights)
 
     rows: dict[str, dict[str, Cell]] = {}
     for name, score in scores.items():
         inside = np.array([auc(own.active, own.scores[name]) for own in judged])
         there = [inside[(number == k) & np.isfinite(inside)] for k in range(len(names))]
         rows[name] = {
-            "auc": pooled(lambda w, s=score: auc(active, s, w)),  # type: ignore[misc]
+            "auc": pooled(partial(auc, active, score)),
             "auc_within_recordings": mean_interval([own.mean() if len(own) else np.nan for own in there], sizes)}
         if name != GATE:
-            rows[name]["gate_leads_by"] = pooled(
-                lambda w, s=score: auc(active, said, w) - auc(active, s, w))  # type: ignore[misc]
+            rows[name]["gate_leads_by"] = pooled(partial(lead, score))
     about = (f"{len(judged)} recordings ({len(names)} with speech of their own), {facts['seconds']:.0f} s, "
              f"{len(active)} blocks, {100 * active.mean():.0f} % with a gesture by the performer.")
-    error, score_said = pooled(lambda w: calibration_error(active, said, w)), pooled(lambda w: brier(active, said, w))
-    calibrated = (f"Calibration error {error.text(3)}; Brier score {score_said.text(3)}, and "
-                  f"{brier(active, active.mean()):.3f} for always saying the base rate.")
+    error, square = (pooled(partial(figure, active, said)).text(3) for figure in (calibration_error, brier))
+    calibrated = (f"Calibration error {error}; Brier score {square}, and {brier(active, active.mean()):.3f} for always "
+                  "saying the base rate.")
     return [Table("What tells gesture from stillness", KNOWS, rows, "score", [about], facts),
             Table("Calibration", BINS, calibration(active, said), "probability said", [calibrated])]
 
@@ -100,8 +99,6 @@ def loudness(speech: Speech, edges: Array) -> Array:
     return np.diff(total[at]) / np.maximum(np.diff(at), 1) - float(np.median(levels))
 
 
-# ---------------------------------------------------------------------------------------------------- in use
-
 @dataclass(frozen=True)
 class GatedMotion:
     """One performance. gesturing: [N] the lexeme is not silent; closed: [N] the gate shut the block; speed: [T - 1]
@@ -112,27 +109,26 @@ class GatedMotion:
     speed: Array
     block: NDArray[np.int64]
 
-    @classmethod
-    def of(cls, motion: Motion, edges: Array, gesturing: Flags, closed: Flags) -> GatedMotion:
-        """From a motion and the edges [N + 1] of its blocks, s."""
-        speed = hand_speeds(motion).mean(axis=1)
-        return cls(gesturing, closed, speed, block_of_frames(edges, len(speed), motion.fps))
-
     def median_speed(self, blocks: Flags) -> float:
         """Median over the frames of the chosen blocks [N], m/s; NaN where there is none."""
         own = self.speed[blocks[self.block]]
         return float(np.median(own)) if len(own) else float("nan")
 
 
+def gated(motion: Motion, edges: Array, gesturing: Flags, closed: Flags) -> GatedMotion:
+    """From a motion and the edges [N + 1] of its blocks, s."""
+    speed = hand_speeds(motion).mean(axis=1)
+    return GatedMotion(gesturing, closed, speed, block_of_frames(edges, len(speed), motion.fps))
+
+
 def play(system: Gesticulator, recording: Recording, activity: float) -> tuple[Performance, GatedMotion]:
     """One recording at one activity, in the habits of its performer where the bundle knows them."""
     who = recording.info.speaker if recording.info.speaker in system.speakers else None
     made = system(recording.speech, speaker=who, activity=activity)
-    gesturing = ~np.isin(made.lexemes, system.bundle.silent)
-    closed = np.full(len(gesturing), activity <= 0)
+    closed = np.full(len(made.lexemes), activity <= 0)
     if 0 < activity < 1 and made.gate is not None:
         closed = made.gate < 1 - activity
-    return made, GatedMotion.of(made.motion, made.blocks.edges, gesturing, closed)
+    return made, gated(made.motion, made.blocks.edges, ~np.isin(made.lexemes, system.bundle.silent), closed)
 
 
 def judge(system: Gesticulator, recording: Recording, made: Performance) -> tuple[GateScores, GatedMotion]:
@@ -147,7 +143,7 @@ def judge(system: Gesticulator, recording: Recording, made: Performance) -> tupl
     return GateScores(info.group or info.name, active, {
         GATE: np.asarray(made.gate), LOUDNESS: loudness(recording.speech, blocks.edges),
         SILENCE: (~blocks.silent).astype(np.float64), PERFORMER: np.full(len(active), habit),
-    }), GatedMotion.of(recording.motion, blocks.edges, active, ~active)
+    }), gated(recording.motion, blocks.edges, active, ~active)
 
 
 def row(played: Sequence[GatedMotion], ungated: Sequence[GatedMotion] | None = None) -> dict[str, Cell]:
@@ -183,8 +179,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, a bundle and which recordings."""
     parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
     parser.add_argument("--data", required=True, metavar="STORE")
-    parser.add_argument("--split", default="test", choices=SPLITS)
-    parser.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
+    parser.add_argument("--limit", type=int, metavar="N", help="that many test recordings, evenly chosen (all)")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
@@ -194,13 +189,13 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     if system.bundle.gate is None:
         raise InputError(arguments.bundle or "the shipped bundle", "has no gate",
                          "train one: schedules.gate.steps above 0")
-    recordings = [store.load(info.name) for info in evenly(store, arguments.split, arguments.limit)]
+    recordings = [store.load(info.name) for info in evenly(store, "test", arguments.limit)]
     made = {activity: [play(system, recording, activity) for recording in tqdm(recordings, f"activity {activity:g}")]
             for activity in ACTIVITIES}
     judged = [judge(system, recording, own) for recording, (own, _) in zip(recordings, made[ASKED], strict=True)]
     played = {activity: [own for _, own in each] for activity, each in made.items()}
     use = {"performer": row([own for _, own in judged]),
            **{f"{activity:g}": row(own, played[1.0]) for activity, own in played.items()}}
-    facts = {"store": {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split},
+    facts = {"store": {"name": store.corpus, "fingerprint": store.fingerprint, "split": "test"},
              "seconds": round(sum(recording.speech.duration for recording in recordings), 1)}
     return [*knowledge([scores for scores, _ in judged], facts), Table("The gate in use", USE, use, "activity")]

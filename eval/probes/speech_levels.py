@@ -33,7 +33,7 @@ from tqdm import tqdm
 
 from data_module.errors import InputError
 from data_module.speech.speech_encoder import HIGH, LOW, SpeechEncoder, load_fairseq
-from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
+from data_module.store import Recording, RecordingInfo, Store
 from eval.draw.lexicon_map import evenly
 from eval.encode import encode_motion
 from eval.level_features import LevelFeatures, level_name, listen, untrained
@@ -77,18 +77,15 @@ def summary(rows: Mapping[str, Mapping[str, ProbeScore]], groups: Sequence[str],
             Table("What is said of the levels", {"difference": Column("difference", digits=3)}, differences, "task")]
 
 
-def hold_out(store: Store, split: Split, limit: int | None, train_limit: int) -> tuple[
+def hold_out(store: Store, limit: int | None, train_limit: int) -> tuple[
         list[RecordingInfo], list[RecordingInfo], bool]:
-    """Recordings to fit probes on, to judge them on, and whether no voice is in both.
-
-    The training split without the judged voices; where nothing would be left, with them.
-    """
-    test = evenly(store, split, limit)
+    """Training recordings to fit probes on, test recordings to judge them on, and whether no voice is in both: those of
+    judged voices are left out, unless nothing would be left."""
+    test = evenly(store, "test", limit)
     voices = {info.voice for info in test}
-    all_train = [info for info in store.of_split("train") if split != "train" or info not in test]
-    train = [info for info in all_train if info.voice not in voices] or all_train
+    train = [info for info in store.of_split("train") if info.voice not in voices] or store.of_split("train")
     if not train:
-        raise InputError(store.path, "has no recording to fit probes on", "judge them on another split")
+        raise InputError(store.path, "has no recording to fit probes on", "build a store with a training split")
     count = min(train_limit, len(train))
     chosen = [train[i] for i in np.linspace(0, len(train) - 1, count).round().astype(int)]
     return chosen, test, not voices & {info.voice for info in chosen}
@@ -138,8 +135,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, a bundle, how many recordings."""
     parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
     parser.add_argument("--data", required=True, metavar="STORE")
-    parser.add_argument("--split", default="test", choices=SPLITS)
-    parser.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
+    parser.add_argument("--limit", type=int, metavar="N", help="that many test recordings, evenly chosen (all)")
     parser.add_argument("--train", type=int, default=24, metavar="N", help="recordings to fit the probes on (24)")
 
 
@@ -155,7 +151,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
         raise InputError("--train", "must be 1 or more", "give the number of recordings")
     store, system = Store.open(arguments.data), Gesticulator.from_pretrained(arguments.bundle)
     encoder, config = encoder_of(system.bundle, arguments.bundle or "the shipped bundle"), system.bundle.config
-    train_infos, test_infos, apart = hold_out(store, arguments.split, arguments.limit, arguments.train)
+    train_infos, test_infos, apart = hold_out(store, arguments.limit, arguments.train)
     encoders = {"": encoder, "untrained ": untrained(encoder)}
     train, test = ([listen(store.load(info.name), config, encoders) for info in tqdm(infos, "listening")]
                    for infos in (train_infos, test_infos))
@@ -171,7 +167,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
              f"({fitted['seconds']:.0f} s, {len(fitted['voices'])} voices), judged on {judged['recordings']} "
              f"({judged['seconds']:.0f} s, {len(judged['voices'])} voices, {voices}; {judged['new_words']} new words).")
     facts = {"fitted_on": fitted, "judged_on": judged, "low": low, "high": high,
-             "store": {"name": store.corpus, "fingerprint": store.fingerprint, "split": arguments.split},
+             "store": {"name": store.corpus, "fingerprint": store.fingerprint, "split": "test"},
              "claim": [own.to_dict() for own in clusters["generated"]["gain_differences"].values()]}
     return [replace(probed, notes=[about], facts=facts), claimed,
             *(audio_clusters.table(found, [name for name in found if name.startswith(("low, ", "high, "))], whose)

@@ -1,6 +1,6 @@
 """Does the motion do what is asked of its style? (RG 7.2.1, Fig. 10)
 
-    gesticulator probe style-editing --data STORE [--bundle DIR] [--picture FILE.png] [--rhythm]
+    gesticulator probe style-editing --data STORE [--bundle DIR] [--picture FILE.png]
 
 For each feature (height of the right hand, speed of both hands, radius of both hands) and each level (low, mid, high:
 the 15, 50 and 85 % quantiles of training) every clip is generated with that level asked for throughout and nothing
@@ -22,9 +22,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import torch
 from tqdm import tqdm
 
 from data_module.controls import FEATURES, LEVELS, UNITS, Controls, Levels, measure, per_frame
@@ -36,9 +37,7 @@ from eval.draw.edited import figure_10
 from eval.draw.strips import save_strip
 from eval.stats import Interval, mean_interval, paired
 from eval.table import Cell, Column, Marked, Table
-
-if TYPE_CHECKING:
-    from gesticulator.pipeline import Gesticulator
+from gesticulator.pipeline import Gesticulator
 
 CLIPS = 8
 SECONDS = 40.0
@@ -60,8 +59,6 @@ _HAND_COLUMNS = [column for column, name in enumerate(ACTING) if name.endswith("
 Play = Callable[[Recording, Controls], Motion]
 """Whoever is judged: motion for a recording's speech, with what is asked of its style."""
 
-
-# ----------------------------------------------------------------------------------------------------- clips
 
 def excerpts(store: Store, count: int = CLIPS, seconds: float = SECONDS) -> list[Recording]:
     """The middle `seconds` of up to `count` test recordings, one of each group, the long ones first."""
@@ -94,16 +91,14 @@ def excerpt(recording: Recording, seconds: float) -> Recording:
     return replace(recording, speech=cut, motion=frames)
 
 
-def played_by(system: Gesticulator, seed: int = 0) -> Play:
+def played_by(system: Gesticulator) -> Play:
     """A bundle as one who plays: in the habits of each clip's own performer where the bundle knows them."""
     def play(clip: Recording, controls: Controls) -> Motion:
         speaker = clip.info.speaker if clip.info.speaker in system.speakers else None
-        return system(clip.speech, speaker=speaker, controls=controls, seed=seed).motion
+        return system(clip.speech, speaker=speaker, controls=controls, seed=0).motion
 
     return play
 
-
-# --------------------------------------------------------------------------------------------------- figures
 
 def realised(motion: Motion) -> Array:
     """What a motion does, [4] in the order of `SHOWN`: means over all frames, nothing smoothed but the last."""
@@ -178,8 +173,6 @@ def acceptance(low: Interval, mid: Interval, high: Interval) -> str:
     return "no: " + " and ".join(overlapping) if overlapping else ACCEPTED
 
 
-# ---------------------------------------------------------------------------------------------------- tables
-
 def tables(result: Mapping[str, Any]) -> list[Table]:
     """What became of each level, what every row does, and what else an edit changes.
 
@@ -208,16 +201,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="also draw RG Fig. 10")
     parser.add_argument("--clips", type=int, default=CLIPS, help=f"how many clips (default {CLIPS})")
     parser.add_argument("--seconds", type=float, default=SECONDS, help=f"of each clip (default {SECONDS:g})")
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
     """Play every level; InputError for a bundle without controls."""
-    import torch
-
-    from gesticulator.pipeline import Gesticulator
-
     if arguments.picture and arguments.picture.suffix.lower() != ".png":
         raise InputError(f"--picture {arguments.picture}", "does not end in .png", "name it FILE.png")
     clips = excerpts(Store.open(arguments.data), arguments.clips, arguments.seconds)
@@ -226,7 +214,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     if system.bundle.levels is None:
         raise InputError(arguments.bundle or "the shipped bundle", "has no controls",
                          "use a bundle trained with style editing")
-    result = figures(played_by(system, arguments.seed), clips, system.bundle.levels, progress=not arguments.quiet)
+    result = figures(played_by(system), clips, system.bundle.levels, progress=not arguments.quiet)
     if arguments.picture:
         save_strip(figure_10(result), arguments.picture)
     return tables(result)
