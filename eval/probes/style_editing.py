@@ -182,8 +182,8 @@ def tables(result: Mapping[str, Any]) -> list[Table]:
     clips, spread = result["clips"], result["spread"] | {"steady_speed": result["spread"]["speed"]}
     claim = [{key: value if key == "n" else value / spread[feature] for key, value in told[step].to_dict().items()}
              for feature, told in result["editing"].items() for step in ("low_to_mid", "mid_to_high")]
-    changes = {SHOWN[feature].title: {name: Marked(row[name], f"({row[name].mean / spread[name]:+.1f})")
-                                 for name in SHOWN} for feature, row in result["elsewhere"].items()}
+    changes = {SHOWN[feature].title: {name: Marked(own, f"({own.mean / spread[name]:+.1f})")
+                                      for name, own in row.items()} for feature, row in result["elsewhere"].items()}
     facts = {key: result[key] for key in ("clips", "asked", "spread", "values")} | {"claim": claim}
     about = (f"{len(clips)} test clips, {sum(clip['seconds'] for clip in clips):.0f} s; the same clips and seed in "
              "every row.")
