@@ -7,39 +7,21 @@ are one per test recording, since recordings, not frames, are what an interval d
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
+from eval.level_features import LevelFeatures
 
 DIRECTIONS = 32
 """Of the linear discriminant, where there are as many."""
 PARTS, LEAST_TOKENS = 3, 5
 """Parts that a spoken word is cut in; a word of the training voices that is rarer than `LEAST_TOKENS` is no class."""
 _RIDGE = 1.0
-Target = Callable[["LevelFeatures"], Array]
-
-
-@dataclass(frozen=True)
-class LevelFeatures:
-    """One recording as the levels hear it, frame by frame. N blocks, K frames.
-
-    features: [N, K, C] by name of the row; energy: [N, K] log power; pitch: [N, K] log2 Hz, NaN where unvoiced;
-    word_at: [N, K] which of `words` sounds, -1 for none; silent: [N]. group: recordings of one group share speech.
-    """
-
-    name: str
-    group: str
-    voice: str
-    features: Mapping[str, NDArray[np.float16]]
-    energy: Array
-    pitch: Array
-    word_at: NDArray[np.int64]
-    words: tuple[str, ...]
-    silent: NDArray[np.bool_]
+Target = Callable[[LevelFeatures], Array]
 
 
 @dataclass(frozen=True)
@@ -169,11 +151,3 @@ def _frames(spoken: Sequence[LevelFeatures], row: str, target: Target) -> tuple[
     if not features:
         return np.zeros((0, spoken[0].features[row].shape[-1])), np.zeros(0), np.zeros(0, np.int64)
     return np.concatenate(features), np.concatenate(targets), np.concatenate(recording)
-
-
-def grouped(judged: ProbeScore, groups: Sequence[str]) -> ProbeScore:
-    """One figure per group: recordings of one group share their speech and count once in an interval."""
-    names = sorted(set(groups))
-    number = np.array([names.index(group) for group in groups])
-    there = np.isfinite(judged.values)
-    return _per_recording(judged.values[there], judged.weights[there], number[there], len(names))

@@ -32,6 +32,7 @@ LEVEL = (2.5, 97.5)
 """Percentiles of a 95 % interval."""
 
 Indices = NDArray[np.int64]
+Groups = Sequence[str] | Indices
 
 
 @dataclass(frozen=True)
@@ -82,13 +83,13 @@ class Interval:
 
 # --------------------------------------------------------------------------------------------------------------- means
 
-def mean_interval(values: ArrayLike, weights: ArrayLike | None = None, *, groups: Sequence[str] | None = None,
+def mean_interval(values: ArrayLike, weights: ArrayLike | None = None, *, groups: Groups | None = None,
                   seed: int = 0, draws: int = DRAWS) -> Interval:
     """Mean and 95 % bootstrap interval of one value per clip [n]; NaN values, and clips of no weight, are left out.
 
     weights: [n], such as the blocks of each clip, for a mean over blocks with clips as the unit that is drawn. groups:
-    [n] names; clips of one name are drawn together, and `n` of the result counts the groups. ValueError for other
-    shapes, infinite values, and weights that are negative or not finite.
+    [n] names or numbers; clips of one name are drawn together, and `n` of the result counts the groups. ValueError for
+    other shapes, infinite values, and weights that are negative or not finite.
     """
     value = np.asarray(values, dtype=np.float64)
     weight = np.ones_like(value) if weights is None else np.asarray(weights, dtype=np.float64)
@@ -100,7 +101,7 @@ def mean_interval(values: ArrayLike, weights: ArrayLike | None = None, *, groups
     value, weight = value[defined], weight[defined]
     total, mass = value * weight, weight
     if groups is not None:
-        _, member = np.unique(np.asarray(groups, dtype=str)[defined], return_inverse=True)
+        _, member = np.unique(np.asarray(groups)[defined], return_inverse=True)
         total, mass = (np.bincount(member, part).astype(np.float64) for part in (total, mass))
     if len(value) == 0:
         return Interval.undefined()
@@ -110,7 +111,7 @@ def mean_interval(values: ArrayLike, weights: ArrayLike | None = None, *, groups
 
 
 def paired(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None, *,
-           groups: Sequence[str] | None = None, seed: int = 0, draws: int = DRAWS) -> Interval:
+           groups: Groups | None = None, seed: int = 0, draws: int = DRAWS) -> Interval:
     """The mean of first less second, clip by clip [n] (see `mean_interval`)."""
     apart = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
     return mean_interval(apart, weights, groups=groups, seed=seed, draws=draws)
@@ -185,6 +186,17 @@ def of_set(figure: Callable[..., float], *counts: int, seed: int = 0, draws: int
         return Interval.exact(got, min(counts))
     drawn = [figure(*indices) for indices in resamples(np.random.default_rng(seed), counts, draws)]
     return limits(got, drawn, min(counts), basic=basic, least=least)
+
+
+def of_groups(figure: Callable[[Array], float], owner: Indices, *, draws: int = SET_DRAWS) -> Interval:
+    """A figure of values [n] that belong to groups, with its percentile interval; whole groups are drawn.
+
+    owner: [n] the group of each value, from 0 without a gap; figure(weights [n]) counts a value as often as its group
+    was drawn.
+    """
+    groups = int(owner.max()) + 1
+    return of_set(lambda chosen: figure(np.bincount(chosen, minlength=groups)[owner].astype(np.float64)), groups,
+                  draws=draws, basic=False)
 
 
 def jackknife(of: Callable[[list[int]], float], count: int) -> Array:

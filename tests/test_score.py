@@ -33,7 +33,7 @@ from eval.foreign import Clip, read_motion
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.gesture_features import RawFeatures
-from eval.probes.rewards import RewardProbe
+from eval.reward_probe import RewardProbe
 from eval.score import FLOOR, STILL, TRUTH, Flag, Scores, flags, mean_of, tables
 from eval.stats import Interval
 from eval.table import Marked, load, save

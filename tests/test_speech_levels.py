@@ -15,12 +15,12 @@ from data_module.errors import InputError
 from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.store import RecordingInfo, Store
 from data_module.types import Array
+from eval import level_features
 from eval.commands import PROBE
+from eval.level_features import LevelFeatures
 from eval.linear_probes import (
-    LevelFeatures,
     ProbeScore,
     Tokens,
-    grouped,
     probe_frames,
     probe_words,
     same_word,
@@ -28,6 +28,7 @@ from eval.linear_probes import (
 )
 from eval.metrics import audio_clusters
 from eval.probes import speech_levels
+from eval.stats import Interval
 from eval.table import load
 from gesticulator import config as configs
 from gesticulator import presets
@@ -143,17 +144,17 @@ def test_too_little_to_fit_is_no_figure() -> None:
 
 def test_recordings_of_a_group_count_once_and_differences_are_paired() -> None:
     judged = ProbeScore(np.array([0.2, 0.4, np.nan, 0.9]), np.array([1.0, 3.0, 0.0, 2.0]))
-    both = grouped(judged, ["a", "a", "b", "c"])
-    assert np.allclose(both.values, [0.35, np.nan, 0.9], equal_nan=True)
-    assert both.weights.tolist() == [4, 0, 2]
     low = ProbeScore(judged.values - 0.1, judged.weights)
     rows = {"level 8": dict.fromkeys(speech_levels.TASKS, judged), "level 2": dict.fromkeys(speech_levels.TASKS, low)}
-    found = speech_levels.summary(rows, ["a", "a", "b", "c"])
-    assert found["table"]["level 8"]["pitch"].mean == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)
-    by_task = {own["task"]: own for own in found["differences"]}
-    assert by_task["new_words"]["more"] == "level 8" and by_task["pitch"]["more"] == "level 2"
-    for task, sign in (("known_words", 1), ("energy", -1)):
-        assert [by_task[task]["difference"].low, by_task[task]["difference"].high] == pytest.approx([sign * 0.1] * 2)
+    probed, claimed = speech_levels.summary(rows, ["a", "a", "b", "c"])
+    cell = probed.rows["level 8"]["pitch"]
+    assert isinstance(cell, Interval) and cell.mean == pytest.approx((4 * 0.35 + 2 * 0.9) / 6)
+    assert (cell.n, cell.low, cell.high) == (2, pytest.approx(0.35), pytest.approx(0.9)), "the first two are one"
+    told = {name: row["difference"] for name, row in claimed.rows.items()}
+    assert list(told) == ["new words, AUC: level 8 - level 2", "known words, recall: level 8 - level 2",
+                          "energy, R2: level 2 - level 8", "pitch, R2: level 2 - level 8"]
+    for name, sign in (("known words, recall: level 8 - level 2", 1), ("energy, R2: level 2 - level 8", -1)):
+        assert [told[name].low, told[name].high] == pytest.approx([sign * 0.1] * 2)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("hertz", [90.0, 210.0])
@@ -162,7 +163,7 @@ def test_pitch_is_heard_in_the_middle_of_its_frame(hertz: float) -> None:
     phase = 2 * np.pi * np.cumsum(frequency) / 16000
     tone = sum(np.sin(k * phase) / k for k in range(1, 6)).astype(np.float32)
     tone[3 * 8000:] = 0
-    found = speech_levels.pitch_of(0.1 * tone.reshape(4, 8000), 10, 16000)
+    found = level_features.pitch_of(0.1 * tone.reshape(4, 8000), 10, 16000)
     assert found.shape == (4, 10)
     assert np.allclose(2 ** found[:2].ravel()[:-1], hertz, rtol=0.02)
     assert np.allclose(2 ** found[2, 1:-1], 1.5 * hertz, rtol=0.02)
@@ -170,9 +171,9 @@ def test_pitch_is_heard_in_the_middle_of_its_frame(hertz: float) -> None:
 
 
 def test_words_lose_their_marks_and_keep_their_language() -> None:
-    assert speech_levels.plain("“Don't,”", "en") == "en:don't"
-    assert speech_levels.plain("die", "de") != speech_levels.plain("die", "en")
-    assert speech_levels.plain("…", "en") == ""
+    assert level_features.plain("“Don't,”", "en") == "en:don't"
+    assert level_features.plain("die", "de") != level_features.plain("die", "en")
+    assert level_features.plain("…", "en") == ""
 
 
 # ---------------------------------------------------------------------------------------------------- Figure 14
@@ -259,13 +260,13 @@ def test_probes_are_judged_on_voices_that_they_were_not_fitted_on(tmp_path: Path
 
     test = [info("t1", "test", "a"), info("t2", "test", "b")]
     own = [info(f"r{i}", "train", voice) for i, voice in enumerate("abcdcd")]
-    train, judged, apart = speech_levels.hold_out(store(test + own), "test", None, 3)
+    train, judged, apart = speech_levels.hold_out(store(test + own), None, 3)
     assert (judged, apart) == (test, True)
     assert [i.voice for i in train] == ["c", "c", "d"]
-    train, _, apart = speech_levels.hold_out(store(test + own[:2]), "test", None, 9)
+    train, _, apart = speech_levels.hold_out(store(test + own[:2]), None, 9)
     assert (len(train), apart) == (2, False)
     with pytest.raises(InputError, match="no recording to fit"):
-        speech_levels.hold_out(store(test), "test", None, 9)
+        speech_levels.hold_out(store(test), None, 9)
 
 
 def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
@@ -275,7 +276,7 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     config = presets.preset("tiny")
     torch.manual_seed(1)
     encoder = SpeechEncoder(EncoderConfig(width=4)).eval()
-    heard = speech_levels.listen(recording, config, {"": encoder})
+    heard = level_features.listen(recording, config, {"": encoder})
     from data_module.speech.front_ends import front_end
     from gesticulator.speech_features import encode_speech
 
@@ -287,9 +288,9 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     assert np.allclose(heard.energy, usual.low[:, 10:20, 5], atol=2e-2)
     assert heard.features["mel"].shape == (*heard.energy.shape, 34)
     assert len(heard.words) == len(recording.speech.words or ())
-    fresh = speech_levels.untrained(encoder)
+    fresh = level_features.untrained(encoder)
     assert not torch.equal(fresh.convolutions[0].weight, encoder.convolutions[0].weight)
-    again = speech_levels.untrained(encoder)
+    again = level_features.untrained(encoder)
     assert torch.equal(fresh.convolutions[3].weight, again.convolutions[3].weight)
 
 

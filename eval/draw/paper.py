@@ -24,6 +24,7 @@ from data_module.motion.motion_beats import acting_positions, acting_speed
 from data_module.speech.beats import find_beats
 from data_module.store import Recording
 from data_module.types import Motion
+from eval.draw.edited import figure_10
 from eval.draw.lexicon_map import NEIGHBOURS, draw_latents, embed, evenly, neighbours_agree
 from eval.draw.plots import (
     Overview,
@@ -155,7 +156,7 @@ def edited(source: FigureSource) -> Drawn:
     numbers = {f"{feature}, asked {level}": row.mean for feature in style_editing.FEATURES
                for level in style_editing.LEVELS
                for row in [found["rows"][style_editing.row_name(feature, level)][feature]]}
-    return style_editing.figure_10(found), (
+    return figure_10(found), (
         "Motion for the same speech when low, middle and high values of each feature are asked for."), numbers
 
 

@@ -12,7 +12,7 @@ Each takes numbers and gives a figure; nothing is computed here that is not said
 hold. The same input gives the same bytes (`save`). Colours are of the palette of Okabe and Ito (2008), which people
 with any colour vision tell apart, and no meaning hangs on colour alone: lines have markers, verdicts have shapes,
 lexemes, of which there are too many for any palette, have numbers. The other figures of the papers are drawn by
-`data_module.intervals` (5, 8a), `lexicon_map` (6, 8b), `strips` (9) and `eval.probes.style_editing` (10).
+`data_module.intervals` (5, 8a), `lexicon_map` (6, 8b), `strips` (9) and `edited` (10).
 """
 
 from __future__ import annotations

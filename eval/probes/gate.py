@@ -19,39 +19,36 @@ the blocks that it closed, each beside the same blocks of the same speech withou
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from sklearn.metrics import roc_auc_score
 from tqdm import tqdm
 
-from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.speech.silence import FRAME, frame_levels
-from data_module.store import SPLITS, Recording, Store
-from data_module.types import Array, Speech
-from eval import stats
+from data_module.store import Recording, Store
+from data_module.types import Array, Motion, Speech
 from eval.draw.lexicon_map import block_of_frames, evenly
 from eval.encode import encode_motion
+from eval.metrics.calibration import auc, brier, calibration, calibration_error
 from eval.metrics.smoothness import hand_speeds
-from eval.stats import Interval, mean_interval
-from eval.table import Column, Table
-from gesticulator.bundle import Bundle
+from eval.stats import mean_interval, of_groups, paired
+from eval.table import Cell, Column, Table
+from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
-from gesticulator.speech_features import encode_speech, front_end_for
-from interpreters.base import BlockFeatures
 
 GATE, LOUDNESS, SILENCE, PERFORMER = "gate", "loudness alone", "detected silence alone", "performer alone"
 ACTIVITIES = (0.0, 0.25, 0.5, 0.75, 1.0)
-BINS, DRAWS = 10, 500
+ASKED = 0.5
+"""The activity whose performance tells what the gate said: at 0 and 1 it is not asked."""
+DRAWS = 500
 Flags = NDArray[np.bool_]
 
-
-# ------------------------------------------------------------------------------------------------ known when?
 
 @dataclass(frozen=True)
 class GateScores:
@@ -63,93 +60,35 @@ class GateScores:
     scores: Mapping[str, Array]
 
 
-def auc(active: Flags, scores: Array, weights: Array | None = None) -> float:
-    """Area under the ROC curve for [N] truths and scores; NaN where only one kind of block is there."""
-    kept = np.ones(len(active), bool) if weights is None else weights > 0
-    if len(np.unique(active[kept])) < 2:
-        return float("nan")
-    return float(roc_auc_score(active, scores, sample_weight=weights))
-
-
-@dataclass(frozen=True)
-class Bin:
-    """Blocks whose probability lies in [low, high): how many, what was said on average, how many were active."""
-
-    low: float
-    high: float
-    blocks: int
-    said: float
-    happened: float
-
-
-def calibration(active: Flags, probability: Array, bins: int = BINS) -> list[Bin]:
-    """What was said beside what happened, in bins of equal width that hold any of the [N] blocks."""
-    own = np.minimum((probability * bins).astype(int), bins - 1)
-    return [Bin(i / bins, (i + 1) / bins, int((own == i).sum()), float(probability[own == i].mean()),
-                float(active[own == i].mean())) for i in np.unique(own).tolist()]
-
-
-def calibration_error(active: Flags, probability: Array, weights: Array | None = None, bins: int = BINS) -> float:
-    """Mean gap between what was said and what happened over the bins, weighted by their blocks."""
-    weight = np.ones(len(active)) if weights is None else weights
-    own = np.minimum((probability * bins).astype(int), bins - 1)
-    gaps = np.abs(np.bincount(own, weight * (probability - active)))
-    return float(gaps.sum() / weight.sum())
-
-
-def brier(active: Flags, probability: Array | float, weights: Array | None = None) -> float:
-    """Mean squared difference between probability and truth."""
-    return float(np.average((probability - active.astype(np.float64)) ** 2, weights=weights))
-
-
-def resampled(owner: NDArray[np.int64], statistic: Callable[[Array], float], draws: int = DRAWS) -> Interval:
-    """A statistic of pooled blocks with its bootstrap interval, groups of recordings being what is drawn.
-
-    owner: [N] the group of each block, 0 to G - 1; statistic(weights [N]) counts a block as often as its group was
-    drawn.
-    """
-    groups = int(owner.max()) + 1
-    return stats.of_set(lambda chosen: statistic(np.bincount(chosen, minlength=groups)[owner].astype(np.float64)),
-                        groups, draws=draws, basic=False)
-
-
-def knowledge(judged: Sequence[GateScores], draws: int = DRAWS) -> dict[str, Any]:
-    """AUC of every score over all blocks and within recordings, the gate's lead over each, and its calibration."""
-    groups = sorted({own.group for own in judged})
-    owner = np.concatenate([np.full(len(own.active), groups.index(own.group)) for own in judged])
+def knowledge(judged: Sequence[GateScores], facts: Mapping[str, Any], draws: int = DRAWS) -> list[Table]:
+    """AUC of every score over all blocks and within recordings, the gate's lead over each; and its calibration."""
+    names, number = np.unique([own.group for own in judged], return_inverse=True)
+    owner = np.repeat(number, [len(own.active) for own in judged])
     active = np.concatenate([own.active for own in judged])
     scores = {name: np.concatenate([own.scores[name] for own in judged]) for name in judged[0].scores}
-    said = scores[GATE]
+    said, sizes = scores[GATE], np.bincount(owner)
 
-    def area(score: Array) -> Callable[[Array], float]:
-        return lambda weights: auc(active, score, weights)
+    pooled = partial(of_groups, owner=owner, draws=draws)
 
-    def lead(score: Array) -> Callable[[Array], float]:
-        return lambda weights: auc(active, said, weights) - auc(active, score, weights)
+    def lead(score: Array, weights: Array) -> float:
+        return auc(active, said, weights) - auc(active, score, weights)
 
-    rows: dict[str, Any] = {}
+    rows: dict[str, dict[str, Cell]] = {}
     for name, score in scores.items():
-        inside = [[auc(own.active, own.scores[name]) for own in judged if own.group == group] for group in groups]
+        inside = np.array([auc(own.active, own.scores[name]) for own in judged])
+        there = [inside[(number == k) & np.isfinite(inside)] for k in range(len(names))]
         rows[name] = {
-            "auc": resampled(owner, area(score), draws=draws),
-            "auc_within_recordings": mean_interval([_mean(values) for values in inside],
-                                              np.bincount(owner, minlength=len(groups)))}
+            "auc": pooled(partial(auc, active, score)),
+            "auc_within_recordings": mean_interval([own.mean() if len(own) else np.nan for own in there], sizes)}
         if name != GATE:
-            rows[name]["gate_leads_by"] = resampled(owner, lead(score), draws=draws)
-    return {
-        "recordings": len(judged), "groups": len(groups), "blocks": len(active), "active": float(active.mean()),
-        "auc": rows,
-        "calibration": {
-            "error": resampled(owner, lambda w: calibration_error(active, said, w), draws=draws),
-            "brier": resampled(owner, lambda w: brier(active, said, w), draws=draws),
-            "brier_of_the_base_rate": brier(active, float(active.mean())),
-            "bins": calibration(active, said)},
-    }
-
-
-def _mean(values: Sequence[float]) -> float:
-    kept = [value for value in values if np.isfinite(value)]
-    return float(np.mean(kept)) if kept else float("nan")
+            rows[name]["gate_leads_by"] = pooled(partial(lead, score))
+    about = (f"{len(judged)} recordings ({len(names)} with speech of their own), {facts['seconds']:.0f} s, "
+             f"{len(active)} blocks, {100 * active.mean():.0f} % with a gesture by the performer.")
+    error, square = (pooled(partial(figure, active, said)).text(3) for figure in (calibration_error, brier))
+    calibrated = (f"Calibration error {error}; Brier score {square}, and {brier(active, active.mean()):.3f} for always "
+                  "saying the base rate.")
+    return [Table("What tells gesture from stillness", KNOWS, rows, "score", [about], facts),
+            Table("Calibration", BINS, calibration(active, said), "probability said", [calibrated])]
 
 
 def loudness(speech: Speech, edges: Array) -> Array:
@@ -160,158 +99,103 @@ def loudness(speech: Speech, edges: Array) -> Array:
     return np.diff(total[at]) / np.maximum(np.diff(at), 1) - float(np.median(levels))
 
 
-@torch.no_grad()
-def judge(system: Gesticulator, recording: Recording) -> GateScores:
-    """The gate and its controls on one recording, block by block as in use."""
-    bundle, speech = system.bundle, recording.speech
-    gate = gate_of(bundle, "--bundle")
-    encoded = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
-    read = encode_motion(bundle, recording.motion, encoded.blocks, recording.info.speaker)
-    known = recording.info.speaker in bundle.speakers
-    who = system.speaker_index(recording.info.speaker if known else None)
-    state, said = gate.start(who), np.empty(len(encoded.blocks))
-    for i, window in enumerate(encoded.low):
-        low = torch.as_tensor(bundle.statistics.low.apply(window), dtype=torch.float32)
-        said[i], state = gate.step(state, BlockFeatures(low, low))
-    habit = 1.0 - float(bundle.inventory.frequencies[bundle.speakers[who]][bundle.silent].sum())
-    quiet = encoded.blocks.silent
-    return GateScores(recording.info.group or recording.info.name, ~np.isin(read.labels, bundle.silent), {
-        GATE: said, LOUDNESS: loudness(speech, encoded.blocks.edges), SILENCE: (~quiet).astype(np.float64),
-        PERFORMER: np.full(len(said), habit)})
-
-
-def gate_of(bundle: Bundle, subject: str) -> Any:
-    """The bundle's gate; InputError when it has none."""
-    if bundle.gate is None:
-        raise InputError(subject, "has no gate", "train one: schedules.gate.steps above 0")
-    return bundle.gate
-
-
-# ---------------------------------------------------------------------------------------------------- in use
-
 @dataclass(frozen=True)
 class GatedMotion:
-    """One performance. edges: [N + 1] s; gesturing: [N] the lexeme is not silent; closed: [N] the gate shut the block;
-    speed: [T - 1] mean of both hands between frames, m/s, at `fps`."""
+    """One performance. gesturing: [N] the lexeme is not silent; closed: [N] the gate shut the block; speed: [T - 1]
+    mean of both hands between frames, m/s; block: [T - 1] the block that each lies in."""
 
-    edges: Array
     gesturing: Flags
     closed: Flags
     speed: Array
-    fps: float
+    block: NDArray[np.int64]
+
+    def median_speed(self, blocks: Flags) -> float:
+        """Median over the frames of the chosen blocks [N], m/s; NaN where there is none."""
+        own = self.speed[blocks[self.block]]
+        return float(np.median(own)) if len(own) else float("nan")
 
 
-def within(played: GatedMotion, blocks: Flags) -> Flags:
-    """[T - 1] the frames of the chosen blocks [N]."""
-    return blocks[block_of_frames(played.edges, len(played.speed), played.fps)]
+def gated(motion: Motion, edges: Array, gesturing: Flags, closed: Flags) -> GatedMotion:
+    """From a motion and the edges [N + 1] of its blocks, s."""
+    speed = hand_speeds(motion).mean(axis=1)
+    return GatedMotion(gesturing, closed, speed, block_of_frames(edges, len(speed), motion.fps))
 
 
-def row(played: Sequence[GatedMotion], ungated: Sequence[GatedMotion]) -> dict[str, Any]:
+def play(system: Gesticulator, recording: Recording, activity: float) -> tuple[Performance, GatedMotion]:
+    """One recording at one activity, in the habits of its performer where the bundle knows them."""
+    who = recording.info.speaker if recording.info.speaker in system.speakers else None
+    made = system(recording.speech, speaker=who, activity=activity)
+    closed = np.full(len(made.lexemes), activity <= 0)
+    if 0 < activity < 1 and made.gate is not None:
+        closed = made.gate < 1 - activity
+    return made, gated(made.motion, made.blocks.edges, ~np.isin(made.lexemes, system.bundle.silent), closed)
+
+
+def judge(system: Gesticulator, recording: Recording, made: Performance) -> tuple[GateScores, GatedMotion]:
+    """The gate and its controls on one recording, as in use: it was `made` at the activity `ASKED`.
+
+    Beside them the performer's own motion, whose still blocks count as closed.
+    """
+    bundle, info, blocks = system.bundle, recording.info, made.blocks
+    active = ~np.isin(encode_motion(bundle, recording.motion, blocks, info.speaker).labels, bundle.silent)
+    who = bundle.speakers[system.speaker_index(info.speaker if info.speaker in bundle.speakers else None)]
+    habit = 1.0 - float(bundle.inventory.frequencies[who][bundle.silent].sum())
+    return GateScores(info.group or info.name, active, {
+        GATE: np.asarray(made.gate), LOUDNESS: loudness(recording.speech, blocks.edges),
+        SILENCE: (~blocks.silent).astype(np.float64), PERFORMER: np.full(len(active), habit),
+    }), gated(recording.motion, blocks.edges, active, ~active)
+
+
+def row(played: Sequence[GatedMotion], ungated: Sequence[GatedMotion] | None = None) -> dict[str, Cell]:
     """Figures of one activity, each with its difference from the same recordings without the gate.
 
     Speeds in closed blocks are medians over frames; beside them the median in the same blocks without the gate.
     """
-    sizes = [len(own.gesturing) for own in played]
-    share = np.array([own.gesturing.mean() for own in played])
-    mean = np.array([own.speed.mean() for own in played])
-    pairs = [(_median(own.speed[within(own, own.closed)]), _median(other.speed[within(other, own.closed)]))
-             for own, other in zip(played, ungated, strict=True)]
-    still, same = np.array(pairs).T
-    shut = [int(own.closed.sum()) for own in played]
-    return {
-        "gesturing": mean_interval(share, sizes),
-        "gesturing_change": mean_interval(share - [own.gesturing.mean() for own in ungated], sizes),
-        "hand_speed": mean_interval(mean, sizes),
-        "hand_speed_change": mean_interval(mean - [own.speed.mean() for own in ungated], sizes),
-        "closed_blocks": sum(shut),
-        "closed_speed": mean_interval(still, shut),
-        "closed_speed_without": mean_interval(same, shut),
-        "closed_speed_change": mean_interval(still - same, shut),
-    }
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values)) if len(values) else float("nan")
-
-
-def play(system: Gesticulator, recording: Recording, activity: float) -> GatedMotion:
-    """One recording at one activity, in the habits of its performer where the bundle knows them."""
-    who = recording.info.speaker if recording.info.speaker in system.speakers else None
-    made = system(recording.speech, speaker=who, activity=activity)
-    gesturing = ~np.isin(made.lexemes, system.bundle.silent)
-    if activity >= 1 or made.gate is None:
-        closed = np.zeros(len(gesturing), bool)
-    else:
-        closed = np.ones(len(gesturing), bool) if activity <= 0 else made.gate < 1 - activity
-    return GatedMotion(made.blocks.edges, gesturing, closed, hand_speeds(made.motion).mean(axis=1), made.motion.fps)
-
-
-def performed(bundle: Bundle, recording: Recording) -> GatedMotion:
-    """The performer's own motion, whose still blocks count as closed."""
-    blocks = cut(recording.speech, bundle.config.rhythm)
-    read = encode_motion(bundle, recording.motion, blocks, recording.info.speaker)
-    gesturing = ~np.isin(read.labels, bundle.silent)
-    return GatedMotion(read.blocks.edges, gesturing, ~gesturing, hand_speeds(recording.motion).mean(axis=1),
-                  recording.motion.fps)
-
-
-# ---------------------------------------------------------------------------------------------------- tables
-
-def figures(system: Gesticulator, recordings: Sequence[Recording], progress: bool = True) -> dict[str, Any]:
-    """Everything that the tables show."""
-    judged = [judge(system, recording) for recording in tqdm(recordings, desc="gate", disable=not progress)]
-    played = {activity: [play(system, recording, activity) for recording in
-                         tqdm(recordings, desc=f"activity {activity:g}", disable=not progress)]
-              for activity in ACTIVITIES}
-    own = [performed(system.bundle, recording) for recording in recordings]
-    return {"seconds": round(sum(r.speech.duration for r in recordings), 1), "knowledge": knowledge(judged),
-            "activity": {"performer": row(own, own),
-                         **{f"{activity:g}": row(made, played[1.0]) for activity, made in played.items()}}}
+    sizes, shut = [len(own.closed) for own in played], [int(own.closed.sum()) for own in played]
+    share, speed = np.array([(own.gesturing.mean(), own.speed.mean()) for own in played]).T
+    still = np.array([own.median_speed(own.closed) for own in played])
+    out: dict[str, Cell] = {"gesturing": mean_interval(share, sizes), "hand_speed": mean_interval(speed, sizes),
+                            "closed_blocks": sum(shut), "closed_speed": mean_interval(still, shut)}
+    if ungated is None:
+        return out
+    free_share, free_speed = np.array([(own.gesturing.mean(), own.speed.mean()) for own in ungated]).T
+    free = np.array([other.median_speed(own.closed) for own, other in zip(played, ungated, strict=True)])
+    return out | {
+        "gesturing_change": paired(share, free_share, sizes), "hand_speed_change": paired(speed, free_speed, sizes),
+        "closed_speed_without": mean_interval(free, shut), "closed_speed_change": paired(still, free, shut)}
 
 
 KNOWS = {"auc": Column("AUC", digits=3, good="high"), "auc_within_recordings": Column("in one recording", digits=3),
          "gate_leads_by": Column("the gate leads by", digits=3)}
-BINS_SHOWN = {"blocks": Column("blocks"), "said": Column("said, mean"), "happened": Column("active")}
+BINS = {"blocks": Column("blocks"), "said": Column("said, mean"), "happened": Column("active")}
 USE = {"gesturing": Column("blocks gesturing", "share", 3), "gesturing_change": Column("against no gate", digits=3),
        "hand_speed": Column("hands", "m/s"), "hand_speed_change": Column("against no gate", "m/s"),
        "closed_blocks": Column("closed blocks"), "closed_speed": Column("hands there, median", "m/s", 3),
        "closed_speed_without": Column("there without the gate", "m/s", 3),
        "closed_speed_change": Column("difference", "m/s", 3)}
-_UNPAIRED = ("gesturing_change", "hand_speed_change", "closed_speed_without", "closed_speed_change")
-"""Columns that compare with playing without the gate, which the performer has no part in."""
-
-
-def tables(result: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Table]:
-    """What the gate knows, whether it is calibrated, and what it does."""
-    known = result["knowledge"]
-    error, brier_score = (known["calibration"][key].text(3) for key in ("error", "brier"))
-    about = (f"{known['recordings']} recordings ({known['groups']} with speech of their own), {result['seconds']:.0f} "
-             f"s, {known['blocks']} blocks, {100 * known['active']:.0f} % with a gesture by the performer.")
-    calibrated = (f"Calibration error {error}; Brier score {brier_score}, and "
-                  f"{known['calibration']['brier_of_the_base_rate']:.3f} for always saying the base rate.")
-    bins = {f"{own.low:.1f} to {own.high:.1f}": {key: getattr(own, key) for key in BINS_SHOWN}
-            for own in known["calibration"]["bins"]}
-    use = {name: {key: value for key, value in own.items() if name != "performer" or key not in _UNPAIRED}
-           for name, own in result["activity"].items()}
-    return [Table("What tells gesture from stillness", KNOWS, known["auc"], "score", [about], facts),
-            Table("Calibration", BINS_SHOWN, bins, "probability said", [calibrated]),
-            Table("The gate in use", USE, use, "activity")]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, a bundle and which recordings."""
     parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
     parser.add_argument("--data", required=True, metavar="STORE")
-    parser.add_argument("--split", default="test", choices=SPLITS)
-    parser.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
+    parser.add_argument("--limit", type=int, metavar="N", help="that many test recordings, evenly chosen (all)")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
     """Judge a bundle's gate; InputError when it has none."""
     torch.set_num_threads(1)
-    store = Store.open(arguments.data)
-    system = Gesticulator.from_pretrained(arguments.bundle)
-    gate_of(system.bundle, arguments.bundle or "the shipped bundle")
-    result = figures(system, [store.load(info.name) for info in evenly(store, arguments.split, arguments.limit)])
-    return tables(result, {"store": {"name": store.corpus, "fingerprint": store.fingerprint,
-                                     "split": arguments.split}})
+    store, system = Store.open(arguments.data), Gesticulator.from_pretrained(arguments.bundle)
+    if system.bundle.gate is None:
+        raise InputError(arguments.bundle or "the shipped bundle", "has no gate",
+                         "train one: schedules.gate.steps above 0")
+    recordings = [store.load(info.name) for info in evenly(store, "test", arguments.limit)]
+    made = {activity: [play(system, recording, activity) for recording in tqdm(recordings, f"activity {activity:g}")]
+            for activity in ACTIVITIES}
+    judged = [judge(system, recording, own) for recording, (own, _) in zip(recordings, made[ASKED], strict=True)]
+    played = {activity: [own for _, own in each] for activity, each in made.items()}
+    use = {"performer": row([own for _, own in judged]),
+           **{f"{activity:g}": row(own, played[1.0]) for activity, own in played.items()}}
+    facts = {"store": {"name": store.corpus, "fingerprint": store.fingerprint, "split": "test"},
+             "seconds": round(sum(recording.speech.duration for recording in recordings), 1)}
+    return [*knowledge([scores for scores, _ in judged], facts), Table("The gate in use", USE, use, "activity")]
