@@ -15,7 +15,6 @@ speed that counts is the performed one.
 from __future__ import annotations
 
 import argparse
-import colorsys
 import html
 import json
 import math
@@ -26,7 +25,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -38,23 +37,20 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.types import Array, Blocks, Motion
-from eval.draw.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
+from eval.draw.embedding import NEIGHBOURS, Labels, colours, embed, embedding_panels, neighbours_agree
+from eval.draw.figure import HANDS, VIEWS, figure_points, seen
+from eval.draw.strips import save_strip
 from eval.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
 from gesticulator.statistics import representation_of
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-PERPLEXITY, NEIGHBOURS = 30.0, 10
 LEAST, SURE, PRIOR = 5, 3.0, 500.0
 """A word is listed when it stands on a lexeme's blocks this often and this many standard errors too often; the strength
 of the prior in words."""
 MOST_WORDS, MOST_STROKES = 6, 3
 NO_STROKE = "no stroke"
-Labels = NDArray[np.int64]
 
 
 def evenly(store: Store, split: str, limit: int | None = None) -> list[RecordingInfo]:
@@ -71,53 +67,6 @@ def evenly(store: Store, split: str, limit: int | None = None) -> list[Recording
 def block_of_frames(edges: Array, count: int, fps: float) -> Labels:
     """[count] the block that each stretch between two frames lies in."""
     return np.clip(np.searchsorted(edges, (np.arange(count) + 0.5) / fps) - 1, 0, len(edges) - 2)
-
-
-# -------------------------------------------------------------------------------------------------- the latents
-
-def embed(latents: Array, seed: int = 0) -> Array:
-    """[n, 2] t-SNE of latents [n, D]."""
-    from sklearn.manifold import TSNE
-
-    perplexity = min(PERPLEXITY, (len(latents) - 1) / 3)
-    made = TSNE(perplexity=perplexity, init="pca", random_state=seed).fit_transform(latents)
-    return np.asarray(made, dtype=np.float64)
-
-
-def neighbours_agree(points: Array, labels: Labels, count: int = NEIGHBOURS) -> float:
-    """Share of each point's nearest neighbours that have its label."""
-    from sklearn.neighbors import NearestNeighbors
-
-    near = NearestNeighbors(n_neighbors=min(count, len(points) - 1)).fit(points).kneighbors(return_distance=False)
-    return float((labels[near] == labels[:, None]).mean())
-
-
-def colours(size: int) -> list[str]:
-    """`size` colours, neighbours in number far apart in hue."""
-    made = [colorsys.hls_to_rgb(i * 0.61803398875 % 1, (0.42, 0.56, 0.34)[i % 3], (0.65, 0.8, 0.5)[i % 3])
-            for i in range(size)]
-    return ["#" + "".join(f"{round(255 * part):02x}" for part in own) for own in made]
-
-
-def draw_latents(points: Array, labels: Labels, silent: Sequence[int], size: int, caption: str) -> Figure:
-    """Points [n, 2] coloured by lexeme, its number where they are thickest; silent lexemes are crosses."""
-    from matplotlib.figure import Figure as NewFigure
-
-    canvas = NewFigure(figsize=(9, 9.4), facecolor="white")
-    axis = canvas.add_axes((0.02, 0.02, 0.96, 0.92))
-    palette = colours(size)
-    for lexeme in np.unique(labels).tolist():
-        own = points[labels == lexeme]
-        still = lexeme in silent
-        axis.scatter(own[:, 0], own[:, 1], s=14 if still else 9, marker="x" if still else "o", c=palette[lexeme],
-                     alpha=0.75, linewidths=0.8 if still else 0, rasterized=True)
-        # The point nearest to all of its own: a lexeme of two clumps gets its number on one of them.
-        centre = own[np.abs(own[:, None] - own[None]).sum(-1).sum(-1).argmin()]
-        axis.text(float(centre[0]), float(centre[1]), str(lexeme), fontsize=9, color=INK, ha="center", va="center",
-                  bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": palette[lexeme], "lw": 0.8, "alpha": 0.85})
-    axis.axis("off")
-    canvas.text(0.5, 0.97, caption, fontsize=10, color=INK, ha="center", va="center")
-    return canvas
 
 
 # ---------------------------------------------------------------------------------------------- what goes with it
@@ -273,7 +222,8 @@ def decoded(bundle: Bundle) -> list[Motion]:
 _SLOT = re.compile(r"\{\{([a-z]+)\}\}")
 _CROP = {"front": (-0.72, 1.44), "side": (-0.78, 1.14)}
 """View -> left edge and width of the picture in metres."""
-_TOP, _TALL = 1.8, 1.06
+_TOP, _TALL, _LEAST_HIGH = 1.8, 1.06, 0.3
+"""Metres over the floor: the upper edge and the height of a picture, and below what no limb is written."""
 _GHOSTS = ((0.0, 0.16), (0.5, 0.34), (1.0, 1.0))
 """Share of the gesture, and how strongly its pose is drawn."""
 _KNOTS = 11
@@ -285,21 +235,22 @@ def picture(motion: Motion, views: Sequence[str] = tuple(VIEWS)) -> str:
     Dots mark a hand's way at eleven even moments, so wide gaps are speed; the ring is its end.
     """
     points = figure_points(motion, np.linspace(0, (len(motion) - 1) / motion.fps, _KNOTS))
-    return "".join(_view(points, view, _KNOTS) for view in views)
+    return "".join(_view(points, view) for view in views)
 
 
-def _view(points: Mapping[str, Array], view: str, frames: int) -> str:
-    across, depth = VIEWS[view]
-    sign = -1.0 if view == "side" else 1.0  # as in strips: seen from the left, +Z points left
-    flat = {name: np.stack([sign * p[:, across], _TOP - p[:, 1]], axis=1) for name, p in points.items()}
+def _view(points: Mapping[str, Array], view: str) -> str:
     left, wide = _CROP[view]
     parts = []
     for share, strength in _GHOSTS:
-        frame = round(share * (frames - 1))
-        near = {side: float(points[f"{side}Hand"][frame, depth]) for side in HANDS}
-        parts.append(f'<g opacity="{strength}">{_pose({n: p[frame] for n, p in flat.items()}, near)}</g>')
+        frame = round(share * (_KNOTS - 1))
+        limbs = [limb for part in seen({name: own[frame:frame + 1] for name, own in points.items()}, VIEWS[view])
+                 for limb in part.limbs if min(limb.start[0, 1], limb.end[0, 1]) > _LEAST_HIGH]
+        lines = "".join(f'<path d="M{x:.3f},{_TOP - y:.3f}L{u:.3f},{_TOP - v:.3f}" stroke="{limb.colour}" '
+                        f'stroke-width="{limb.r0[0] + limb.r1[0]:.3f}"/>'
+                        for limb in limbs for (x, y), (u, v) in [(limb.start[0], limb.end[0])])
+        parts.append(f'<g opacity="{strength}" stroke-linecap="round">{lines}</g>')
     for side, colour in HANDS.items():
-        way = flat[f"{side}HandTip"]
+        way = VIEWS[view].look(points[f"{side}HandTip"])[0] * [1.0, -1.0] + [0.0, _TOP]
         dots = "".join(f'<circle cx="{x:.3f}" cy="{y:.3f}" r=".009"/>' for x, y in way)
         line = " ".join(f"{x:.3f},{y:.3f}" for x, y in way)
         parts.append(f'<g fill="{colour}"><polyline points="{line}" fill="none" stroke="{colour}" stroke-width=".008"/>'
@@ -307,26 +258,6 @@ def _view(points: Mapping[str, Array], view: str, frames: int) -> str:
                      f'stroke="{colour}" stroke-width=".009"/></g>')
     return (f'<svg class="{view}" viewBox="{left} 0 {wide} {_TALL}" role="img" aria-label="{view} view">'
             f'{"".join(parts)}</svg>')
-
-
-def _pose(now: Mapping[str, Array], near: Mapping[str, float]) -> str:
-    def line(names: Sequence[str], width: float, colour: str) -> str:
-        way = " ".join(f"{now[name][0]:.3f},{now[name][1]:.3f}" for name in names)
-        return f'<polyline points="{way}" stroke="{colour}" stroke-width="{width}"/>'
-
-    def arm(side: str) -> str:
-        return (line((f"{side}Arm", f"{side}ForeArm"), 0.085, SHIRT)
-                + line((f"{side}ForeArm", f"{side}Hand", f"{side}HandTip"), 0.06, SKIN))
-
-    sides = sorted(HANDS, key=lambda side: near[side])
-    head = (now["Head"] + now["HeadTip"]) / 2
-    body = (line(("Hips", "Spine", "Spine1", "Spine2", "Spine3"), 0.25, SHIRT)
-            + line(("LeftArm", "Neck", "RightArm"), 0.11, SHIRT) + line(("Neck", "Head"), 0.09, SKIN)
-            + f'<circle cx="{head[0]:.3f}" cy="{head[1]:.3f}" r=".105" fill="{SKIN}"/>')
-    behind = [side for side in sides if near[side] < 0]
-    front = [side for side in sides if near[side] >= 0]
-    return (f'<g fill="none" stroke-linecap="round" stroke-linejoin="round">{"".join(map(arm, behind))}{body}'
-            f'{"".join(map(arm, front))}</g>')
 
 
 def pictures(entry: LexemeEntry, sample: Motion | None, own: Motion) -> str:
@@ -397,10 +328,10 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     flat = embed(latents[few])
     shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])
     used = sum(own.blocks > 0 for own in entries)
-    caption = (f"E(M) of {len(few)} blocks by t-SNE; {used} of {size} lexemes, x silent\n{100 * shown:.0f} % of the "
+    caption = (f"E(M) by t-SNE; {used} of {size} lexemes are used, x silent\n{100 * shown:.0f} % of the "
                f"{NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space")
     out.mkdir(parents=True, exist_ok=True)
-    figure = draw_latents(flat, labels[few], silent, size, caption)
+    figure = embedding_panels({caption: (flat, labels[few])}, size, silent)
     for suffix in ("png", "svg"):
         save_strip(figure, out / f"latents.{suffix}")
     shipped = folder is None or Path(folder).resolve() == bundles.SHIPPED.resolve()
