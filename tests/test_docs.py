@@ -87,9 +87,6 @@ def verbs() -> dict[str, str]:
 def command(verb: str) -> Command:
     """The command of a verb of this checkout, whatever is installed."""
     module, _, name = verbs()[verb].partition(":")
-    file = ROOT / (module.replace(".", "/") + ".py")
-    if not file.is_file() or not re.search(rf"^{name}\b", text(file), re.M):
-        pytest.skip(f"{verb} has no command yet")
     found: Command = getattr(importlib.import_module(module), name)
     return found
 

@@ -282,7 +282,7 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
     shutil.copy(file.with_suffix(".wav"), real / f"{file.stem}.wav")
     result = score.scored(Namespace(
         truth=real, system=[f"itself={real}", f"shaken={shaken}"], speech=None, fgd=None, work=None, bundle=None,
-        piece="8", rate=None, fps=[], no_controls=False, seed=0,
+        piece="8", rate=None, fps=[], no_controls=False, seed=0, units=None,
         split="test"))
     itself, off = ({name: mean_of(result.figures, row, name) for name in METRICS} for row in ("itself", "shaken"))
     assert len(result.clips) == 3 and result.fps == 15.0
@@ -351,7 +351,7 @@ def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, 
 
 def asked(truth: Path, systems: list[str], **others: Any) -> Namespace:
     told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "rate": None,
-                            "fps": [], "no_controls": False, "seed": 0, "split": "test"}
+                            "fps": [], "no_controls": False, "seed": 0, "units": None, "split": "test"}
     return Namespace(truth=truth, system=systems, **{**told, **others})
 
 
