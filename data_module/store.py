@@ -31,7 +31,7 @@ from data_module.speech.audio import load_speech, write_flac
 from data_module.truth import TABLES, PlayedStroke, Truth, record
 from data_module.types import Motion, Speech, Word
 
-FORMAT = 1
+FORMAT = 2
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 _LISTING, _FOLDER, _BEGUN = "store.json", "recordings", "begun.json"
@@ -44,7 +44,8 @@ class RecordingInfo:
     """What a store tells about a recording without opening it.
 
     speaker: who gestures (the performer); voice: who speaks; language: ISO 639-1; absent: joints the source lacks;
-    group: recordings of one group share their sound or their text, so an interval over them counts it once.
+    group: recordings of one group share their sound or their text, so an interval over them counts it once. part: of a
+    corpus that was made in parts; sources: the recordings of others that it was made from.
     """
 
     name: str
@@ -57,6 +58,8 @@ class RecordingInfo:
     fps: float = 0.0
     absent: tuple[str, ...] = ()
     group: str = ""
+    part: str = ""
+    sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -201,7 +204,7 @@ class StoreWriter:
         write_flac(sound, recording.speech)
         write_bytes(arrays, _pack(_arrays(recording)))
         entry = asdict(info) | {"seconds": round(recording.speech.duration, 6), "frames": len(motion),
-                                "fps": motion.fps, "absent": list(motion.absent),
+                                "fps": motion.fps, "absent": list(motion.absent), "sources": list(info.sources),
                                 "sha256": {"flac": _sha256(sound), "npz": _sha256(arrays)}}
         write_text(self._entry(info.name), json.dumps(entry))
 
@@ -271,12 +274,12 @@ def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
 def _info(entry: Mapping[str, Any]) -> RecordingInfo:
     """An entry of the listing; ValueError, TypeError or KeyError when it is none."""
     known = {field.name: entry[field.name] for field in fields(RecordingInfo)}
-    for name in ("name", "split", "speaker", "voice", "language", "group"):
+    for name in ("name", "split", "speaker", "voice", "language", "group", "part"):
         _typed(known[name], str)
     if not all(0 <= float(_typed(known[name], int | float)) < np.inf for name in ("seconds", "frames", "fps")):
         raise ValueError("a number is none")
-    absent = tuple(_typed(name, str) for name in _typed(known["absent"], list))
-    return RecordingInfo(**known | {"absent": absent})
+    lists = {key: tuple(_typed(name, str) for name in _typed(known[key], list)) for key in ("absent", "sources")}
+    return RecordingInfo(**known | lists)
 
 
 def _typed(value: Any, kind: Any) -> Any:

@@ -1,8 +1,14 @@
-"""The scripted performer as a data set: strokes played by rule on real and synthetic speech.
+"""The scripted performer as a data set: real motion and speech brought together by rule.
 
-Nothing leaks from one split to another: the test split has its own topics and sentence templates, its own voices and
-strokes that no other split plays, and the real readings kept for it are never trained on. Recording `i` depends on
-(seed, i) alone, so it is the same in any order and on any number of workers.
+Part A ("motion"): continuous real motion, and synthetic speech made for it. Part B ("talk"): synthetic speech, and real
+strokes played on it by hands that act apart, over a real person's trunk. Part C ("style"): the same in styles that can
+be heard. And real readings ("reading") performed as B. Without the folder `free_motion` there is only B, over a trunk
+that sways by formula, and C.
+
+Nothing leaks from one split to another: the test split has its own topics and sentence templates, its own voices, its
+own takes of real motion, strokes that no other split plays, and readings that are never trained on; the validation
+split has its own takes and sentences. Recording `i` depends on (seed, i) alone, so it is the same in any order and on
+any number of workers.
 
 The synthetic talks are in English, and every reading there is is used, unless `Options.languages` names the languages
 of both.
@@ -28,24 +34,60 @@ from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split
 from data_module.truth import Truth
 
+PARTS = ("motion", "talk", "style", "reading")
+SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
+"""Of the hours of synthetic speech. The real motion for part A lasts 10 minutes, so more of it would be repetition."""
 SHORTEST, LONGEST = 115.0, 150.0
-"""Seconds of a synthetic recording, before the voice decides."""
-TEST_READINGS = ("en_sonnet_3", "en_austen_09")
+"""Seconds of a recording of part B or C, before the voice decides."""
+SHORTEST_MOTION, LONGEST_MOTION = 60.0, 80.0
+"""Seconds of a recording of part A: it draws on 14 stretches of about 9 s."""
+POOL: dict[Split, int] = {"train": 700, "val": 350, "test": 400}
+"""Phrases of a voice that speech for motion is chosen from: 150 leave a third of the phrases of motion without speech,
+700 leave one in a hundred."""
+MOTION_VOICES: dict[Split, tuple[str, ...]] = {
+    "train": ("slt", "us_f3", "rms", "gb_m3", "scot_f2"), "val": ("us_f3", "gb_m3"), "test": ("awb", "rp_m7")}
+"""Each voice needs a pool of its own, said phrase by phrase."""
+MOTION_GROUPS = ("conversation", "traffic", "story", "presenter", "conversation", "traffic", "story", "lesson")
+"""Whose motion a recording of part A is mostly made of, in turns (keys of `performer.takes.GROUPS`)."""
+TEST_READINGS = ("en_sonnet_3", "es_prose_1", "en_austen_0930")
+"""Held out whole."""
 TEST_TAIL = 30.0
-"""Seconds at the end of each reading without word times (German, Spanish) that are kept for test."""
+"""Seconds at the end of every other reading without word times (German) that are kept for test."""
+PERFORMERS_PER_READING = 3
+"""Of 5 minutes of real voices more performances than this would be memorised."""
 _TINY_SECONDS = 20.0
 _TINY_SPLITS: tuple[Split, ...] = ("train", "train", "train", "train", "val", "train", "train", "test", "test")
 _TINY_VOICES: dict[Split, tuple[str, ...]] = {"train": ("numpy_low",), "val": ("numpy_low",), "test": ("numpy_high",)}
-_READINGS_FROM = 100_000
+_FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
+"""The index of the first recording of each part."""
 # What a random generator of a recording is for; one each, so that a longer text does not change the voice.
-_TEXT, _VOICE, _PLAY = 0, 1, 2
+_TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
+CREDITS = {
+    "speech": "synthetic voices",
+    "readings": "readings: public domain (LibriVox)",
+    "austen": "Austen excerpts: BSD-like",
+    "strokes": "strokes: LGPL 2.1 (SmartBody)",
+    "free_motion": "motion: Microsoft Rocketbox (MIT), PNGestures of SmartBody (LGPL 2.1), and CMU (free for all uses; "
+                   "the clips are not to be resold): The data used in this project was obtained from mocap.cs.cmu.edu. "
+                   "The database was created with funding from NSF EIA-0196217.",
+}
+"""The licences of what a corpus is made of, as they stand in its store."""
 
 
 @dataclass(frozen=True)
 class Script:
-    """A synthetic recording before it is spoken."""
+    """A recording of part B or C before it is spoken; styled: whether it drifts through styles."""
 
     utterances: tuple[text.Utterance, ...]
+    styled: bool = False
+
+
+@dataclass(frozen=True)
+class MotionScript:
+    """A recording of part A before it is put together: who moves most in it, and for how long."""
+
+    group: str
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -81,9 +123,9 @@ class Performer:
         if unknown:
             raise InputError(f"--languages {','.join(options.languages)}", f"nobody here speaks {', '.join(unknown)}",
                              f"choose among {', '.join(voices.VOICES_OF)}")
-        austen = any(stem.startswith("en_austen") for stem in self._stems)
-        real = f"public domain (LibriVox){', BSD-like (Austen excerpts)' if austen else ''} and " if self._stems else ""
-        self.licence = f"strokes: LGPL 2.1 (SmartBody); speech: {real}synthetic voices"
+        used = {"speech": True, "readings": bool(self._stems), "strokes": True, "free_motion": self._moved,
+                "austen": any(stem.startswith("en_austen") for stem in self._stems)}
+        self.licence = "; ".join(line for name, line in CREDITS.items() if used[name])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
                              "pip install 'gesticulator[align]'")
@@ -93,27 +135,58 @@ class Performer:
         code = _hash_of([*sorted(own.glob("*.py")), Path(__file__)], own.parent)
         settings: dict[str, Any] = {"preset": self._options.preset, "code": code}
         if self._source is not None:
-            files = [*sorted((self._source / "strokes").glob("*")), *sorted((self._source / "speech").glob("*"))]
+            files = [file for folder in ("strokes", "speech", "free_motion")
+                     for file in sorted((self._source / folder).rglob("*"))]
             settings |= {"hours": self._options.hours, "source": _hash_of(files, self._source)}
         if self._options.languages:
             settings["languages"] = sorted(set(self._options.languages))
         return settings
 
     def items(self) -> Sequence[Item]:
-        return self._talks() + ([] if self._tiny else self._readings())
+        # Sentences that were said already, by the grammar they come from; those of part A come first.
+        said = {source: set(self._phrases[1][source]) if self._moved else set() for source in text.SPLITS}
+        if self._tiny:
+            return self._talks("talk", said)
+        return [*self._motion_talks(), *self._talks("talk", said), *self._talks("style", said), *self._readings()]
 
     def read(self, item: Item) -> Recording:
-        from data_module.performer.play import perform
+        if isinstance(item.content, MotionScript):
+            return self._made_for_motion(item)
+        from data_module.performer import play, styles
+        from data_module.performer.hands import STEADY, draw_manner
 
-        if isinstance(item.content, Script):
+        rng = self._rng(item.index, _STYLE)
+        style = styles.NEUTRAL
+        if isinstance(item.content, Script) and item.content.styled:
+            style = styles.draw_style(2.0 * LONGEST, rng)
+            spoken = styles.styled_speech(item.info.name, item.content.utterances, item.info.voice, style,
+                                          self._rng(item.index, _VOICE))
+        elif isinstance(item.content, Script):
             spoken = voices.speak(item.info.name, item.content.utterances, item.info.voice,
                                   self._rng(item.index, _VOICE))
         else:
             spoken = self._heard(item)
-        played = perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split)
+        manner = STEADY if item.info.part == "style" else draw_manner(rng)
+        staging = None if self._tiny else play.Staging(manner, self._segments(item.info.split), style)
+        played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
+                              staging)
         truth = Truth(played.strokes, spoken.syllables, spoken.phrases)
-        speech = replace(spoken.speech, speaker=item.info.speaker)
-        return Recording(replace(item.info, language=spoken.language), speech, played.motion, truth)
+        info = replace(item.info, language=spoken.language,
+                       sources=tuple(sorted({stroke.clip.removesuffix("-mirrored") for stroke in played.strokes})))
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth)
+
+    def _made_for_motion(self, item: Item) -> Recording:
+        from data_module.performer.talks import talk_for_motion
+
+        script: MotionScript = item.content
+        takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
+        pool = self._pool(item.info.voice, item.info.split)
+        talk = talk_for_motion(item.info.name, self._library, takes, script.group, pool, script.seconds,
+                               self._rng(item.index, _PLAY))
+        spoken = talk.made.spoken
+        info = replace(item.info, language=spoken.language, sources=talk.takes)
+        truth = Truth((), spoken.syllables, spoken.phrases)
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, truth)
 
     def notes(self) -> Sequence[str]:
         strokes = self._strokes.strokes
@@ -123,7 +196,20 @@ class Performer:
             clips = {Path(row["file"]).stem for row in self._manifest}
             lines.append(f"clips without a usable stroke: {len(clips - {stroke.base for stroke in strokes})} of "
                          f"{len(clips)} (postures, fidgets, and clips with the wrong hand, posture or order)")
+        if self._moved:
+            minutes = dict.fromkeys(POOL, 0.0)
+            for take in self._library.talks():
+                minutes[self._take_splits[take.name]] += len(take) / 3600.0
+            lines.append("continuous real motion: " + ", ".join(f"{split} {m:.1f} min" for split, m in minutes.items()))
+        elif self._source is not None:
+            lines.append("no free_motion/manifest.csv: no part A, and the trunk sways by formula")
         return lines
+
+    @property
+    def _moved(self) -> bool:
+        """Whether there is real motion, and somebody to speak for it (part A speaks English)."""
+        there = self._source is not None and (self._source / "free_motion" / "manifest.csv").is_file()
+        return there and (not self._options.languages or "en" in self._options.languages)
 
     def _rng(self, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self._options.seed, index, purpose])
@@ -134,9 +220,76 @@ class Performer:
             from data_module.performer.procedural import procedural_strokes
 
             return procedural_strokes()
+        from data_module.performer.borrowed import load_borrowed, with_borrowed
         from data_module.performer.strokes import load_strokes
 
-        return load_strokes(self._source / "strokes")
+        strokes = load_strokes(self._source / "strokes")
+        return with_borrowed(strokes, *load_borrowed(self._source / "free_motion")) if self._moved else strokes
+
+    @functools.cached_property
+    def _library(self) -> Any:
+        """The takes of real motion."""
+        from data_module.performer.takes import load_takes
+
+        assert self._source is not None
+        return load_takes(self._source / "free_motion")
+
+    @functools.cached_property
+    def _take_splits(self) -> dict[str, Split]:
+        """The split of each take of real motion."""
+        from data_module.performer.takes import split_of_takes
+
+        return split_of_takes(self._takes)
+
+    @functools.cached_property
+    def _takes(self) -> list[Any]:
+        """The takes as they are listed, without their motion."""
+        from data_module.performer.takes import list_takes
+
+        assert self._source is not None
+        return [take for take, _ in list_takes(self._source / "free_motion")]
+
+    def _segments(self, split: Split) -> tuple[Any, ...]:
+        """The trunks of the takes of a split; none where there is no real motion."""
+        if not self._moved:
+            return ()
+        if split not in self._trunks:
+            from data_module.performer.trunk import trunk_segments
+
+            self._trunks[split] = trunk_segments(self._library, self._take_splits, split)
+        return self._trunks[split]
+
+    @functools.cached_property
+    def _trunks(self) -> dict[str, tuple[Any, ...]]:
+        return {}
+
+    @functools.cached_property
+    def _pools(self) -> dict[tuple[str, Split], Any]:
+        return {}
+
+    def _pool(self, voice: str, split: Split) -> Any:
+        """What a voice can say in a split, said once per process."""
+        if (voice, split) not in self._pools:
+            from data_module.performer.sentence_pool import make_pool
+
+            rng = self._rng(_FIRST["motion"] + list(voices.VOICES).index(voice), _POOL)
+            self._pools[voice, split] = make_pool(voice, self._phrases[0][voice, split], rng)
+        return self._pools[voice, split]
+
+    @functools.cached_property
+    def _phrases(self) -> tuple[dict[tuple[str, Split], tuple[str, ...]], dict[str, set[str]]]:
+        """The phrases of part A by voice and split, and the sentences they are of, by grammar; no sentence is said by
+        two voices or in two splits."""
+        from data_module.performer.sentence_pool import phrase_texts
+
+        out: dict[tuple[str, Split], tuple[str, ...]] = {}
+        said: dict[str, set[str]] = {"train": set(), "test": set()}
+        for number, (split, speakers) in enumerate(MOTION_VOICES.items()):
+            source = "test" if split == "test" else "train"
+            for place, voice in enumerate(speakers):
+                rng = self._rng(_FIRST["motion"] + 100 * number + place, _TEXT)
+                out[voice, split] = phrase_texts(rng, POOL[split], source, said[source])
+        return out, said
 
     @functools.cached_property
     def _manifest(self) -> list[dict[str, str]]:
@@ -160,28 +313,51 @@ class Performer:
         wanted = self._options.languages
         return tuple(stem for stem in stems if not wanted or stem.split("_")[0] in wanted)
 
-    def _talks(self) -> list[Item]:
-        """The synthetic recordings with their texts; no sentence is said twice in the whole corpus."""
+    def _motion_talks(self) -> list[Item]:
+        """Part A: in each split the groups of movers that have takes there, in turns."""
+        if not self._moved:
+            return []
+        mean = (SHORTEST_MOTION + LONGEST_MOTION) / 2
+        items = []
+        seen = dict.fromkeys(POOL, 0)
+        for place in range(max(1, round(self._options.hours * SHARES["motion"] * 3600 / mean))):
+            split = split_of(place)
+            able = {take.group for take in self._takes if self._take_splits[take.name] == split}
+            groups = [group for group in MOTION_GROUPS if group in able]
+            group = groups[seen[split] % len(groups)]
+            voice = MOTION_VOICES[split][seen[split] % len(MOTION_VOICES[split])]
+            seen[split] += 1
+            index = _FIRST["motion"] + place
+            seconds = float(self._rng(index, _TEXT).uniform(SHORTEST_MOTION, LONGEST_MOTION))
+            name = f"motion_{place:04d}_{group}"
+            info = RecordingInfo(name, split, group, voice, "en", group=name, part="motion")
+            items.append(Item(info, index, MotionScript(group, seconds)))
+        return items
+
+    def _talks(self, part: str, said: dict[str, set[str]]) -> list[Item]:
+        """Parts B and C with their texts; no sentence of `said` (by grammar), which grows, is said again."""
         mean = (SHORTEST + LONGEST) / 2
-        count = len(_TINY_SPLITS) if self._tiny else max(1, round(self._options.hours * 3600 / mean))
-        said: dict[str, set[str]] = {"train": set(), "test": set()}
+        wanted = self._options.hours * (SHARES[part] if self._moved else SHARES[part] / (1.0 - SHARES["motion"]))
+        count = len(_TINY_SPLITS) if self._tiny else max(1, round(wanted * 3600 / mean))
         seen = dict.fromkeys(("train", "val", "test"), 0)
         items = []
-        for index in range(count):
-            split = _TINY_SPLITS[index] if self._tiny else split_of(index)
+        for place in range(count):
+            split = _TINY_SPLITS[place] if self._tiny else split_of(place)
             turn = seen[split]
             seen[split] += 1
             performer = self._performers[turn % len(self._performers)]
             choice = self._voices(split)
             # Another round of the performers begins with another voice, so that every pair comes up.
             voice = choice[(turn + turn // len(self._performers)) % len(choice)]
+            index = _FIRST[part] + place
             rng = self._rng(index, _TEXT)
             seconds = _TINY_SECONDS if self._tiny else float(rng.uniform(SHORTEST, LONGEST))
             source = "test" if split == "test" else "train"
             language = voices.VOICES[voice].language
-            script = Script(tuple(text.compose(rng, seconds, source, said[source], language)))
-            name = f"talk_{index:04d}_{performer}"
-            items.append(Item(RecordingInfo(name, split, performer, voice, language, group=name), index, script))
+            script = Script(tuple(text.compose(rng, seconds, source, said[source], language)), part == "style")
+            name = f"{part}_{place:04d}_{performer}"
+            info = RecordingInfo(name, split, performer, voice, language, group=name, part=part)
+            items.append(Item(info, index, script))
         return items
 
     def _voices(self, split: Split) -> tuple[str, ...]:
@@ -193,27 +369,22 @@ class Performer:
         return tuple(of[rank % len(of)] for rank in range(max(map(len, own))) for of in own)
 
     def _readings(self) -> list[Item]:
-        """Every reading for training by every performer; those for test by one performer each."""
+        """Every reading for training by three performers, in turns; those for test by one performer each."""
         items: list[Item] = []
-        turn = 0
         for number, stem in enumerate(self._stems):
             language = stem.split("_")[0]
-            parts: list[tuple[str, Split]]
-            if stem.startswith(TEST_READINGS):
+            parts: list[tuple[str, Split]] = [("head", "train"), ("tail", "test")]
+            if stem in TEST_READINGS:
                 parts = [("whole", "test")]
             elif language == "en":
                 parts = [("whole", "train")]
-            else:
-                parts = [("head", "train"), ("tail", "test")]
             for place, (part, split) in enumerate(parts):
-                players = self._performers
-                if split == "test":
-                    players = (self._performers[turn % len(self._performers)],)
-                    turn += 1
                 group = stem if part == "whole" else f"{stem}_{part}"
-                for player, performer in enumerate(players):
-                    info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, group=group)
-                    index = _READINGS_FROM + number * 100 + place * 10 + player
+                for player in range(min(1 if split == "test" else PERFORMERS_PER_READING, len(self._performers))):
+                    performer = self._performers[(number + player) % len(self._performers)]
+                    info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, group=group,
+                                         part="reading")
+                    index = _FIRST["reading"] + number * 100 + place * 10 + player
                     items.append(Item(info, index, Reading(stem, part)))
         return items
 

@@ -109,3 +109,20 @@ def beat_level(prominence: float) -> str:
     if prominence < 0.35:
         return LOW
     return MID if prominence < 1.1 else HIGH
+
+
+MOVEMENTS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "large": (_BIG, _ALL), "small": (_SMALL,), "self": (_ME,), "forward": (_YOU, _THERE, _GIVE), "left": (_LEFT,),
+    "right": (_RIGHT,), "sideways": (_NEGATE, _NO),
+}
+"""What a word can ask a movement to be, in the order of `movements.features_of`, and the lexemes that ask for it."""
+
+
+def movements_of(words: Sequence[str]) -> list[int]:
+    """For each word the index in `MOVEMENTS` of what it asks for, -1 for nothing or for a word that is too common."""
+    out = []
+    for index in range(len(words)):
+        lexemes, strength = lexemes_of(words, index)
+        kinds = [kind for kind, known in enumerate(MOVEMENTS.values()) if lexemes in known]
+        out.append(kinds[0] if kinds and strength == 1.0 else -1)
+    return out

@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_module.performer import meaning
+from data_module.performer.hands import Manner, PhraseHands, hands_of_phrases, unevenness, weights_at
 from data_module.performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
+from data_module.performer.styles import NEUTRAL, StyleTrack
 from data_module.performer.types import Spoken
 from data_module.truth import Phrase, Syllable
 from data_module.types import Array
@@ -37,6 +39,10 @@ _RECENT = 3
 """Clips of a performer's past that are not repeated at once."""
 _RECENT_WEIGHT = 0.1
 """Times as likely as others they are chosen."""
+_SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
+"""Log of the gain by the vigour of the syllable and by amplitude; log of the speed, and eagerness, by tempo."""
+_LARGEST = 1.4
+"""Gain beyond which elbows fold and hands come near the face."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,10 @@ HABITS: dict[str, Habits] = {
 
 @dataclass(frozen=True)
 class Planned:
-    """A stroke in its place, seconds of the performance; `speed` is how much faster than recorded it is played."""
+    """A stroke in its place, seconds of the performance.
+
+    gain: times the excursion; lag, uneven: seconds later, and times the gain, of the left and the right hand.
+    """
 
     stroke: Stroke
     start: float
@@ -79,6 +88,8 @@ class Planned:
     end: float
     syllable: float
     gain: float
+    lag: tuple[float, float] = (0.0, 0.0)
+    uneven: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -124,22 +135,43 @@ def drives(spoken: Spoken) -> Array:
     return np.clip(out, -1.0, 1.0)
 
 
-def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator,
-         split: str = "train") -> tuple[Planned, ...]:
+@dataclass(frozen=True)
+class Casting:
+    """How a talk is to be performed: its manner, which hands play each of its phrases, and its style."""
+
+    manner: Manner
+    hands: tuple[PhraseHands, ...]
+    style: StyleTrack = NEUTRAL
+
+
+def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng: np.random.Generator) -> Casting:
+    """Give the phrases of a talk to the hands of a performer."""
+    habits = habits_of(performer)
+    preferred = RIGHT if habits.hands[RIGHT] >= habits.hands[LEFT] else LEFT
+    return Casting(manner, hands_of_phrases(spoken.phrases, manner, preferred, rng), style)
+
+
+def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator, split: str = "train",
+         casting: Casting | None = None) -> tuple[Planned, ...]:
     """The strokes that `performer` plays on `spoken`, in the order of their beats, none overlapping on one arm.
 
     Held-out strokes are used in the split "test" alone. InputError when the performer is unknown.
     """
     usable = strokes.of(performer, split)
     habits = habits_of(performer)
-    wishes = _wishes(spoken, habits, {stroke.lexeme for stroke in usable}, rng)
+    if casting is not None:
+        habits = replace(habits, eagerness=habits.eagerness + casting.manner.eagerness)
+    style = casting.style if casting else NEUTRAL
+    wishes = _wishes(spoken, habits, {stroke.lexeme for stroke in usable}, style, rng)
     chosen: list[Planned] = []
     recent: list[str] = []
     last_hand = ""
     busy = {LEFT: 0.0, RIGHT: 0.0}
     for wish in wishes:
+        if casting is not None:
+            habits, last_hand = replace(habits, hands=weights_at(casting.hands, wish.at.vowel)), ""
         stroke = _choose(wish, usable, habits, recent, last_hand, rng)
-        placed = _place(stroke, wish, habits, busy, rng) if stroke else None
+        placed = _place(stroke, wish, habits, busy, casting, rng) if stroke else None
         if stroke is None or placed is None:
             continue
         chosen.append(placed)
@@ -147,10 +179,17 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
         last_hand = stroke.hand
         for side in stroke.sides:
             busy[side] = placed.beat + _AFTER_BEAT
-    return _join(chosen, runs_of(spoken.phrases))
+    joined = _join(chosen, runs_of(spoken.phrases))
+    if casting is None:
+        return joined
+    lags, gains = unevenness(rng, len(joined))
+    uneven = [replace(p, lag=tuple(lag), uneven=tuple(gain)) if len(p.stroke.sides) == 2 else p
+              for p, lag, gain in zip(joined, lags.tolist(), gains.tolist(), strict=True)]
+    return _held_through(uneven, spoken.phrases)
 
 
-def _wishes(spoken: Spoken, habits: Habits, known: set[str], rng: np.random.Generator) -> list[_Wish]:
+def _wishes(spoken: Spoken, habits: Habits, known: set[str], style: StyleTrack,
+            rng: np.random.Generator) -> list[_Wish]:
     syllables = spoken.syllables
     if not syllables:
         return []
@@ -160,9 +199,11 @@ def _wishes(spoken: Spoken, habits: Habits, known: set[str], rng: np.random.Gene
     if spoken.language == "en":
         taken = _meaningful(spoken, habits, known, rng)
     times = np.array([s.vowel for s in syllables])
-    chance = 1.0 / (1.0 + np.exp(-3.0 * (np.array([s.prominence for s in syllables]) - 0.1 + habits.eagerness)))
+    tempo = style.at(times)[:, 1]
+    eager = habits.eagerness + _EAGER_OF_TEMPO * tempo
+    chance = 1.0 / (1.0 + np.exp(-3.0 * (np.array([s.prominence for s in syllables]) - 0.1 + eager)))
     draws, moods = rng.random(len(syllables)), rng.normal(0.0, 0.3, len(syllables))
-    gaps = rng.uniform(_MIN_GAP, _MIN_GAP + 0.35, len(syllables))
+    gaps = np.maximum(_MIN_GAP, rng.uniform(_MIN_GAP, _MIN_GAP + 0.35, len(syllables)) * np.exp(-0.3 * tempo))
     for i, syllable in enumerate(syllables):
         near = min((abs(times[i] - times[j]) for j in taken), default=np.inf)
         if i not in taken and near >= gaps[i] and draws[i] < chance[i]:
@@ -211,22 +252,44 @@ def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Seque
     return candidates[int(rng.choice(len(candidates), p=weights / weights.sum()))]
 
 
-def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float],
+def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], casting: Casting | None,
            rng: np.random.Generator) -> Planned | None:
     """Times and size of a stroke on its syllable; None when its arms are not free in time."""
-    vigour = 0.2 * wish.drive
-    gain = float(np.clip(habits.gain * np.exp(1.1 * vigour + 0.04 * rng.normal()), 0.75, 1.22))
-    speed = float(np.clip(habits.speed * np.exp(0.8 * vigour + 0.05 * rng.normal()), 0.9, 1.4))
+    size, pace = 1.1 * 0.2 * wish.drive, 0.8 * 0.2 * wish.drive
+    loose, largest, holding, vary = 1.0, 1.22, 1.0, 0.04
+    if casting is not None:
+        amplitude, tempo = casting.style.at(wish.beat).tolist()
+        size, pace = _SIZE_OF_DRIVE * wish.drive + _SIZE_OF_STYLE * amplitude, pace + _PACE_OF_STYLE * tempo
+        loose, largest, holding, vary = casting.manner.gain, _LARGEST, casting.manner.hold, 0.06
+    gain = float(np.clip(habits.gain * loose * np.exp(size + vary * rng.normal()), 0.6, largest))
+    speed = float(np.clip(habits.speed * np.exp(pace + 0.05 * rng.normal()), 0.8, 1.4))
     if stroke.steady:
         speed = min(speed, 1.0)
     free = max(0.0, *(busy[side] for side in stroke.sides))
     if wish.beat - free < _MIN_PREPARATION:
         return None
     preparation = max(_MIN_PREPARATION, (stroke.beat - stroke.start) / speed)
-    hold = float(np.clip((stroke.hold_end - stroke.beat) / speed, 0.12, _LONGEST_HOLD / _STRETCH))
+    hold = holding * float(np.clip((stroke.hold_end - stroke.beat) / speed, 0.12, _LONGEST_HOLD / _STRETCH))
     back = float(np.clip((stroke.end - stroke.hold_end) / speed, 0.5, 1.0))
     start = max(free, wish.beat - preparation)
     return Planned(stroke, start, wish.beat, wish.beat + hold, wish.beat + hold + back, wish.at.vowel, gain)
+
+
+def _held_through(planned: Sequence[Planned], phrases: Sequence[Phrase]) -> tuple[Planned, ...]:
+    """Holds that last into a pause of under 1.6 s last through it, as far as the arm's next stroke allows."""
+    order = sorted(phrases, key=lambda p: p.start)
+    pauses = [(a.end, b.start) for a, b in zip(order, order[1:], strict=False) if 0.2 < b.start - a.end < REST_PAUSE]
+    out = []
+    for k, one in enumerate(planned):
+        later = [p.start for p in planned[k + 1:k + 8] if set(p.stroke.sides) & set(one.stroke.sides)]
+        following = min(later, default=np.inf)
+        for start, end in pauses:
+            if start - 0.45 <= one.hold_end <= end and one.beat < start + 0.1:
+                hold_end = min(max(one.hold_end, end - 0.15), following)
+                one = replace(one, hold_end=hold_end,
+                              end=max(hold_end, min(hold_end + 1.1 * (one.end - one.hold_end), following)))
+        out.append(one)
+    return tuple(out)
 
 
 def _join(planned: Sequence[Planned], runs: Sequence[tuple[float, float]]) -> tuple[Planned, ...]:

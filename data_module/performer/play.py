@@ -18,8 +18,12 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from data_module.motion import rotation
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
-from data_module.performer.plan import BRAKE, Habits, Planned
+from data_module.performer.hands import Manner, waiting_levels
+from data_module.performer.inertialisation import quintic_offset
+from data_module.performer.plan import BRAKE, Casting, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet
+from data_module.performer.styles import NEUTRAL, StyleTrack
+from data_module.performer.trunk import Segment, idle_arms, kept_ahead, postures, spread, sway, trunk_track
 from data_module.performer.types import Played, Spoken
 from data_module.truth import PlayedStroke
 from data_module.types import Array, Motion
@@ -74,6 +78,12 @@ _BEFORE_SMALL = 0.18
 """Seconds in which it rises before."""
 _SMALL_GAP = 0.36
 """Seconds between small beats at least: about a rise and a fall."""
+_LEAST_SMALL = -0.3
+"""Prominence from which a syllable gets a small beat, where no manner says otherwise."""
+_SMALL_OF_STYLE = np.array([0.5, 0.3])
+"""Log of the size of small movements, by amplitude and tempo."""
+_NOD_GAIN = 1.3
+"""Times a performer's nods on a real person's trunk: what was laid under the speech is not tied to it."""
 
 # Where an arm may be.
 _HIPS_SHARE = 0.4
@@ -138,7 +148,8 @@ class _Score:
     events: per arm. micro: [2, T] how far each arm's excursion is raised, 1 is not at all. drift: [2, T, A * 3].
     trunk: [T, B, 3] log rotations of hips to head. hanging: [2, T] share of the other arm's motion that an arm takes
     part in while it hangs. leads: [2, T] share by which an arm is led to the home pose, to keep it out of the body.
-    chest: place and rotation of the joint that carries the shoulders. runs, levels: what the events were made of.
+    chest: place and rotation of the joint that carries the shoulders. runs, levels: what the events were made of; drop:
+    seconds in which an arm comes to rest.
     made: targets that need not be computed again.
     """
 
@@ -153,19 +164,34 @@ class _Score:
     chest: tuple[Array, Array]
     runs: list[tuple[float, float]]
     levels: _Levels
+    drop: float
     frames: int
     made: dict[tuple[object, ...], Array] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Staging:
+    """What a talk is performed with beside strokes: a manner, real people's trunks, and a style."""
+
+    manner: Manner
+    segments: tuple[Segment, ...]
+    style: StyleTrack = NEUTRAL
+
+
 def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator,
-            split: str = "train") -> Played:
+            split: str = "train", staging: Staging | None = None) -> Played:
     """Play `spoken` with the body and the strokes of `performer`: 60 fps on her own skeleton, with its truth.
+
+    With `staging` the hands act apart and the trunk is a real person's; without it both hands play every phrase and the
+    trunk sways by formula.
 
     The performance depends on the arguments and the state of `rng` alone. In the split "test" the strokes kept for it
     are played among the others. InputError when the performer is unknown.
     """
-    planned = planning.plan(spoken, performer, strokes, rng, split)
-    score = _score(strokes.figures[performer], planned, spoken, planning.habits_of(performer), rng)
+    casting = planning.cast(spoken, performer, staging.manner, staging.style, rng) if staging else None
+    planned = planning.plan(spoken, performer, strokes, rng, split, casting)
+    segments = staging.segments if staging else ()
+    score = _score(strokes.figures[performer], planned, spoken, planning.habits_of(performer), (casting, segments), rng)
     tuning = _first_tuning(planned)
     for _ in range(_DETOURS):
         score, tuning, arms = _rehearse(score, tuning)
@@ -187,7 +213,7 @@ def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:
             break
         good &= ~_echoes(score.planned, good)
         kept = tuple(p for p, fine in zip(score.planned, good, strict=True) if fine)
-        score = replace(score, planned=kept, events=_both_events(kept, score.runs, score.levels))
+        score = replace(score, planned=kept, events=_both_events(kept, score.runs, score.levels, score.drop))
         tuning = tuning.of(good)
     return score, tuning, arms
 
@@ -267,19 +293,53 @@ def _truth(p: Planned) -> PlayedStroke:
 
 
 def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits,
-           rng: np.random.Generator) -> _Score:
+           staged: tuple[Casting | None, tuple[Segment, ...]], rng: np.random.Generator) -> _Score:
+    casting, segments = staged
+    manner = casting.manner if casting else None
     frames = max(2, round(spoken.speech.duration * FPS))
     runs = planning.runs_of(spoken.phrases)
-    levels = _levels(spoken, runs, habits, rng)
-    events = _both_events(planned, runs, levels)
+    levels = _levels_apart(spoken, runs, casting, rng) if casting else _levels(spoken, runs, habits, rng)
+    drop = manner.drop if manner else _DROP
+    events = _both_events(planned, runs, levels, drop)
     lively = np.stack([_lively(arm, frames) for arm in events])
     speaking = lively.max(axis=0)
-    drift = np.stack([_drift(figure, lively[side], frames, rng) for side in (LEFT, RIGHT)])
-    micro = np.stack([_micro(side, spoken, planned, frames, rng) for side in (LEFT, RIGHT)])
-    trunk = _trunk(figure, planned, spoken, habits, speaking, frames, rng)
-    hanging = _SYMPATHY * np.stack([_hanging(arm, frames) for arm in events])
+    wander = manner.drift if manner else 1.0
+    drift = np.stack([_drift(figure, lively[side], wander, frames, rng) for side in (LEFT, RIGHT)])
+    if manner and segments:
+        joints = min(drift.shape[-1], 12)
+        fidgets = idle_arms(segments, frames, rng)
+        drift[..., :joints] += (1.0 - lively)[..., None] * fidgets[..., :joints]
+    size = _style_of(casting, frames)
+    drift *= size[:, None]
+    least = manner.small_beats if manner else _LEAST_SMALL
+    micro = size * np.stack([_micro(side, spoken, planned, least, frames, rng) for side in (LEFT, RIGHT)])
+    if manner and segments:
+        trunk = _living_trunk(figure, planned, spoken, segments, (speaking, manner.trunk, habits), rng)
+    else:
+        trunk = _trunk(figure, planned, spoken, habits, speaking, frames, rng)
+    sympathy = manner.sympathy if manner else _SYMPATHY
+    hanging = sympathy * np.stack([_hanging(arm, frames) for arm in events])
     return _Score(figure, planned, events, micro, drift, trunk, hanging, np.zeros((2, frames)),
-                  _carried(figure, trunk), runs, levels, frames)
+                  _carried(figure, trunk), runs, levels, drop, frames)
+
+
+def _style_of(casting: Casting | None, frames: int) -> Array:
+    """[T] what a style multiplies the arms' wandering and small beats by."""
+    if casting is None:
+        return np.ones(frames)
+    return np.exp(casting.style.at(np.arange(frames) / FPS) @ _SMALL_OF_STYLE)
+
+
+def _levels_apart(spoken: Spoken, runs: list[tuple[float, float]], casting: Casting,
+                  rng: np.random.Generator) -> _Levels:
+    """Per arm [(time, share of home)] of hands that act apart."""
+    vigour = planning.drives(spoken)
+    starts = np.array([s.vowel for s in spoken.syllables])
+    drives = []
+    for phrase in casting.hands:
+        inside = (starts >= phrase.start) & (starts < phrase.end)
+        drives.append(float(vigour[inside].mean()) if inside.any() else 0.0)
+    return waiting_levels(casting.hands, drives, [start for start, _ in runs], _RAISE, casting.manner, rng)
 
 
 def _levels(spoken: Spoken, runs: list[tuple[float, float]], habits: Habits,
@@ -306,12 +366,13 @@ def _levels(spoken: Spoken, runs: list[tuple[float, float]], habits: Habits,
 
 
 def _both_events(planned: tuple[Planned, ...], runs: list[tuple[float, float]],
-                 levels: _Levels) -> tuple[tuple[_Event, ...], tuple[_Event, ...]]:
-    return _events(LEFT, planned, runs, levels[LEFT]), _events(RIGHT, planned, runs, levels[RIGHT])
+                 levels: _Levels, drop: float) -> tuple[tuple[_Event, ...], tuple[_Event, ...]]:
+    left, right = (_events(side, planned, runs, levels[side], drop) for side in (LEFT, RIGHT))
+    return left, right
 
 
 def _events(side: int, planned: tuple[Planned, ...], runs: list[tuple[float, float]],
-            levels: list[tuple[float, float]]) -> tuple[_Event, ...]:
+            levels: list[tuple[float, float]], drop: float) -> tuple[_Event, ...]:
     """The targets of one arm in order of time."""
     own = [(k, p) for k, p in enumerate(planned) if side in p.stroke.sides]
     changes = np.array([time for time, _ in levels])
@@ -330,7 +391,7 @@ def _events(side: int, planned: tuple[Planned, ...], runs: list[tuple[float, flo
         events.append(_Event(p.hold_end, max(p.end - p.hold_end, 0.5), level=level_at(p.hold_end)))
     for _, end in runs:
         late = max([b for a, b in spans if a < end + 0.4], default=0.0)
-        events.append(_Event(max(end + 0.25, late + 0.02), _DROP))
+        events.append(_Event(max(end + 0.25, late + 0.02), drop))
     starts = {p.start for _, p in own}
     events.sort(key=lambda e: (e.time, e.stroke >= 0))
     return tuple(e for e in events if e.stroke >= 0 or e.time not in starts)
@@ -370,7 +431,7 @@ def _wander(frames: int, channels: int, period: float, rng: np.random.Generator)
     return curve / 0.52
 
 
-def _drift(figure: Figure, lively: Array, frames: int, rng: np.random.Generator) -> Array:
+def _drift(figure: Figure, lively: Array, wander: float, frames: int, rng: np.random.Generator) -> Array:
     """[T, A * 3] the arm's own slow wandering: degrees while it is up, a trace of it at rest."""
     joints = len(figure.arms[0])
     share = np.zeros((joints, 3))
@@ -378,7 +439,7 @@ def _drift(figure: Figure, lively: Array, frames: int, rng: np.random.Generator)
     share[4:] = np.radians(2.0)
     slow = _wander(frames, joints * 3, 1.5, rng)
     idle = _wander(frames, joints * 3, 4.0, rng)
-    return (slow * (0.02 + 0.98 * lively)[:, None] + idle * 0.03) * share.ravel()
+    return (wander * slow * (0.02 + 0.98 * lively)[:, None] + idle * 0.03) * share.ravel()
 
 
 def _pulse(times: Array, start: float, end: float) -> Array:
@@ -396,7 +457,8 @@ def _add_bump(track: Array, peak: float, stop: float, size: float, before: float
     track[first:last] += size * (_pulse(times, peak - before, peak) - _pulse(times, peak, stop))
 
 
-def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], frames: int, rng: np.random.Generator) -> Array:
+def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], least: float, frames: int,
+           rng: np.random.Generator) -> Array:
     """[T] small beats at syllables that no stroke of this arm takes: the arm is raised before and falls on them."""
     track = np.zeros(frames)
     # A small beat takes _BEFORE_SMALL seconds to rise: none of it may touch a stroke's own beat.
@@ -407,7 +469,7 @@ def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], frames: int,
     for i, syllable in enumerate(spoken.syllables):
         at = syllable.vowel + 0.025 * draws[0, i]
         free = not any(a < at < b for a, b in spans)
-        if free and at - last > _SMALL_GAP and syllable.prominence > -0.3:
+        if free and at - last > _SMALL_GAP and syllable.prominence > least:
             size = _MICRO * float(np.clip(0.7 + 0.3 * syllable.prominence + 0.35 * strength[i] + 0.2 * draws[1, i],
                                           0.25, 1.5))
             _add_bump(track, at - BRAKE * _FALL, at + (1.0 - BRAKE) * _FALL, size)
@@ -433,8 +495,7 @@ def _trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
     bend = _wander(frames, 3 * len(spines), 3.5, rng).reshape(frames, -1, 3) * scale[..., None]
     out[:, spines] = bend * np.radians([1.5, 1.0, 1.2])
     out[:, spines, 1] += 0.8 / len(spines) * yaw[:, None]
-    breath = np.radians(0.5) * np.sin(2.0 * np.pi * np.arange(frames) / FPS / 3.9)
-    out[:, spines[-1], 0] += breath
+    out[:, spines[-1], 0] += _breath(frames)
     turns = _wander(frames, 3 * len(skull), 2.4, rng).reshape(frames, -1, 3) * scale[..., None]
     out[:, skull] = turns * np.radians([1.8, 2.6, 1.5])
     # The eyes stay with the listener: the head turns back half of what the torso turns.
@@ -442,6 +503,33 @@ def _trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
     out[:, skull, 0] += (_nods(spoken, habits, frames, rng) / len(skull))[:, None]
     _add_clips(out, planned)
     return out
+
+
+def _living_trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, segments: tuple[Segment, ...],
+                  life: tuple[Array, float, Habits], rng: np.random.Generator) -> Array:
+    """[T, B, 3] log rotations of hips, spine, neck and head: a real person's, with postures, nods and breath."""
+    speaking, gain, habits = life
+    frames = len(speaking)
+    names = [figure.skeleton.names[j] for j in figure.trunk]
+    spines = [k for k, name in enumerate(names) if name.startswith("Spine")]
+    skull = [k for k, name in enumerate(names) if name.startswith(("Neck", "Head"))]
+    hips, spine, head = spread(trunk_track(segments, spoken, speaking, gain, rng), (1, len(spines), len(skull)))
+    posture = postures(frames, rng)
+    out = np.zeros((frames, len(names), 3))
+    out[:, 0] = hips
+    out[:, spines] = (spine + posture[:, 0] / len(spines))[:, None]
+    out[:, skull] = (head + posture[:, 1] / len(skull))[:, None]
+    out[:, skull, 0] += (_NOD_GAIN * _nods(spoken, habits, frames, rng) / len(skull))[:, None]
+    out[:, spines[-1], 0] += _breath(frames)
+    out[:, spines] += (sway(frames, rng) * (1.0 - 0.7 * speaking)[:, None] / len(spines))[:, None]
+    _add_clips(out, planned)
+    out[..., 1] *= kept_ahead(out[..., 1].sum(axis=1))
+    return out
+
+
+def _breath(frames: int) -> Array:
+    """[T] radians: the chest rises and falls about fifteen times a minute."""
+    return np.radians(0.5) * np.sin(2.0 * np.pi * np.arange(frames) / FPS / 3.9)
 
 
 def _nods(spoken: Spoken, habits: Habits, frames: int, rng: np.random.Generator) -> Array:
@@ -532,7 +620,7 @@ def _arm(score: _Score, side: int, tuning: _Tuning, joints: int | None) -> Array
         around = np.concatenate([(first - np.array([3.0, 2.0, 1.0])) / FPS, times])
         target = _target(score, side, event, tuning, around, home)
         fade = event.fade * (tuning.fades[event.stroke] if event.stroke >= 0 else 1.0)
-        target[3:] = target[3:] + _left_over(out[max(0, first - 3):first], target[:3], times, fade)
+        target[3:] = target[3:] + quintic_offset(out[max(0, first - 3):first], target[:3], times, fade, FPS)
         out[first:last] = target[3:]
     return out
 
@@ -551,33 +639,17 @@ def _target(score: _Score, side: int, event: _Event, tuning: _Tuning, times: Arr
 
 def _followed(p: Planned, side: int, beat: float, accent: float, times: Array, home: Array) -> Array:
     """[M, A * 3] an arm that follows a stroke whose beat is put at `beat`."""
+    times = times - p.lag[side]
     path = p.stroke.arm_at(side, _clip_time(p, beat, times), home.size // 3)
     # A low beat would fall from the home pose to the thigh: it is lifted into gesture space.
     held = p.stroke.arm_at(side, np.array([p.stroke.beat]), _REACHING)[0]
     reach = home[:held.size]
     up = float(held @ reach) / max(float(reach @ reach), 1e-9)
-    path = p.gain * (path + max(0.0, 0.6 - up) * home)
+    path = p.gain * p.uneven[side] * (path + max(0.0, 0.6 - up) * home)
     peak, stop = beat - BRAKE * _FALL, beat + (1.0 - BRAKE) * _FALL
     raised = _pulse(times, peak - 0.26, peak) - _pulse(times, peak, stop)
     path[:, :held.size] *= 1.0 + accent * raised[:, None]
     return path
-
-
-def _left_over(before: Array, target: Array, times: Array, fade: float) -> Array:
-    """[M, D] what remains of the old motion at `times`: place, velocity and acceleration fade to zero by a quintic.
-
-    With s = t / fade, x = x0 (1 - 10 s3 + 15 s4 - 6 s5) + v0 fade (s - 6 s3 + 8 s4 - 3 s5)
-    + a0 fade2 / 2 (s2 - 3 s3 + 3 s4 - s5).
-    """
-    if len(before) < 3:
-        return np.zeros((len(times), target.shape[1]))
-    gap = before - target
-    x, v = gap[2], (gap[2] - gap[1]) * FPS
-    a = (gap[2] - 2.0 * gap[1] + gap[0]) * FPS * FPS
-    s = np.clip((times - times[0] + 1.0 / FPS) / fade, 0.0, 1.0)[:, None]
-    s2, s3, s4, s5 = s ** 2, s ** 3, s ** 4, s ** 5
-    return (x * (1.0 - 10.0 * s3 + 15.0 * s4 - 6.0 * s5) + v * fade * (s - 6.0 * s3 + 8.0 * s4 - 3.0 * s5)
-            + 0.5 * a * fade * fade * (s2 - 3.0 * s3 + 3.0 * s4 - s5))
 
 
 # --- Where the hands are

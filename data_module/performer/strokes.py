@@ -305,7 +305,7 @@ def load_strokes(folder: str | Path) -> StrokeSet:
     strokes: list[Stroke] = []
     figures: dict[str, Figure] = {}
     for speaker in sorted({row["speaker"] for row in rows}):
-        figure, own = _load_speaker(Path(folder), speaker, [row for row in rows if row["speaker"] == speaker])
+        figure, own = load_speaker(Path(folder), speaker, [row for row in rows if row["speaker"] == speaker])
         figures[speaker] = figure
         strokes += own
     kept = held_out_keys((_PERSON.get(s.speaker, s.speaker), _clip_key(s)) for s in strokes)
@@ -350,7 +350,8 @@ def _clip_key(stroke: Stroke) -> str:
     return stroke.base.removeprefix(stroke.speaker + "_")
 
 
-def _load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[Figure, list[Stroke]]:
+def load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[Figure, list[Stroke]]:
+    """The body of a speaker and the strokes of her clips (rows of the manifest), each with its mirror image."""
     motions = [read_bvh(folder / row["file"], unit=1.0) for row in rows]
     skeleton = motions[0].skeleton
     for row, motion in zip(rows, motions, strict=True):

@@ -113,15 +113,19 @@ def synthesise(utterances: Sequence[Utterance], voice: Voice, rng: np.random.Gen
     parts = [part for utterance in utterances for part in utterance.parts]
     if not parts:
         raise InputError("text", "is empty", "give a sentence to speak")
-    sounded = _sound_all(parts, voice, rng)
-    return _on_the_clock(parts, sounded, voice, rng)
+    sounded = sound_all(parts, voice, rng)
+    return on_the_clock(parts, sounded, voice, rng)
 
 
 def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random.Generator) -> Spoken:
     """Speak with a voice of `VOICES`, and listen to it: what the performer performs to. Same generator, same bytes."""
     if voice not in VOICES:
         raise InputError(f"voice {voice!r}", "is not known", f"choose one of {', '.join(VOICES)}")
-    made = synthesise(utterances, VOICES[voice], rng)
+    return heard(name, synthesise(utterances, VOICES[voice], rng), voice)
+
+
+def heard(name: str, made: Synthesis, voice: str) -> Spoken:
+    """What a listener hears in the speech of a voice of `VOICES`."""
     language = VOICES[voice].language
     syllables = listen(made.speech, made.phrases, nuclei_of(made.phones), language)
     if language in TONAL:
@@ -164,7 +168,8 @@ def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:
     return nuclei
 
 
-def _sound_all(parts: Sequence[Part], voice: Voice, rng: np.random.Generator) -> list[Sounded]:
+def sound_all(parts: Sequence[Part], voice: Voice, rng: np.random.Generator) -> list[Sounded]:
+    """Each part as the voice speaks it at its effort, dry; only the numpy speaker takes from the generator."""
     if voice.engine == "numpy":
         return [source_filter.sound_phrase(p.text, p.effort, voice.pitch * 2 ** (HIGHER * p.effort / 12), voice.tract,
                                            voice.rate * _faster(p.effort), voice.spread * _wider(p.effort), rng)
@@ -215,7 +220,7 @@ def _wider(effort: float) -> float:
     return float(np.exp(WIDER * effort))
 
 
-def _on_the_clock(parts: Sequence[Part], sounded: Sequence[Sounded], voice: Voice,
+def on_the_clock(parts: Sequence[Part], sounded: Sequence[Sounded], voice: Voice,
                   rng: np.random.Generator) -> Synthesis:
     """Phrases and pauses laid one after the other, at the loudness of their effort, and recorded."""
     lengths = [len(s.samples) + round(p.pause * RATE) for s, p in zip(sounded, parts, strict=True)]

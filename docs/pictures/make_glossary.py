@@ -1,9 +1,9 @@
 """The pictures of docs/glossary.md, drawn from the example recording and the shipped weights.
 
-    python docs/pictures/make_glossary.py [FOLDER]
+    python docs/pictures/make_glossary.py [FOLDER [NAME ...]]
 
 Every picture shows what the program computed for examples/speech.flac; FOLDER is docs/pictures/glossary unless another
-is named. Needs the extra `figures` (matplotlib).
+is given, and NAME one of `PICTURES` (all of them). Needs the extra `figures` (matplotlib).
 """
 
 from __future__ import annotations
@@ -392,15 +392,16 @@ PICTURES: dict[str, Callable[[Scene], Figure]] = {
 """Name of the file, without .png -> what draws it."""
 
 
-def main(folder: Path) -> None:
-    """Draw all of them into a folder."""
+def main(folder: Path, names: Sequence[str]) -> None:
+    """Draw pictures into a folder."""
     drawn_from = scene()
     folder.mkdir(parents=True, exist_ok=True)
-    for name, draw in PICTURES.items():
+    for name in names:
         out = io.BytesIO()
-        draw(drawn_from).savefig(out, format="png", dpi=DPI, metadata={"Software": None})
+        PICTURES[name](drawn_from).savefig(out, format="png", dpi=DPI, metadata={"Software": None})
         write_bytes(folder / f"{name}.png", out.getvalue())
         print(f"{folder / name}.png: {len(out.getvalue()) / 1000:.0f} kB")
 
 
-main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent / "glossary")
+main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent / "glossary",
+     sys.argv[2:] or list(PICTURES))

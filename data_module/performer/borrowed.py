@@ -1,0 +1,67 @@
+"""Strokes of somebody without a body of her own here, lent to every performer."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from data_module.performer.strokes import Figure, Stroke, StrokeSet, held_out_keys, load_speaker
+
+LENDER = "pn"
+_LEXEMES: dict[str, tuple[str, ...]] = {
+    "bigger": ("EmptyLarge", "BeatHigh"), "inclusivity": ("InclusivityPos", "BeatMid"), "me": ("Me",),
+    "negation": ("Negate", "NegateForwardMid"), "pointcenter": ("Point", "BeatForward"),
+    "pointhere": ("Here", "BeatPointMid"), "pointleft": ("YouLeft",), "pointright": ("YouRight",),
+    "question": ("Shrug", "BeatFlip"), "stop": ("StopForward", "Stop"), "us": ("We", "BeatMid"), "we": ("We",),
+    "you": ("YouForward", "You"),
+}
+"""What a clip is called between "pn_" and its version -> names of lexemes, the best first."""
+
+
+def lexemes_of_clip(stem: str) -> tuple[str, ...]:
+    """Lexemes of a clip by its file's stem ("pn_bigger_intense2"); () for one that is no stroke ("pn_idle")."""
+    return _LEXEMES.get(stem.removeprefix(LENDER + "_").rstrip("0123456789").removesuffix("_intense"), ())
+
+
+def load_borrowed(folder: str | Path) -> tuple[Figure, tuple[Stroke, ...]]:
+    """The lender's body and strokes from the folder that holds `manifest.csv` and her clips."""
+    with (Path(folder) / "manifest.csv").open(encoding="utf-8", newline="") as lines:
+        rows = [row for row in csv.DictReader(lines) if row["person"] == LENDER]
+    chosen = [{"file": row["file"], "speaker": LENDER, "posture": "", "hand": "", "emphasis": row["emphasis"] or "1.0",
+               "lexeme": lexemes_of_clip(Path(row["file"]).stem)[0]}
+              for row in rows if lexemes_of_clip(Path(row["file"]).stem)]
+    if not chosen:
+        raise ValueError(f"no stroke of {LENDER}")
+    figure, strokes = load_speaker(Path(folder), LENDER, chosen)
+    kept = held_out_keys((LENDER, stroke.base) for stroke in strokes)
+    return figure, tuple(replace(stroke, held_out=(LENDER, stroke.base) in kept) for stroke in strokes)
+
+
+def with_borrowed(strokes: StrokeSet, lender: Figure, own: Sequence[Stroke]) -> StrokeSet:
+    """The strokes with those of a lender for every performer: the arms' log rotations on joints of the same name.
+
+    A joint that the lender lacks stays at rest, and so does the trunk. A lexeme takes the first of its names that the
+    performer knows.
+    """
+    theirs = [lender.skeleton.names[j] for j in lender.arms[0]]
+    out = list(strokes.strokes)
+    for performer in strokes.performers:
+        figure = strokes.figures[performer]
+        names = [figure.skeleton.names[j] for j in figure.arms[0]]
+        known = {stroke.lexeme for stroke in strokes.of(performer, "test")}
+        for stroke in own:
+            arms = np.zeros((2, stroke.arms.shape[1], len(names), 3))
+            for place, name in enumerate(names):
+                if name in theirs:
+                    arms[:, :, place] = stroke.arms[:, :, theirs.index(name)]
+            # A mirror image has its own lexeme already ("YouLeft" becomes "YouRight").
+            wanted = [stroke.lexeme, *lexemes_of_clip(stroke.base)[1:]]
+            usual = "BeatMid" if "BeatMid" in known else stroke.lexeme
+            lexeme = next((name for name in wanted if name in known), usual)
+            trunk = np.zeros((stroke.trunk.shape[0], len(figure.trunk), 3))
+            out.append(replace(stroke, speaker=performer, arms=arms, trunk=trunk, lexeme=lexeme, _splines={}))
+    return StrokeSet(tuple(out), strokes.figures)

@@ -1,0 +1,409 @@
+"""Speech made for motion: stressed vowels fall on its beats, phrases on its phrases, pauses in its rests.
+
+The usual way round, a performer hears speech and moves. Here the motion is a real person's, and speech is looked for
+that this person might have said: the motion is cut into phrases where it rests, a phrase of the pool is aligned with
+the beats of each, and its sound is stretched so that vowels and beats meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+
+from data_module.motion.motion_beats import beats_of_speed
+from data_module.performer import voices
+from data_module.performer.sentence_pool import Pool, say, stretched
+from data_module.performer.sound import RATE, Sounded, decibels, recorded, with_tilt
+from data_module.performer.syllables import Nucleus, listen
+from data_module.performer.takes import FPS, arms_speed
+from data_module.performer.text import Part
+from data_module.performer.types import Spoken
+from data_module.truth import Phrase
+from data_module.types import Array, Speech, Word
+
+SLOWEST, FASTEST = 0.80, 1.25
+"""Bounds of the rate at which a phrase is played, against the voice's own."""
+_LEAD, _LOOSENESS, _LOOSEST = 0.038, 0.055, 0.13
+"""Seconds: the vowel follows the motion's beat by this much, with this standard deviation, at most this far from it."""
+_RATE_COST, _EDGE_COST, _SKIPPED_BEAT, _SKIPPED_STRESS = 6.0, 1.0, 1.3, 0.12
+"""Costs: of log rate squared per second, of a second between a phrase's edge and its window's, of a strong beat without
+a vowel, and of a prominent vowel without a beat."""
+_STRESS_REWARD, _MEANING_REWARD = 0.4, 0.7
+_START_SLACK, _END_SLACK = (0.2, 0.35), (0.55, 0.15)
+"""Seconds that a phrase may begin before and after its window's start, and end before and after its end."""
+_UNSTRESSED = -1.2
+"""Vowels of less prominence take no beat."""
+_RATES = np.exp(np.linspace(np.log(SLOWEST), np.log(FASTEST), 7))
+_CANDIDATES = 200
+"""Phrases of a fitting length that are tried on each window."""
+_PHRASE, _PHRASE_SPREAD, _SHORTEST, _LONGEST = 2.6, 1.0, 0.9, 6.0
+"""Seconds: how long phrases of motion are, by how much they vary, and their bounds."""
+_BEATS_APART = 0.12
+"""Seconds: two vowels are never put on beats closer than this."""
+_MINIMA_APART, _SPEED_WEIGHT, _LENGTH_WEIGHT = 0.2, 1.5, 0.35
+_REST_SHARE, _LONGEST_REST, _LEAST_REST = 0.45, 1.2, 0.08
+"""A pause reaches from its cut as long as speed stays under this share of the median, at most these seconds to either
+side, and at least these."""
+_LEAST_WINDOW = 0.6
+_MOVED_SHARE, _MOVED = 0.28, (0.35, 0.9)
+"""Real speakers pause in motion too: this share of the pauses is moved off its rest by so many seconds."""
+_EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.65, 0.45
+"""Effort = .65 tanh(.55 (local + global energy)) + .45 noise; energy is the z-score of the phrase's mean log speed."""
+_BESIDE = 0.5
+"""dB of loudness per unit of local log speed."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """Seconds of the motion that a phrase is to fill."""
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a window asks for.
+
+    beats: [n] seconds, rising, at which vowels shall fall; strength: [n]; shown: [n, M] z-scores of what the motion
+    shows at each beat (`meaning.MOVEMENTS`).
+    """
+
+    window: Window
+    beats: Array
+    strength: Array
+    shown: Array
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """B phrases. indices: [B] in the pool; durations: [B]; vowels: [B, I], infinite beyond the last; prominence."""
+
+    indices: NDArray[np.int64]
+    durations: Array
+    vowels: Array
+    prominence: Array
+
+
+@dataclass(frozen=True)
+class Match:
+    """A phrase of a pool on a window. anchors: [K, 2] seconds in the phrase and in the talk; beats: how many met."""
+
+    phrase: int
+    cost: float
+    anchors: Array
+    beats: int
+
+
+@dataclass(frozen=True)
+class Made:
+    """Speech for a motion, and how well it could be made.
+
+    matched, beats: motion beats that a vowel was put on, of how many; empty: seconds of windows without a phrase;
+    rates: [K, 2] playing rates of the pieces and their seconds.
+    """
+
+    spoken: Spoken
+    matched: int
+    beats: int
+    empty: float
+    rates: Array
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Mean and standard deviation of mean log speed over the takes, for the global part of effort."""
+
+    mean: float
+    spread: float
+
+
+def log_speed(speed: Array) -> Array:
+    """[T] log of the arms' speed smoothed over 0.1 s, with a floor of 0.1 m/s."""
+    return np.log(gaussian_filter1d(speed, 0.1 * FPS, mode="nearest") + 0.1)
+
+
+def speech_for(name: str, places: Array, pool: Pool, energy: Energy, movements: Array,
+               rng: np.random.Generator) -> Made:
+    """Speech for the joint positions [T, 16, 3] (60 fps, facing frame) of a talk.
+
+    movements: [T, M] how far the motion at each frame is what each of `meaning.MOVEMENTS` asks for (z-scores).
+    InputError comes from the voice's program. Same arguments and generator state, same bytes.
+    """
+    speed = arms_speed(places)
+    windows = phrase_windows(speed, rng)
+    beats = beats_of_speed(speed, FPS)
+    strength = _strengths(speed, beats)
+    targets = beats + np.clip(rng.normal(_LEAD, _LOOSENESS, len(beats)), _LEAD - _LOOSEST, _LEAD + _LOOSEST)
+    efforts = _efforts(log_speed(speed), windows, energy, rng)
+    shown = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
+    free = np.ones(len(pool), dtype=bool)
+    laid: list[tuple[Match, Sounded, float]] = []
+    matched, empty = 0, 0.0
+    for window, effort in zip(windows, efforts, strict=True):
+        near = np.flatnonzero((targets > window.start + 0.02) & (targets < window.end + 0.05))
+        near = near[np.argsort(targets[near])]
+        wanted = Wanted(window, targets[near], strength[near], shown[near])
+        found = _best(pool, free, wanted, rng)
+        if found is None:
+            empty += window.end - window.start
+            continue
+        free[found.phrase] = False
+        match, said = _resaid(pool, found, effort, wanted, rng)
+        laid.append((match, said, effort))
+        matched += match.beats
+    spoken = _laid_out(name, pool, laid, log_speed(speed), rng)
+    rates = np.concatenate([_rates(match) for match, _, _ in laid]) if laid else np.zeros((0, 2))
+    return Made(spoken, matched, len(beats), empty, rates)
+
+
+def phrase_windows(speed: Array, rng: np.random.Generator) -> list[Window]:
+    """The phrases of a motion by its speed [T], in order, with the rests between them left out.
+
+    Cuts are minima of the speed, chosen by dynamic programming so that speed is low at them and the phrases between
+    them are 2.6 s long, by and large; then some are moved off their rests.
+    """
+    smooth = gaussian_filter1d(speed, 0.15 * FPS, mode="nearest")
+    middle = float(np.median(smooth))
+    cuts = _cuts(smooth, middle)
+    rests = [_rest(smooth, cut, middle) for cut in cuts]
+    for k in range(1, len(cuts) - 1):
+        if rng.random() < _MOVED_SHARE:
+            by = round(float(rng.uniform(*_MOVED)) * FPS) * (1 if rng.random() < 0.5 else -1)
+            half = round(float(rng.uniform(0.08, 0.3)) * FPS)
+            at = int(np.clip(cuts[k] + by, cuts[k - 1] + FPS, cuts[k + 1] - FPS))
+            rests[k] = (at - half, at + half)
+    windows = [Window(max(a[1] / FPS, 0.05), b[0] / FPS) for a, b in zip(rests, rests[1:], strict=False)]
+    return [window for window in windows if window.end - window.start > _LEAST_WINDOW]
+
+
+def _cuts(smooth: Array, middle: float) -> list[int]:
+    """Frames of the cuts, the first and the last frame among them."""
+    minima = find_peaks(-smooth, distance=round(_MINIMA_APART * FPS))[0]
+    places = np.concatenate([[0], minima[(minima > 0) & (minima < len(smooth) - 1)], [len(smooth) - 1]])
+    best, before = np.full(len(places), np.inf), np.zeros(len(places), dtype=int)
+    best[0] = 0.0
+    for k in range(1, len(places)):
+        length = (places[k] - places[:k]) / FPS
+        cost = best[:k] + _LENGTH_WEIGHT * ((length - _PHRASE) / _PHRASE_SPREAD) ** 2
+        cost += 50.0 * ((length < _SHORTEST) | (length > _LONGEST))
+        before[k] = int(cost.argmin())
+        best[k] = cost.min() + _SPEED_WEIGHT * smooth[places[k]] / max(middle, 1e-6)
+    cuts = [len(places) - 1]
+    while cuts[-1]:
+        cuts.append(int(before[cuts[-1]]))
+    return [int(places[k]) for k in reversed(cuts)]
+
+
+def _rest(smooth: Array, cut: int, middle: float) -> tuple[int, int]:
+    """The frames around a cut in which the motion rests."""
+    slow = smooth < _REST_SHARE * middle
+    most, least = round(_LONGEST_REST * FPS), round(_LEAST_REST * FPS)
+    first = cut
+    while first > max(0, cut - most) and slow[first - 1]:
+        first -= 1
+    last = cut
+    while last < min(len(smooth) - 1, cut + most) and slow[last + 1]:
+        last += 1
+    return min(first, cut - least), max(last, cut + least)
+
+
+def _strengths(speed: Array, beats: Array) -> Array:
+    """[n] how hard each beat brakes, in halves of the standard deviation of the deceleration, within 0.4 and 2."""
+    slope = -np.gradient(speed) * FPS
+    at = np.interp(beats * FPS, np.arange(len(speed)), slope)
+    return np.clip(at / max(0.5 * float(slope.std()), 1e-6), 0.4, 2.0)
+
+
+def _efforts(level: Array, windows: Sequence[Window], energy: Energy, rng: np.random.Generator) -> list[float]:
+    """The effort of each window, -1 to 1, from the energy of its motion."""
+    if not windows:
+        return []
+    means = np.array([level[round(w.start * FPS):max(round(w.start * FPS) + 1, round(w.end * FPS))].mean()
+                      for w in windows])
+    local = (means - means.mean()) / (means.std() + 1e-6)
+    whole = (means - energy.mean) / energy.spread
+    effort = _EFFORT_OF_ENERGY * np.tanh(0.55 * (local + whole)) + rng.normal(0.0, _EFFORT_NOISE, len(means))
+    return np.clip(effort, -1.0, 1.0).tolist()
+
+
+def _best(pool: Pool, free: NDArray[np.bool_], wanted: Wanted, rng: np.random.Generator) -> Match | None:
+    """The phrase of the pool, among those not yet used, that fits a window best."""
+    start, end = wanted.window.start, wanted.window.end
+    length = pool.durations / (end - start)
+    fitting = np.flatnonzero(free & (length > SLOWEST * 0.97) & (length < FASTEST * 1.03))
+    if not len(fitting):
+        return None
+    chosen = rng.permutation(fitting)[:_CANDIDATES]
+    if len(wanted.beats):
+        return assign(candidates_of(pool, chosen), wanted, rewards(pool, chosen, wanted))
+    k = int(chosen[0])
+    rate = float(np.clip(length[k], SLOWEST, FASTEST))
+    return Match(k, 0.0, np.array([[0.0, start], [pool.durations[k], start + pool.durations[k] / rate]]), 0)
+
+
+def candidates_of(pool: Pool, chosen: NDArray[np.int64]) -> Candidates:
+    """Phrases of a pool by their indices [B]."""
+    return Candidates(chosen, pool.durations[chosen], pool.vowels[chosen], pool.prominence[chosen])
+
+
+def rewards(pool: Pool, chosen: NDArray[np.int64], wanted: Wanted) -> Array:
+    """[B, I, n] what it is worth to put a vowel on a beat: stress on strength, words where the motion shows them."""
+    stress = 0.8 + _STRESS_REWARD * np.clip(pool.prominence[chosen], -1.2, 2.0)
+    asks = pool.asks[chosen]
+    fits = np.where(asks >= 0, 1.0, 0.0)[..., None] * wanted.shown.T[np.maximum(asks, 0)]
+    return stress[:, :, None] * wanted.strength + _MEANING_REWARD * fits
+
+
+def assign(candidates: Candidates, wanted: Wanted, reward: Array) -> Match | None:
+    """The cheapest monotone assignment of vowels to beats over all candidates; None when none can be played in bounds.
+
+    Dynamic programming over pairs (vowel i, beat j): C[i, j] = min over earlier pairs of C + 6 ln(rate)2 dt + what is
+    skipped between them, less the reward [B, I, n] of the pair. Rates stay in [SLOWEST, FASTEST].
+    """
+    usable = np.isfinite(candidates.vowels) & (candidates.prominence > _UNSTRESSED)
+    at = np.where(usable, candidates.vowels, 0.0)
+    stress = np.where(usable, np.clip(candidates.prominence, 0.0, 2.0), 0.0)
+    vowels = np.pad(np.cumsum(stress, axis=1), ((0, 0), (1, 0))) * _SKIPPED_STRESS
+    beats = np.concatenate([[0.0], np.cumsum(wanted.strength)]) * _SKIPPED_BEAT
+    shape = (*at.shape, len(wanted.beats))
+    table = _Table(at, vowels, beats, np.full(shape, np.inf), np.full((*shape, 2), -1), np.zeros(shape))
+    for j in range(len(wanted.beats)):
+        best = _begun(table, wanted, j)
+        for earlier in range(j):
+            if wanted.beats[j] - wanted.beats[earlier] >= _BEATS_APART:
+                best = _gone_on(table, wanted, best, earlier, j)
+        table.cost[..., j] = np.where(usable, best - reward[..., j], np.inf)
+    return _ended(candidates, wanted, table)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The dynamic program. at: [B, I] vowels; skipped_vowels: [B, I + 1], skipped_beats: [n + 1] cumulated costs; cost:
+    [B, I, n]; back: [B, I, n, 2] the pair before, -1 for none; begin: [B, I, n] seconds at which the phrase begins."""
+
+    at: Array
+    skipped_vowels: Array
+    skipped_beats: Array
+    cost: Array
+    back: NDArray[np.int64]
+    begin: Array
+
+
+def _begun(table: _Table, wanted: Wanted, j: int) -> Array:
+    """[B, I] the cost of beat j as the first one, at the best rate from the phrase's start; notes the start."""
+    first = table.at[..., None] / _RATES
+    start = wanted.beats[j] - first
+    window = wanted.window.start
+    allowed = (start >= window - _START_SLACK[0]) & (start <= window + _START_SLACK[1])
+    price = _RATE_COST * np.log(_RATES) ** 2 * first + _EDGE_COST * np.abs(start - window)
+    price = np.where(allowed, price, np.inf)
+    pick = price.argmin(axis=-1)[..., None]
+    table.begin[..., j] = np.take_along_axis(start, pick, axis=-1)[..., 0]
+    return price.min(axis=-1) + table.skipped_beats[j] + table.skipped_vowels[:, :-1]
+
+
+def _gone_on(table: _Table, wanted: Wanted, best: Array, earlier: int, j: int) -> Array:
+    """[B, I] the cost of beat j, where going on from an earlier beat's pair is cheaper than `best`; notes the way."""
+    lasts = wanted.beats[j] - wanted.beats[earlier]
+    rate = (table.at[:, None, :] - table.at[:, :, None]) / lasts
+    fine = (rate >= SLOWEST) & (rate <= FASTEST)
+    price = table.cost[:, :, earlier, None] + _RATE_COST * lasts * np.log(np.where(fine, rate, 1.0)) ** 2
+    price = price + table.skipped_beats[j] - table.skipped_beats[earlier + 1]
+    price = price + table.skipped_vowels[:, None, :-1] - table.skipped_vowels[:, 1:, None]
+    price = np.where(fine, price, np.inf)
+    source, least = price.argmin(axis=1), price.min(axis=1)
+    better = least < best
+    table.back[..., j, 0] = np.where(better, source, table.back[..., j, 0])
+    table.back[..., j, 1] = np.where(better, earlier, table.back[..., j, 1])
+    return np.where(better, least, best)
+
+
+def _ended(candidates: Candidates, wanted: Wanted, table: _Table) -> Match | None:
+    """The best candidate, by the best end that each of its pairs allows, followed back to its start."""
+    rest = (candidates.durations[:, None, None] - table.at[:, :, None])[..., None] / _RATES
+    end = wanted.beats[None, None, :, None] + rest
+    window = wanted.window.end
+    allowed = (end >= window - _END_SLACK[0]) & (end <= window + _END_SLACK[1])
+    price = np.where(allowed, _RATE_COST * np.log(_RATES) ** 2 * rest + _EDGE_COST * np.abs(end - window), np.inf)
+    total = table.cost + price.min(axis=-1) + (table.skipped_beats[-1] - table.skipped_beats[1:])
+    total = total + (table.skipped_vowels[:, -1:] - table.skipped_vowels[:, 1:])[:, :, None]
+    b, i, j = (int(k) for k in np.unravel_index(int(total.argmin()), total.shape))
+    cost = float(total[b, i, j])
+    if not np.isfinite(cost):
+        return None
+    last, duration = float(end[b, i, j, int(price[b, i, j].argmin())]), float(candidates.durations[b])
+    pairs = [(i, j)]
+    while table.back[b, i, j, 0] >= 0:
+        i, j = (int(k) for k in table.back[b, i, j])
+        pairs.append((i, j))
+    inner = [(float(table.at[b, i]), float(wanted.beats[j])) for i, j in reversed(pairs)]
+    first = (0.0, float(table.begin[b, pairs[-1][0], pairs[-1][1]]))
+    anchors = [first, *(pair for pair in inner if 0.01 < pair[0] < duration - 0.01), (duration, last)]
+    return Match(int(candidates.indices[b]), cost, np.array(anchors), len(pairs))
+
+
+def _resaid(pool: Pool, match: Match, effort: float, wanted: Wanted,
+            rng: np.random.Generator) -> tuple[Match, Sounded]:
+    """The phrase said with its effort and aligned anew; effort changes its rate, and with it the vowels' times."""
+    k = match.phrase
+    said = say(pool.voice, [Part(pool.texts[k], effort, 0.0)], rng)[0]
+    duration = len(said.samples) / RATE
+    own = np.array([n.vowel for n in voices.nuclei_of(said.phones)])
+    count = int(np.isfinite(pool.vowels[k]).sum())
+    if len(wanted.beats) and len(own) == count:
+        one, vowels = np.array([k]), pool.vowels[k].copy()
+        vowels[:count] = own
+        again = assign(Candidates(one, np.array([duration]), vowels[None], pool.prominence[one]), wanted,
+                       rewards(pool, one, wanted))
+        if again is not None:
+            return again, said
+    # The alignment of the phrase at rest, on the clock of the phrase as it was said.
+    return replace(match, anchors=match.anchors * np.array([duration / pool.durations[k], 1.0])), said
+
+
+def _rates(match: Match) -> Array:
+    steps = np.diff(match.anchors, axis=0)
+    return np.stack([steps[:, 0] / steps[:, 1], steps[:, 1]], axis=1)
+
+
+def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]], level: Array,
+              rng: np.random.Generator) -> Spoken:
+    """The phrases in their places, at the loudness of their effort, recorded and listened to."""
+    count = round(len(level) / FPS * RATE)
+    dry, active = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=bool)
+    near = (level - level.mean()) / (level.std() + 1e-6)
+    words: list[Word] = []
+    nuclei: list[Nucleus] = []
+    phrases: list[Phrase] = []
+    for match, said, effort in laid:
+        start = max(0.0, float(match.anchors[0, 1]), phrases[-1].end + 0.01 if phrases else 0.0)
+        anchors = match.anchors - np.array([0.0, match.anchors[0, 1]])
+        samples = with_tilt(stretched(said.samples, anchors), effort)
+        first = round(start * RATE)
+        samples = samples[:max(0, count - first)]
+        if not len(samples):
+            continue
+        times = (first + np.arange(len(samples))) / RATE
+        local = _BESIDE * np.tanh(np.interp(times, np.arange(len(near)) / FPS, near))
+        gain = 0.1 / pool.level * decibels(voices.LOUDER * effort) * 10.0 ** (local / 20.0)
+        dry[first:first + len(samples)] += samples * gain.astype(np.float32)
+        active[first:first + len(samples)] = True
+        end = (first + len(samples)) / RATE
+        own = voices.nuclei_of(said.phones)
+        moved = np.interp([[n.start, n.vowel, n.end] for n in own], anchors[:, 0], anchors[:, 1]) + start
+        nuclei += [Nucleus(float(a), float(b), float(c), n.word + len(words))
+                   for n, (a, b, c) in zip(own, np.minimum(moved, end), strict=True)]
+        spans = np.interp([[w.start, w.end] for w in said.words], anchors[:, 0], anchors[:, 1]) + start
+        spans = np.minimum(spans, end)
+        words += [Word(w.text, float(a), float(b)) for w, (a, b) in zip(said.words, spans, strict=True)]
+        phrases.append(Phrase(start, end, effort))
+    speech = Speech(recorded(dry, active, rng), RATE, tuple(words), pool.voice)
+    language = voices.VOICES[pool.voice].language
+    syllables = listen(speech, phrases, nuclei, language)
+    return Spoken(name, speech, syllables, tuple(phrases), pool.voice, language)

@@ -1,0 +1,213 @@
+"""A trunk and a head that live: real people's leaning, turning and nodding, laid under a talk phrase by phrase.
+
+Bends are log rotations [T, 3 parts, 3] of the hips, of the whole spine and of neck and head together, so that they fit
+every skeleton. Segments of real takes are chosen where the head moves on the stresses of the speech, joined by
+quintics, calmed in pauses, and postures that change every ten seconds or so are added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
+
+from data_module.performer.inertialisation import quintic_offset
+from data_module.performer.takes import ARM_SIDES, FPS, GROUPS, HIPS, SKULL, SPINE, Library, soft_limit
+from data_module.performer.types import Spoken
+from data_module.types import Array
+
+_PARTS = (HIPS, SPINE, SKULL)
+_LIMITS = np.radians([8.0, 16.0, 38.0])
+_AXES = np.array([[1.0, 0.75, 0.75], [1.0, 0.75, 0.75], [1.0, 1.0, 0.8]])
+"""Gains of lean, yaw and roll of each part."""
+_GAINS = np.array([0.5, 0.8, 0.72])
+"""Of the three parts, on somebody else's body and speech."""
+_HEAD_YAW, _EYES = 0.65, 0.35
+"""The head's own yaw, and the share of the spine's yaw that it takes back to keep the eyes on the listener."""
+_LEAST_WINDOW = 0.85
+_TRIES = 24
+_RECENT = 8
+_STRESSED = 0.4
+"""Prominence from which a syllable is one for the head to move on."""
+_FADE = 0.7
+_CALM, _CALMER_SPAN = 0.7, 1.5
+"""Share of the trunk's fast motion (against its mean over so many seconds) that is left in a pause."""
+_POSTURE = (9.0, 16.0)
+_SHIFT = 1.6
+"""Seconds that a posture lasts, and that the way to the next one takes."""
+_FIDGET, _IDLE_FADE = np.radians(12.0), 1.0
+"""What the fidgets of a hanging arm's joints tend to, and the seconds in which one take passes into another."""
+_SWAY, _SWAY_SECONDS = np.radians(1.3), 3.2
+"""How far a standing body leans as its weight goes round, and how long a round takes."""
+_MOST_YAW = np.radians(20.0)
+"""The yaw of the head in the room that 95 % of the frames stay within, its joints' yaws added up."""
+_MIRROR = np.array([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A take's trunk, and what its arms do about their mean.
+
+    bends: [T, 3, 3]; arms: [2, T, 12] log rotations of shoulder, upper arm, forearm and hand, left and right; quiet:
+    from somebody who listens or waits.
+    """
+
+    name: str
+    bends: Array
+    arms: Array
+    quiet: bool
+
+
+def trunk_segments(library: Library, splits: Mapping[str, str], split: str) -> tuple[Segment, ...]:
+    """The trunks of the takes of a split, each with its mirror image. Story tellers act too much and are left out."""
+    out = []
+    for take in library.takes:
+        if splits[take.name] != split or take.group == "story" or len(take) < _LEAST_WINDOW * FPS:
+            continue
+        bends = np.stack([take.logs[:, list(joints)].sum(axis=1) for joints in _PARTS], axis=1)
+        bends = bends - 0.5 * bends.mean(axis=0)
+        bends = np.stack([soft_limit(bends[:, k], limit) for k, limit in enumerate(_LIMITS)], axis=1) * _AXES
+        quiet = take.group not in GROUPS
+        arms = np.stack([take.logs[:, list(side)] - take.logs[:, list(side)].mean(axis=0) for side in ARM_SIDES])
+        arms = soft_limit(arms, _FIDGET)
+        out += [Segment(take.name, bends, arms.reshape(2, len(take), -1), quiet),
+                Segment(take.name, bends * _MIRROR, (arms[::-1] * _MIRROR).reshape(2, len(take), -1), quiet)]
+    return tuple(out)
+
+
+def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, gain: float,
+                rng: np.random.Generator) -> Array:
+    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; gain: times the motion."""
+    frames = len(speaking)
+    stressed = np.array([s.vowel * FPS for s in spoken.syllables if s.prominence > _STRESSED])
+    out = np.zeros((frames, 3, 3))
+    recent: list[str] = []
+    cuts = _windows(spoken, frames)
+    for first, last in zip(cuts, cuts[1:], strict=False):
+        name, piece = _fitting(segments, out[:first], last - first, float(speaking[first:last].mean()) < 0.3,
+                               stressed - first, recent, rng)
+        recent = [*recent, name][-_RECENT:]
+        out[first:last] = piece
+    effort = np.zeros(frames)
+    for phrase in spoken.phrases:
+        effort[round(phrase.start * FPS):round(phrase.end * FPS)] = phrase.effort
+    vigour = np.exp(0.35 * gaussian_filter1d(effort, 0.4 * FPS))
+    return gain * _GAINS[:, None] * calm(out, speaking, vigour)
+
+
+def idle_arms(segments: tuple[Segment, ...], frames: int, rng: np.random.Generator) -> Array:
+    """[2, T, 12] log rotations about the mean of arms that hang: the fidgets of people who listen or wait, joined."""
+    quiet = [s for s in segments if s.quiet and s.arms.shape[1] > 3 * FPS]
+    out = np.zeros((0, 24))
+    while quiet and len(out) < frames:
+        arms = quiet[int(rng.integers(len(quiet)))].arms
+        piece = np.concatenate([arms[0], arms[1]], axis=1)
+        offset = quintic_offset(out[-3:], piece[:3], np.arange(len(piece) - 3) / FPS, _IDLE_FADE, FPS)
+        out = np.concatenate([out, piece[3:] + offset])
+    if not quiet:
+        return np.zeros((2, frames, 12))
+    return np.stack([out[:frames, :12], out[:frames, 12:]])
+
+
+def sway(frames: int, rng: np.random.Generator) -> Array:
+    """[T, 3] log rotations of the spine of somebody whose weight goes round: lean and roll a quarter turn apart.
+
+    The speed of a circle is never zero, so a body in it never freezes; its pace wanders.
+    """
+    pace = 2.0 * np.pi / _SWAY_SECONDS * np.exp(rng.normal(0.0, 0.2, frames // round(2 * FPS) + 2))
+    turned = np.interp(np.arange(frames) / (2 * FPS), np.arange(len(pace)), pace)
+    angle = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(turned) / FPS * (1.0 if rng.random() < 0.5 else -1.0)
+    return _SWAY * np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=-1)
+
+
+def kept_ahead(yaws: Array) -> float:
+    """What to multiply the yaws [T] (radians, of the head in the room) by, so that 95 % stay within 20 degrees."""
+    return min(1.0, _MOST_YAW / max(float(np.percentile(np.abs(yaws), 95)), 1e-9))
+
+
+def _windows(spoken: Spoken, frames: int) -> list[int]:
+    """Frames at which another segment begins: where phrases begin and where pauses do."""
+    least = round(_LEAST_WINDOW * FPS)
+    cuts = [0]
+    for phrase in sorted(spoken.phrases, key=lambda p: p.start):
+        for frame in (round(phrase.start * FPS) - 6, round(phrase.end * FPS) + 10):
+            if cuts[-1] + least < frame < frames - least:
+                cuts.append(frame)
+    return [*cuts, frames]
+
+
+def _fitting(segments: tuple[Segment, ...], before: Array, count: int, quiet: bool, stressed: Array,
+             recent: list[str], rng: np.random.Generator) -> tuple[str, Array]:
+    """The best of some pieces of `count` frames: it goes on where the last ended, and the head moves on stresses."""
+    long = [s for s in segments if len(s.bends) > count + 8]
+    able = [s for s in long if s.quiet == quiet and s.name not in recent] or long
+    if not able:
+        able = [max(segments, key=lambda s: len(s.bends))]
+    stressed = stressed[(stressed > 8) & (stressed < count - 8)].astype(int)
+    best: tuple[float, str, Array] | None = None
+    for _ in range(_TRIES):
+        segment = able[int(rng.integers(len(able)))]
+        at = int(rng.integers(3, max(4, len(segment.bends) - count)))
+        piece = _piece(segment.bends, at, count)
+        cost = _accent_cost(piece[3:, 2], stressed)
+        if len(before) >= 3:
+            cost += 4.0 * float(np.abs(piece[3] - before[-1]).sum())
+            cost += 18.0 * float(np.abs((piece[4] - piece[3]) - (before[-1] - before[-2])).sum())
+        if best is None or cost < best[0]:
+            best = cost, segment.name, piece
+    assert best is not None
+    piece = best[2][3:]
+    if len(before) >= 3:
+        old, new = before[-3:].reshape(3, -1), best[2][:3].reshape(3, -1)
+        offset = quintic_offset(old, new, np.arange(count) / FPS, _FADE, FPS)
+        piece = piece + offset.reshape(piece.shape)
+    return best[1], piece
+
+
+def _piece(bends: Array, at: int, count: int) -> Array:
+    """[3 + count, 3, 3] from three frames before `at`; held at the end of a segment that is too short."""
+    rows = np.minimum(np.arange(at - 3, at + count), len(bends) - 1)
+    return bends[rows]
+
+
+def _accent_cost(head: Array, stressed: Array) -> float:
+    """Less where the head moves fast at the stresses, and dips towards them. head: [T, 3]."""
+    if not len(stressed) or len(head) < 20:
+        return 0.0
+    speed = gaussian_filter1d(np.linalg.norm(np.gradient(head, axis=0), axis=-1), 3)
+    dip = head[stressed, 0] - head[np.maximum(stressed - 10, 0), 0]
+    return float(-speed[stressed].mean() / (speed.mean() + 1e-4) - 0.6 * dip.mean() / (head[:, 0].std() + 1e-3))
+
+
+def calm(bends: Array, speaking: Array, vigour: Array | float = 1.0) -> Array:
+    """Bends [T, ...] whose fast part is smaller in pauses and larger in vigorous phrases."""
+    slow = gaussian_filter1d(bends, _CALMER_SPAN * FPS, axis=0, mode="nearest")
+    share = (_CALM + (1.0 - _CALM) * gaussian_filter1d(speaking, 0.35 * FPS, mode="nearest")) * vigour
+    return slow + (bends - slow) * share.reshape(-1, *[1] * (bends.ndim - 1))
+
+
+def postures(frames: int, rng: np.random.Generator) -> Array:
+    """[T, 2, 3] bends of spine and head that stay for 9 to 16 s: a lean of one's own, and changes of a few degrees."""
+    seconds = frames / FPS
+    times = np.arange(0.0, seconds + 40.0, rng.uniform(*_POSTURE))
+    lean = np.radians([rng.normal(5.0, 5.0), rng.normal(0.0, 2.5), rng.normal(0.0, 1.5)])
+    spine = lean + np.radians(rng.normal(size=(len(times), 3)) * [3.5, 3.0, 1.8])
+    own = np.radians([rng.normal(0.0, 5.0), 0.0, 0.0])
+    head = own + np.radians(rng.normal(size=(len(times), 3)) * [4.0, 4.0, 3.0]) - 0.5 * spine
+    return np.stack([_held(times, spine, frames), _held(times, head, frames)], axis=1)
+
+
+def _held(times: Array, values: Array, frames: int) -> Array:
+    """[T, 3] values [K, 3] held from time to time, the way to the next one taken in the last `_SHIFT` seconds."""
+    ends = np.append(times[1:] - _SHIFT, times[-1] + 5.0)
+    knots = np.stack([times, ends], axis=1).ravel()
+    return PchipInterpolator(knots, np.repeat(values, 2, axis=0))(np.arange(frames) / FPS)
+
+
+def spread(bends: Array, counts: tuple[int, int, int]) -> tuple[Array, Array, Array]:
+    """Log rotations [T, 3] of one joint of each part, when it has so many joints; the eyes stay on the listener."""
+    head = bends[:, 2] * [1.0, _HEAD_YAW, 1.0] - bends[:, 1] * [0.0, _EYES, 0.0]
+    return bends[:, 0] / counts[0], bends[:, 1] / counts[1], head / counts[2]
