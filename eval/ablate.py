@@ -182,7 +182,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def _checked(arguments: argparse.Namespace) -> dict[str, Path]:
     """The folders of other systems; InputError for what cannot be asked."""
-    from eval.score import named
+    from eval.foreign import named
 
     for name in ("seeds", "limit", "workers"):
         value = getattr(arguments, name)

@@ -67,7 +67,7 @@ def test_command_draws_a_page_of_files_and_folders(tmp_path: Path, capsys: pytes
     assert out.read_bytes() == first
     wrong = (([*begin], "--out"), ([*begin, "--out", str(out)], "name the file itself"),
              (["strip", "--out", str(out)], "nothing|outside"), (["strip", "--ours", "--out", str(out)], "no sound"),
-             (["strip", "--system", "nameless", "--out", str(out)], "NAME=FILE"),
+             (["strip", "--system", "nameless", "--out", str(out)], "NAME=VALUE"),
              (["strip", str(tmp_path / "ours" / "talk.bvh"), "--take"], "stands beside"))
     for arguments, told in wrong:
         capsys.readouterr()

@@ -84,7 +84,7 @@ class Limb(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Part:
+class BodyPart:
     """Limbs with one outline; `lift` metres nearer to the viewer than they are; hand: whose hand it ends in, if any.
 
     `shown` [T] says in which frames, where it is not all of them.
@@ -96,38 +96,38 @@ class Part:
     shown: NDArray[np.bool_] | None = None
 
 
-def legs() -> list[Part]:
+def legs() -> list[BodyPart]:
     """At one moment, under hips at the origin."""
     def at(x: float, y: float, z: float) -> Array:
         return np.array([[x, y, z]])
 
-    return [Part(tuple(limb for x in (0.095, -0.095) for limb in (
+    return [BodyPart(tuple(limb for x in (0.095, -0.095) for limb in (
         Limb(at(x * 0.85, 0.9, 0), at(x * 1.25, 0.07, 0), 0.17, 0.095, TROUSERS),
         Limb(at(x * 1.25, 0.035, 0), at(x * 1.5, 0.03, 0.15), 0.085, 0.07, INK))), 0.0)]
 
 
-def body(now: Mapping[str, Array], look: Look, trunk: float = 1.0) -> list[Part]:
+def body(now: Mapping[str, Array], look: Look, trunk: float = 1.0) -> list[BodyPart]:
     """Everything over the legs, of `figure_points`. trunk: the trunk's thickness as a share of its width."""
     return [*_trunk(now, trunk), *_arm(now, "Left"), *_arm(now, "Right"), *_head(now, look)]
 
 
-def _trunk(now: Mapping[str, Array], share: float) -> list[Part]:
+def _trunk(now: Mapping[str, Array], share: float) -> list[BodyPart]:
     collar = now["Spine3"] * 0.35 + now["Neck"] * 0.65
     line = [now["Hips"] + [0.0, 0.06, 0.0], *(now[name] for name in ("Spine", "Spine1", "Spine2", "Spine3")), collar]
     wide = [share * one for one in (0.29, 0.28, 0.28, 0.31, 0.32, 0.15)]
     shirt = [Limb(line[k], line[k + 1], wide[k], wide[k + 1], SHIRT) for k in range(len(line) - 1)]
     shirt += [Limb(now["Spine3"] * 0.4 + now[f"{side}Arm"] * 0.6, now[f"{side}Arm"], 0.16, 0.125, SHIRT)
               for side in ("Left", "Right")]
-    return [Part((Limb(now["Neck"], now["Head"], 0.11, 0.105, SKIN),), -0.05), Part(tuple(shirt), 0.0)]
+    return [BodyPart((Limb(now["Neck"], now["Head"], 0.11, 0.105, SKIN),), -0.05), BodyPart(tuple(shirt), 0.0)]
 
 
-def _arm(now: Mapping[str, Array], side: str) -> list[Part]:
+def _arm(now: Mapping[str, Array], side: str) -> list[BodyPart]:
     shoulder, elbow, wrist, tip = (now[side + name] for name in ("Arm", "ForeArm", "Hand", "HandTip"))
-    return [Part((Limb(shoulder, elbow, 0.118, 0.09, SHIRT),), 0.04),
-            Part((Limb(elbow, wrist, 0.084, 0.054, SKIN), Limb(wrist, tip, 0.07, 0.044, SKIN)), 0.06, side)]
+    return [BodyPart((Limb(shoulder, elbow, 0.118, 0.09, SHIRT),), 0.04),
+            BodyPart((Limb(elbow, wrist, 0.084, 0.054, SKIN), Limb(wrist, tip, 0.07, 0.044, SKIN)), 0.06, side)]
 
 
-def _head(now: Mapping[str, Array], look: Look) -> list[Part]:
+def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
     """Hair is a ball, the face a smaller one where the nose points, so that one sees where the figure looks."""
     up = now["HeadTip"] - now["Head"]
     centre = now["Head"] + 0.52 * up
@@ -136,7 +136,7 @@ def _head(now: Mapping[str, Array], look: Look) -> list[Part]:
     ahead = look(now["Nose"])[2] - look(centre)[2] > -0.04
     hair = Limb(centre, centre, 0.216, 0.216, HAIR)
     front = (Limb(face, face, 0.2, 0.2, SKIN), Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))
-    return [Part((hair,), 0.05, shown=~ahead), Part((hair, *front), 0.05, shown=ahead)]
+    return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead)]
 
 
 class FlatLimb(NamedTuple):
@@ -169,7 +169,7 @@ class FlatPart(NamedTuple):
         yield from ((limb.outline(), limb.colour) for limb in self.limbs)
 
 
-def flattened(part: Part, look: Look) -> FlatPart:
+def flattened(part: BodyPart, look: Look) -> FlatPart:
     """A part as it is seen; it is as near as its limbs' middles."""
     limbs, depths = [], []
     for limb in part.limbs:

@@ -22,8 +22,8 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.motion import bvh
-from data_module.types import Array, Beats, Motion, Speech
-from eval.draw.strips import STRIP, Source, draw_page, frame_times, save_strip
+from data_module.types import Array, Speech
+from eval.draw.strips import PAGE, STRIP, Source, draw_page, frame_times, save_strip
 
 if TYPE_CHECKING:
     from data_module.store import Recording
@@ -35,7 +35,7 @@ SECONDS = 4.0
 BEAT_CREDIT = ("real take: BEAT, speaker Scott (Liu et al., ECCV 2022; pantomatrix.github.io/BEAT), CC BY-NC 4.0: "
                "not for commercial use")
 DPI = 105
-"""Dots an inch: a page is 1450 wide, as a screen is."""
+"""Dots an inch of a page, which is then 1450 wide, as a screen is."""
 
 
 def page_times(start: float, seconds: float, longest: float) -> Array:
@@ -70,54 +70,46 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> list[Path]:
     """Draw it; the picture's path."""
-    if arguments.motion is not None:
-        return [_run_one(arguments)]
-    if arguments.out is None:
-        raise InputError("--out", "is missing", "name the picture: --out page.png")
-    sources, speech = _sources(arguments)
-    times = page_times(arguments.start, SECONDS if arguments.seconds is None else arguments.seconds,
-                       max((source.motion.duration for source in sources), default=0.0))
-    beats = None if speech is None else _beats(speech)
-    save_strip(draw_page(sources, times, speech, beats, arguments.title, arguments.credit), arguments.out, DPI)
-    return [arguments.out]
-
-
-def _run_one(arguments: argparse.Namespace) -> Path:
-    from data_module.speech.audio import load_speech
-
-    if arguments.take or arguments.corpus or arguments.ours is not None or arguments.system:
-        raise InputError(arguments.motion, "stands beside --take, --corpus, --ours or --system",
-                         f"name it, too: --system NAME={arguments.motion}")
-    motion = bvh.read_bvh(arguments.motion, fps=arguments.fps)
-    times = frame_times(motion, arguments.start, arguments.seconds, arguments.frames)
-    speech = load_speech(arguments.sound) if arguments.sound else None
-    out: Path = arguments.out or arguments.motion.with_suffix(".png")
-    beats = None if speech is None else _beats(speech)
-    save_strip(draw_page([Source("", motion)], times, speech, beats, arguments.title, arguments.credit, STRIP), out)
-    return out
-
-
-def _beats(speech: Speech) -> Beats:
     from data_module.speech.beats import BeatSettings, find_beats
 
-    return find_beats(speech, BeatSettings())
+    told, layout, dpi = arguments, PAGE, DPI
+    if told.motion is not None:
+        if told.take or told.corpus or told.ours is not None or told.system:
+            raise InputError(told.motion, "stands beside --take, --corpus, --ours or --system",
+                             f"name it, too: --system NAME={told.motion}")
+        layout, dpi = STRIP, 150
+    out: Path | None = told.out or (told.motion and told.motion.with_suffix(".png"))
+    if out is None:
+        raise InputError("--out", "is missing", "name the picture: --out page.png")
+    sources, speech = _sources(told)
+    times = (frame_times(sources[0].motion, told.start, told.seconds, told.frames) if layout is STRIP else
+             page_times(told.start, SECONDS if told.seconds is None else told.seconds,
+                        max((source.motion.duration for source in sources), default=0.0)))
+    beats = None if speech is None else find_beats(speech, BeatSettings())
+    save_strip(draw_page(sources, times, speech, beats, told.title, told.credit, layout), out, dpi)
+    return [out]
 
 
 def _sources(arguments: argparse.Namespace) -> tuple[list[Source], Speech | None]:
     """The motions in the order of the page, and the sound that those gesture to that need one."""
     from data_module.speech.audio import load_speech
+    from eval.clip import real_take
+    from eval.foreign import named
 
     speech = load_speech(arguments.sound) if arguments.sound else None
     sources = []
+    if arguments.motion is not None:
+        sources.append(Source("", bvh.read_bvh(arguments.motion, fps=arguments.fps)))
     if arguments.take:
-        motion, heard = _take()
-        sources.append(Source("real take", motion, BEAT_CREDIT))
-        speech = heard if speech is None else speech
+        take = real_take(60.0)
+        if take is None:
+            raise InputError("--take", "is not to be had", "set GESTICULATOR_DATA to the folder that holds takes/")
+        sources.append(Source("real take", take[0], BEAT_CREDIT))
+        speech = speech or take[1]
     if arguments.corpus:
         recording = _recording(arguments.corpus)
-        name = "corpus" if speech is None else "corpus, to a voice of its own"
-        sources.append(Source(name, recording.motion))
-        speech = recording.speech if speech is None else speech
+        sources.append(Source("corpus, to a voice of its own" if speech else "corpus", recording.motion))
+        speech = speech or recording.speech
     if arguments.ours is not None:
         if speech is None:
             raise InputError("--ours", "has no sound to gesture to", "give --sound, --take or --corpus")
@@ -126,17 +118,8 @@ def _sources(arguments: argparse.Namespace) -> tuple[list[Source], Speech | None
 
         made = Gesticulator.from_pretrained(arguments.ours or None)(speech, seed=arguments.seed)
         sources.append(Source("ours", made.motion))
-    sources += [_system(entry, arguments) for entry in arguments.system]
+    sources += [_system(name, value, arguments) for name, value in named(arguments.system, "--system").items()]
     return sources, speech
-
-
-def _take() -> tuple[Motion, Speech]:
-    from eval.clip import real_take
-
-    found = real_take(60.0)
-    if found is None:
-        raise InputError("--take", "is not to be had", "set GESTICULATOR_DATA to the folder that holds takes/")
-    return found
 
 
 def _recording(told: str) -> Recording:
@@ -149,12 +132,9 @@ def _recording(told: str) -> Recording:
     return store.load(name or store.of_split("test")[0].name)
 
 
-def _system(entry: str, arguments: argparse.Namespace) -> Source:
+def _system(name: str, value: str, arguments: argparse.Namespace) -> Source:
     from eval.foreign import find_motions, read_motion
 
-    name, mark, value = entry.partition("=")
-    if not (name and mark and value):
-        raise InputError(f"--system {entry}", "is not of the form NAME=FILE", "name it: ours=FILE")
     place = Path(value)
     if place.is_dir():
         held, _ = find_motions(place)
