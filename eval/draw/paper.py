@@ -43,7 +43,7 @@ from gesticulator.stages import LABELS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-VERSION = 2
+VERSION = 3
 """Raised when the same rows would be drawn otherwise."""
 POINTS = 3000
 """Blocks in the picture of the lexicon."""
