@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 from data_module import build_report as reports
 from data_module.build_report import Outcome, Report
 from data_module.errors import InputError, one_line_errors
-from data_module.files import lock, write_text
+from data_module.files import lock, remove_unfinished, write_text
 
 if TYPE_CHECKING:
     from data_module.corpora import Item, Options
@@ -131,6 +131,7 @@ def _build(corpus: str, source: Path | None, out: Path, options: Options, worker
     infos = [replace(info, seconds=outcomes[info.name].seconds, absent=outcomes[info.name].absent) for info in kept]
     told = reports.summary(infos, [outcomes[item.info.name] for item in items], reader.notes())
     write_text(writer.partial / reports.FILE, json.dumps(told, indent=1, ensure_ascii=False))
+    remove_unfinished(writer.partial)
     finished = writer.finish([info.name for info in kept])
     return Report(finished, told, time.monotonic() - begun, len(items) - len(todo))
 

@@ -7,6 +7,7 @@ import contextlib
 import csv
 import errno
 import os
+import re
 import secrets
 import socket
 import time
@@ -22,6 +23,8 @@ LOCK = ".lock"
 
 # What a text file may begin with when another program wrote it: Praat writes UTF-16.
 _MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_UNFINISHED = re.compile(r"\..{1,40}\.[0-9a-f]{12}")
+"""Names of the temporary files of `write_bytes`."""
 _NO_LOCKS = frozenset({errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL})
 """Errors with which a file system says that it has no locks (some network drives)."""
 
@@ -61,6 +64,13 @@ def _new_file(target: Path) -> tuple[Path, int]:
         with contextlib.suppress(FileExistsError):
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
             return temporary, os.open(temporary, flags, 0o666)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Delete what `write_bytes` had begun in a folder, or below it, when its process was killed."""
+    for file in folder.rglob(".*"):
+        if _UNFINISHED.fullmatch(file.name):
+            file.unlink(missing_ok=True)
 
 
 def rename(source: Path, target: Path) -> None:

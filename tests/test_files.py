@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from data_module.errors import InputError
-from data_module.files import LOCK, lock, read_text, write_bytes, write_text
+from data_module.files import LOCK, lock, read_text, remove_unfinished, write_bytes, write_text
 
 
 def test_text_is_written_as_utf_8_with_the_line_ends_it_has(tmp_path: Path) -> None:
@@ -198,3 +198,18 @@ def test_a_lock_is_let_go_after_an_error(tmp_path: Path) -> None:
     with lock(tmp_path, "work"):
         assert (tmp_path / LOCK).is_file()
     assert not (tmp_path / LOCK).exists()
+
+
+def test_what_a_killed_process_had_begun_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    code = ("import os, pathlib, sys; from data_module import files\n"
+            "os.fsync = lambda handle: os.kill(os.getpid(), 9)\n"
+            "files.write_text(sys.argv[1], 'half')")
+    target = tmp_path / "recordings" / "a.json"
+    target.parent.mkdir()
+    subprocess.run([sys.executable, "-c", code, str(target)], check=False)
+    assert len(list(target.parent.iterdir())) == 1
+    assert not target.exists()
+    for name in (".hidden", ".a.json.0123", "b.json"):
+        (target.parent / name).write_text("kept")
+    remove_unfinished(tmp_path)
+    assert {file.name for file in target.parent.iterdir()} == {".hidden", ".a.json.0123", "b.json"}
