@@ -1,7 +1,7 @@
 """Every table and figure of both papers, run again on any data set.
 
     gesticulator ablate --data STORE --work DIR [--only NAME ...] [--preset ablation|tiny] [--seeds 3]
-                        [--budget SECONDS] [--bundle DIR] [--system NAME=DIR ...] [--out docs/results/ablation]
+                        [--bundle DIR] [--system NAME=DIR ...] [--out docs/results/ablation]
     gesticulator ablate --list                          every row, table and figure
     gesticulator ablate --tables [--out DIR]            the tables and claims again, from the cells that are there
 
@@ -76,51 +76,31 @@ def listing() -> str:
 
 # ------------------------------------------------------------------------------------------------------------- running
 
-def over(context: AblationContext, name: str, seed: int, budget: float) -> str:
-    """Why a row is refused: what its training would cost at a seed, where that is over the budget in seconds."""
-    cost = context.counted(name, seed)
-    if sum(cost.values()) <= budget:
-        return ""
-    return (f"{sum(cost.values()):.0f} s of training counted at seed {seed}, {budget:g} s allowed "
-            f"({', '.join(f'{stage} {s:.0f}' for stage, s in cost.items() if s)})")
-
-
-def run_rows(context: AblationContext, names: Sequence[str], seeds: int, budget: float | None) -> dict[str, str]:
-    """Run the rows that are not finished, all of them at one seed before the next; those refused, with the reason."""
+def run_rows(context: AblationContext, names: Sequence[str], seeds: int) -> None:
+    """Run the rows that are not finished, all of them at one seed before the next."""
     from tqdm import tqdm
 
     from eval.runner import cell
 
-    refused: dict[str, str] = {}
     bar = tqdm([(name, seed) for seed in range(1, seeds + 1) for name in names], desc="rows",
                disable=not context.first.progress)
     for name, seed in bar:
         bar.set_postfix_str(f"{name}, seed {seed}")
-        if name in refused:
-            continue
-        if budget is not None and name in rg.ROWS:
-            known = context.cells.finished(name, seed, context.key(name, seed))
-            why = "" if known else over(context, name, seed, budget)
-            if why:
-                refused[name] = why
-                continue
         cell(context, name, seed)
-    return refused
 
 
-def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = SEEDS, budget: float | None = None,
+def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = SEEDS,
            systems: Mapping[str, Path] | None = None) -> dict[str, Any]:
     """Run the rows and figures that are asked for (all) and not finished; write the tables of all that is finished.
 
-    budget: seconds of training that a row may take at one seed; one that would take more is refused, not shortened,
-    since a row trained for fewer steps than the others would be compared with them. systems: folders of other systems'
-    motion for the test speech. Gives the facts of the first table.
+    systems: folders of other systems' motion for the test speech. Gives the facts of the first table.
     """
     from eval.cells import family, summaries
     from eval.runner import reference, system
 
     names = [name for name in ROWS if name in (only or ROWS)]
-    refused = run_rows(context, names, seeds, budget)
+    refused: dict[str, str] = {}
+    run_rows(context, names, seeds)
     shared = {group: context.shared(group) for group in dict.fromkeys(map(family, names))}
     if shared.keys() != {"racer"}:
         shared["rg"] = context.shared("rg")
@@ -187,7 +167,6 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="settings",
                    help="change a setting of the preset, for every row alike")
     p.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=f"seeds 1 to N ({SEEDS})")
-    p.add_argument("--budget", type=float, metavar="SECONDS", help="refuse a row that would train longer at one seed")
     p.add_argument("--limit", type=int, metavar="N", help="the first N recordings of a split only")
     p.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes that cut and hear")
     p.add_argument("--speech", action="append", default=[], metavar="DIR",
@@ -203,9 +182,9 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def _checked(arguments: argparse.Namespace) -> dict[str, Path]:
     """The folders of other systems; InputError for what cannot be asked."""
-    from eval.score import named
+    from eval.foreign import named
 
-    for name in ("seeds", "budget", "limit", "workers"):
+    for name in ("seeds", "limit", "workers"):
         value = getattr(arguments, name)
         if value is not None and value <= 0:
             raise InputError(f"--{name} {value}", "is too little", "choose more than 0")
@@ -253,7 +232,7 @@ def run(arguments: argparse.Namespace) -> int:
           else gesture_features.networks(store, work, first.progress))
     bundle = str(bundles.SHIPPED) if arguments.bundle == "shipped" else arguments.bundle
     ablate(AblationContext(first, by, out, arguments.limit, bundle), only=arguments.only, seeds=arguments.seeds,
-           budget=arguments.budget, systems=systems)
+           systems=systems)
     print("\n".join(table.terminal() for table in load(out / "table.json")), end="")
     return 0
 

@@ -268,3 +268,16 @@ def _without(motion: Motion, joint: str) -> Motion:
     turns = motion.rotations.copy()
     turns[:, CHARACTER.index(joint)] = (1.0, 0.0, 0.0, 0.0)
     return replace(motion, rotations=turns, absent=(*motion.absent, joint))
+
+
+def named(entries: Sequence[str], what: str) -> dict[str, str]:
+    """NAME=VALUE ... as a table; InputError for one that is not, or a name that comes twice."""
+    table: dict[str, str] = {}
+    for entry in entries:
+        name, mark, value = entry.partition("=")
+        if not (name and mark and value):
+            raise InputError(f"{what} {entry}", "is not of the form NAME=VALUE", "name it: ours=DIR")
+        if name in table:
+            raise InputError(f"{what} {entry}", "has a name that was given before", "choose another")
+        table[name] = value
+    return table

@@ -192,12 +192,8 @@ def _episodes(context: RacerContext, config: Config) -> Episodes:
 
 # --------------------------------------------------------------------------------------------------------- learning
 
-@dataclass(frozen=True)
-class Learner:
-    """What `fit` needs: a model, its batches and what happens before a step."""
-
-    model: ConservativeQ | ActorCritic
-    make_batch: fitting.MakeBatch
+Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
+"""What `fit` needs: a model, which knows what happens before a step, and its batches."""
 
 
 def latest(policy: QNetwork | ActorCritic, corpus: Corpus, seen: dict[str, Tensor]) -> Tensor:
@@ -236,8 +232,8 @@ def epsilon_at(step: int, steps: int) -> float:
 def offline(context: RacerContext, config: Config, network: QNetwork, seed: int) -> Learner:
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
     episodes, _ = rewarded(context, config)
-    return Learner(ConservativeQ(network), lambda rng: q_batch(context.corpus, episodes.windows(
-        rng, config.schedules.cql.batch, config.cql.decisions), config.cql.lookahead))
+    return ConservativeQ(network), lambda rng: q_batch(context.corpus, episodes.windows(
+        rng, config.schedules.cql.batch, config.cql.decisions), config.cql.lookahead)
 
 
 class Acting(ConservativeQ):
@@ -268,7 +264,7 @@ class Acting(ConservativeQ):
 def online(context: RacerContext, config: Config, network: QNetwork, seed: int) -> Learner:
     """DQN."""
     model = Acting(context, config, network, seed)
-    return Learner(model, model.batch)
+    return model, model.batch
 
 
 def actor_critic(context: RacerContext, config: Config, network: QNetwork, seed: int) -> Learner:
@@ -278,9 +274,9 @@ def actor_critic(context: RacerContext, config: Config, network: QNetwork, seed:
     assert isinstance(supervised, QNetwork)
     model.begin_as(supervised)
     simulator = Simulator(context.takes, context.taught(config).rewards, context.tables[""].window)
-    return Learner(model, lambda rng: q_batch(context.corpus, collect(
+    return model, lambda rng: q_batch(context.corpus, collect(
         simulator, sampled(model, context.corpus, rng), rng, config.schedules.cql.batch, config.cql.decisions),
-        config.cql.lookahead))
+        config.cql.lookahead)
 
 
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
@@ -300,14 +296,14 @@ def trained(context: RacerContext, name: str, seed: int) -> tuple[QNetwork | Act
             policy = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
         policy.load_state_dict(load_file(folder / stages.WEIGHTS))
     else:
-        learner = TRAININGS[row.training](context, config, network, seed)
+        model, make_batch = TRAININGS[row.training](context, config, network, seed)
         began = time.monotonic()  # without the data set, or the network that it begins as
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as scratch:
-            fitting.fit(f"{name}, seed {seed}", learner.model, fitting.Task(
-                learner.make_batch, before_step=learner.model.before_step), config.schedules.cql, Path(scratch),
+            fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
+                make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
                 fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=context.run.progress))
-        policy = learner.model.online if isinstance(learner.model, ConservativeQ) else learner.model
+        policy = model.online if isinstance(model, ConservativeQ) else model
         stages.keep(folder, policy, {})
     freeze(policy)
     return policy, time.monotonic() - began

@@ -17,17 +17,14 @@ from __future__ import annotations
 import hashlib
 import io
 import shutil
-import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from statistics import median
 from typing import Any, TypeVar, cast
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import nn
 from tqdm import tqdm
@@ -39,7 +36,7 @@ from data_module.motion.kinematics import resample
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.audio import resample as resample_speech
 from data_module.store import Recording, Store
-from data_module.types import Array
+from data_module.types import Array, Motion
 from eval import baselines, policy_training
 from eval.cells import Cell, CellStore, family
 from eval.clip import real_take
@@ -51,12 +48,10 @@ from eval.policy_training import RacerContext
 from eval.rows import CONTROLS, FLOOR, REAL_TAKE, REFERENCES, ROWS, STILL, racer
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
-from gesticulator import fit as fitting
 from gesticulator.config import Config
 from gesticulator.pipeline import FPS, Gesticulator
 from gesticulator.speech_features import SpeechFeatures
 from gesticulator.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Corpus, Node, Run, Stage, assemble, wanted
-from gesticulator.stages import base as stages
 from gesticulator.stages.corpus import weights_hash
 from gesticulator.stages.q_network import takes_of
 
@@ -64,8 +59,6 @@ VERSION = 2
 """Raised when the same settings would no longer give the same figures."""
 SHORTEST = 20.0
 """Seconds; a shorter clip has too few beats for a figure of its own."""
-TRIAL = 4
-"""Steps that are made to count what a stage costs, after one that does not count."""
 SHOWN_SEED = 1
 """The seed whose motion is kept as BVH and drawn."""
 FLOOR_DRAWS = 20
@@ -100,46 +93,6 @@ class RowRun(Run):
         figures = super().train_stage(stage, model)
         self.seconds[stage.name] = 0.0 if there else round(time.monotonic() - began, 1)
         return figures
-
-
-@dataclass
-class Trial(RowRun):
-    """A run that makes a few steps of each stage that is not finished and notes what all of them would take.
-
-    The steps are the first ones: an interpreter that later hears its own past costs up to half as much again. It works
-    in a folder of its own; finished: the work folder of the row, where nothing is written.
-    """
-
-    finished_in: Path = Path()
-
-    def train_stage(self, stage: Stage[Any], model: nn.Module) -> dict[str, float]:
-        """The model as it begins, after a few steps."""
-        self.seconds.setdefault(stage.name, 0.0)
-        if not stages.finished(self.finished_in / f"{stage.name}-{self.key(stage)}"):
-            folder = self.work / stage.name
-            folder.mkdir(exist_ok=True)
-            assert stage.train is not None
-            stage.train(self, model, folder)
-        if stage is LEXICON:  # what is labelled must use the lexemes, or none of them could be found silent
-            corpus = self.get(BLOCKS)
-            cast(Any, model).start_codebook(corpus.motion[torch.as_tensor(corpus.select("train"))], 0)
-        return {}
-
-    def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> dict[str, float]:
-        """Times a few steps; nothing is validated."""
-        schedule, times = self.schedule(stage), []
-
-        def timed(step: int) -> None:
-            if task.before_step is not None:
-                task.before_step(step)
-            times.append(time.monotonic())
-
-        fitting.fit(stage.name, model, replace(task, validate=None, before_step=timed), schedule, folder,
-                    fitting.FitOptions(seed=self.seed(stage), checkpoint_seconds=float("inf"), progress=False,
-                                       stop_after=TRIAL + 1))
-        steps = np.diff(times)[1:] if len(times) > 2 else np.diff(times)
-        self.seconds[stage.name] = round(schedule.steps * float(median(steps)), 1) if len(steps) else 0.0
-        return {}
 
 
 # -------------------------------------------------------------------------------------------------- what all rows share
@@ -207,18 +160,12 @@ class AblationContext:
 
     def _corpus_run(self, config: Config) -> Run:
         """The run that cuts the store by these settings; that of the preset and the last other one stay in memory."""
-        key = configs.digest(config.rhythm, config.motion, config.control, config.text, config.front_end)
-        if key not in self._corpora:
-            first = self.first
-            if not self._corpora:
-                self._corpora[configs.digest(first.config.rhythm, first.config.motion, first.config.control,
-                                             first.config.text, first.config.front_end)] = first
-                return self._corpus_run(config)
-            while len(self._corpora) > 1:
-                self._corpora.popitem()
-            self._corpora[key] = RowRun(config, first.store, first.work, first.device, first.progress, first.speech,
-                                        first.workers, taken={ENCODER.name: first})
-        return self._corpora[key]
+        first = self.first
+        key, own = (configs.digest(one.rhythm, one.motion, one.control, one.text, one.front_end)
+                    for one in (config, first.config))
+        return first if key == own else _latest(self._corpora, key, 1, lambda: RowRun(
+            config, first.store, first.work, first.device, first.progress, first.speech, first.workers,
+            taken={ENCODER.name: first}))
 
     def trained(self, name: str, seed: int) -> tuple[bundles.Bundle, RowRun]:
         """What a row plays with, and its run; what is not in the work folder is trained."""
@@ -226,16 +173,6 @@ class AblationContext:
         bundle = assemble(run)
         run.seconds["lexicon"] = before.seconds.get("lexicon", 0.0)
         return bundle, run
-
-    def counted(self, name: str, seed: int) -> dict[str, float]:
-        """Seconds that each stage of a row would take, 0 where it is finished; found by a few steps of each."""
-        with tempfile.TemporaryDirectory() as folder:
-            before, run = self.runs(name, seed)
-            first, rest = (Trial(own.config, own.store, Path(folder), own.device, False, own.speech, own.workers,
-                                 taken=own.taken, finished_in=own.work) for own in (before, run))
-            rest.taken = {**rest.taken, LEXICON.name: first}
-            assemble(rest)
-            return {**first.seconds, **rest.seconds}
 
     def names(self, split: str) -> list[str]:
         """Recordings of a split that are long enough for shares and speeds (all, where none is), `limit` at most."""
@@ -257,11 +194,7 @@ class AblationContext:
         """A recording's speech as a system hears it; kept for the preset's own way and for the last other one."""
         config = system.bundle.config
         key = configs.digest(config.rhythm, config.text, config.front_end, system.reads_text)
-        if key not in self._encoded:
-            while len(self._encoded) > 1:
-                self._encoded.popitem()
-            self._encoded[key] = {}
-        known = self._encoded[key]
+        known = _latest(self._encoded, key, 2, dict)
         if recording.info.name not in known:
             known[recording.info.name] = system.encode_speech(resample_speech(recording.speech, SAMPLE_RATE))
         return known[recording.info.name]
@@ -300,6 +233,15 @@ class AblationContext:
         if name in ROWS:
             return PlayedStore.of(self, f"{name}-{seed}", self.key(name, seed))
         return PlayedStore.of(self, f"{name}-0", reference_key(self, name, "test"))
+
+
+def _latest(known: dict[str, T], key: str, most: int, make: Callable[[], T]) -> T:
+    """What is known by a key, made where it is not; of `most` others the last one goes."""
+    if key not in known:
+        while len(known) >= most:
+            known.popitem()
+        known[key] = make()
+    return known[key]
 
 
 def configured(base: Config, row: str) -> Config:
@@ -353,30 +295,33 @@ class PlayedStore:
 
 def cell(context: AblationContext, name: str, seed: int) -> Cell:
     """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
+    made: Callable[[], Mapping[str, Any]]
     if family(name) == "racer":
         same = racer.twins(context.racer.run.config)[name]
-        if same != name:
-            return _kept(context, name, seed, context.key(same, seed), {**cell(context, same, seed), "run_as": same})
-    key = context.key(name, seed)
-    known = context.cells.finished(name, seed, key)
-    if known is not None:
-        return known
-    if family(name) == "racer":
-        found = policy_training.measured(context.racer, name, seed, context.by)
+        key = context.key(same, seed)
+        made = ((lambda: policy_training.measured(context.racer, name, seed, context.by)) if same == name else
+                (lambda: {**cell(context, same, seed), "run_as": same}))
     else:
-        found = row_figures(context, name, seed, PlayedStore.of(context, f"{name}-{seed}", key))
-    return _kept(context, name, seed, key, found)
+        key = context.key(name, seed)
+        made = lambda: row_figures(context, name, seed, PlayedStore.of(context, f"{name}-{seed}", key))  # noqa: E731
+    row = ROWS[name]
+    found = _kept(context, (name, seed, key), made, kind="row", question=row.question, settings=list(row.settings),
+                  split=row.split)
+    assert found is not None
+    return found
 
 
-def _kept(context: AblationContext, name: str, seed: int, key: str, found: Mapping[str, Any], kind: str = "row",
-          **about: Any) -> Cell:
-    """Written, unless the very cell is there."""
+def _kept(context: AblationContext, at: tuple[str, int, str], make: Callable[[], Mapping[str, Any] | None],
+          **about: Any) -> Cell | None:
+    """The cell of a row, a seed and a key, made and written where it is not there; None where none can be made."""
+    name, seed, key = at
     known = context.cells.finished(name, seed, key)
     if known is not None:
         return known
-    row = ROWS.get(name)
-    made = {**found, "row": name, "seed": seed, "key": key, "kind": kind, "shared": context.shared(family(name)),
-            **({"question": row.question, "settings": list(row.settings), "split": row.split} if row else {}), **about}
+    found = make()
+    if not found:
+        return None
+    made = {**found, "row": name, "seed": seed, "key": key, "shared": context.shared(family(name)), **about}
     context.cells.add(made)
     return made
 
@@ -440,24 +385,19 @@ def reference_key(context: AblationContext, name: str, split: str) -> str:
 def reference(context: AblationContext, name: str, split: str) -> Cell | None:
     """The cell of a reference or a control; None where it cannot be made (no real take, too few recordings)."""
     shown, key = name if split == "test" else f"{name}-{split}", reference_key(context, name, split)
-    known = context.cells.finished(shown, 0, key)
-    if known is not None:
-        return known
-    found: dict[str, Any] | None
-    if name == FLOOR:
-        found = floor(context, split)
-    elif name == REAL_TAKE:
-        take = real_take(FPS)
-        found = take and context.judge.summary([context.judge.clip(PlayedClip(
-            "take", take[0], ClipSpeech.of(take[1], context.first.config.rhythm)), 0)], context.real(split),
-            paired=False)
-    else:
-        found = moved(context, name, split, PlayedStore.of(context, f"{shown}-0", key))
-    if not found:
-        return None
-    kind = "reference" if name in REFERENCES else "control"
-    return _kept(context, shown, 0, key, found, kind, question={**REFERENCES, **CONTROLS}[name], settings=[],
-                 split=split)
+    makers: dict[str, Callable[[], Mapping[str, Any] | None]] = {
+        FLOOR: lambda: floor(context, split), REAL_TAKE: lambda: taken(context, split)}
+    return _kept(context, (shown, 0, key), makers.get(name, lambda: moved(
+        context, name, split, PlayedStore.of(context, f"{shown}-0", key))),
+        kind="reference" if name in REFERENCES else "control", question={**REFERENCES, **CONTROLS}[name], settings=[],
+        split=split)
+
+
+def taken(context: AblationContext, split: str) -> dict[str, Any] | None:
+    """A real person's take, measured as a row's motion is; None where it is not to be had."""
+    take = real_take(FPS)
+    return take and context.judge.summary([context.judge.clip(PlayedClip(
+        "take", take[0], ClipSpeech.of(take[1], context.first.config.rhythm)), 0)], context.real(split), paired=False)
 
 
 def moved(context: AblationContext, name: str, split: str, place: PlayedStore) -> dict[str, Any] | None:
@@ -467,19 +407,24 @@ def moved(context: AblationContext, name: str, split: str, place: PlayedStore) -
     if name == STILL:
         motions = baselines.mean_pose(motions)
     elif name in baselines.CONTROLS:
-        groups = [recording.info.group or recording.info.name for recording in recordings]
         try:
-            motions = (baselines.shuffled(motions, 0, groups) if name == "shuffled"
+            motions = (baselines.shuffled(motions, 0, context.groups(split)) if name == "shuffled"
                        else baselines.CONTROLS[name](motions, 0))
         except ValueError:
             return None
+    return context.judge.summary(judged(context, recordings, motions, place), context.real(split))
+
+
+def judged(context: AblationContext, recordings: Sequence[Recording], motions: Sequence[Motion], place: PlayedStore
+           ) -> list[JudgedClip]:
+    """Motions for the speech of recordings, measured and kept."""
     clips = [context.judge.clip(PlayedClip(
         recording.info.name, motion, context.speech(recording).lasting(motion.duration, context.first.config.rhythm),
         recording.motion, recording.info.speaker), k)
         for k, (recording, motion) in enumerate(zip(recordings, motions, strict=True))]
     place.begin()
     place.write(clips)
-    return context.judge.summary(clips, context.real(split))
+    return clips
 
 
 def floor(context: AblationContext, split: str) -> dict[str, Any] | None:
@@ -511,19 +456,17 @@ def system(context: AblationContext, name: str, folder: Path) -> Cell:
                          "on, one for each")
     sums = [[clip, hashlib.sha256(file.read_bytes()).hexdigest()] for clip, file in theirs.items()]
     key = configs.digest(context.shared("rg"), name, sums)
-    known = context.cells.finished(name, 0, key)
-    if known is not None:
-        return known
-    clips, real = [], []
-    for k, (clip, own) in enumerate(read_folder(folder, only=list(theirs))[0].items()):
-        recording = context.loaded(context.recordings("test")[numbers[clip]])
-        motion = resample(own.motion, recording.motion.fps)
-        motion = motion.crop(0, min(len(motion), len(recording.motion)))
-        speech = context.speech(recording).lasting(motion.duration, context.first.config.rhythm)
-        clips.append(context.judge.clip(PlayedClip(clip, motion, speech, recording.motion, recording.info.speaker), k))
-        real.append(context.real("test")[numbers[clip]])
-    place = PlayedStore.of(context, f"{name}-0", key)
-    place.begin()
-    place.write(clips)
-    return _kept(context, name, 0, key, context.judge.summary(clips, real), "system",
-                 question=f"another system's motion, {len(clips)} clips", settings=[], split="test")
+
+    def made() -> dict[str, Any]:
+        recordings, motions = [], []
+        for clip, own in read_folder(folder, only=list(theirs))[0].items():
+            recordings.append(context.loaded(context.recordings("test")[numbers[clip]]))
+            motion = resample(own.motion, recordings[-1].motion.fps)
+            motions.append(motion.crop(0, min(len(motion), len(recordings[-1].motion))))
+        clips = judged(context, recordings, motions, PlayedStore.of(context, f"{name}-0", key))
+        return context.judge.summary(clips, [context.real("test")[numbers[clip.name]] for clip in clips])
+
+    found = _kept(context, (name, 0, key), made, kind="system", settings=[], split="test",
+                  question=f"another system's motion, {len(theirs)} clips")
+    assert found is not None
+    return found

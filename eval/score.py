@@ -38,8 +38,8 @@ from data_module.types import Array, Motion
 from eval import baselines, stats
 from eval.clip_set import TRUTH, ClipSet, common_clips, listed, shared_names
 from eval.encode import EncodedMotion, SpeechBlocks, encode_motion, judged_reward
-from eval.foreign import Clip, names_in, read_folder
-from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd, pmb
+from eval.foreign import Clip, named, names_in, read_folder
+from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd
 from eval.metrics.diversity import entropy, lexeme_moments, variance_of_moments
 from eval.metrics.evaluate import (
     LEXEME_METRICS,
@@ -49,7 +49,6 @@ from eval.metrics.evaluate import (
     OnsetTrack,
     Values,
     clip_values,
-    delta_curve,
     eye_values,
     lexeme_values,
     synchrony,
@@ -57,23 +56,17 @@ from eval.metrics.evaluate import (
 from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_features, load, networks, pooled, published
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
+from eval.score_tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
 from eval.stats import Indices, Interval
-from eval.table import Cell, Column, Marked, Table, publish, shown_cell
+from eval.table import Marked, publish
 
 UNITS = "unit selection"
-FLOOR, STILL, BOBBING = "truth, half against half", "still", "bobbing"
-NO_FLOOR = "a floor is of distances between sets"
 RAW_FRAMES = (34, 60)
 """Windows of the raw directions, at 15 fps, where networks of two lengths are not to be had."""
 MOST = 60
 """Clips of a mismatch test at most, evenly chosen: it tries all pairs."""
-FEW = 10
-"""Clips below which intervals are too narrow."""
 SAME = (1e-9, 1e-4)
 """Figures that differ by less, absolutely or relatively, are equal: rounding of files and of sums leaves as much."""
-
-Figures = dict[str, dict[str, Marked]]
-"""row -> metric -> a figure, with the reason where it is undefined or not to be trusted."""
 
 
 # ------------------------------------------------------------------------------------------------------------ rows
@@ -83,7 +76,7 @@ class ScoreRow:
     """A set of motions and what was measured. kind: "truth", "system" or "control".
 
     values: metric -> [clips]; sets: metric -> a figure of the clips with these numbers; features: network -> [n, E] by
-    clip; reasons: metric -> why its figure is undefined; curves: mode -> [clips, deltas].
+    clip; reasons: metric -> why its figure is undefined.
     """
 
     name: str
@@ -94,49 +87,37 @@ class ScoreRow:
     sets: dict[str, Callable[[Indices], float]] = field(default_factory=dict)
     features: dict[str, list[Array]] = field(default_factory=dict)
     reasons: dict[str, str] = field(default_factory=dict)
-    curves: dict[str, Array] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class ClipEncoder:
-    """What a bundle makes of the clips: the blocks of each speech, and the speakers' own motion in them."""
-
-    bundle: Any
-    speeches: list[SpeechBlocks | None]
-    truth: list[EncodedMotion | None]
-
-    @classmethod
-    def of(cls, bundle: Any, clips: ClipSet) -> ClipEncoder:
-        """Each speech is cut and encoded once for all rows."""
-        speeches = [None if speech is None else SpeechBlocks.of(bundle, speech) for speech in clips.speeches]
-        made = cls(bundle, speeches, [])
-        return replace(made, truth=made.encoded(clips.motions[TRUTH]))
-
-    def encoded(self, motions: Sequence[Motion]) -> list[EncodedMotion | None]:
-        """Motions of all clips; None where nothing is said."""
-        return [None if speech is None else encode_motion(self.bundle, motion, speech.blocks, speech.speaker)
-                for motion, speech in zip(motions, self.speeches, strict=True)]
-
-    def values(self, encoded: Sequence[EncodedMotion | None]) -> list[Values]:
-        """`LEXEME_METRICS` of every clip."""
-        judged = self.bundle.reward_judge is not None
-        rewards = [math.nan if motion is None or speech is None else judged_reward(self.bundle, motion, speech)
-                   for motion, speech in zip(encoded, self.speeches, strict=True)]
-        return [lexeme_values(motion, truth, reward, judged)
-                for motion, truth, reward in zip(encoded, self.truth, rewards, strict=True)]
 
 
 @dataclass(frozen=True)
 class ScoreContext:
-    """What all rows are measured with. encoder: None without a bundle."""
+    """What all rows are measured with. speeches: the blocks of each clip's speech as the bundle cuts it, None without
+    the one or the other; truth: the speakers' own motion in them."""
 
     clips: ClipSet
     tracks: list[OnsetTrack | None]
     networks: Mapping[str, Features]
-    encoder: ClipEncoder | None
+    bundle: Any
     seed: int
     voices: list[eye.Voice | None]
     space: eye.ReferenceSpace | None
+    speeches: list[SpeechBlocks | None]
+    truth: list[EncodedMotion | None] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, clips: ClipSet, networks: Mapping[str, Features], bundle: Any, seed: int) -> ScoreContext:
+        """Each speech is heard, cut and encoded once for all rows."""
+        speeches = [None if speech is None or bundle is None else SpeechBlocks.of(bundle, speech)
+                    for speech in clips.speeches]
+        made = cls(clips, [None if speech is None else OnsetTrack.of(speech) for speech in clips.speeches], networks,
+                   bundle, seed, [None if speech is None else eye.hear(speech) for speech in clips.speeches],
+                   eye.ReferenceSpace.found(), speeches)
+        return replace(made, truth=made.encoded(clips.motions[TRUTH]))
+
+    def encoded(self, motions: Sequence[Motion]) -> list[EncodedMotion | None]:
+        """Motions of all clips as the bundle reads them; None where nothing is said."""
+        return [None if speech is None else encode_motion(self.bundle, motion, speech.blocks, speech.speaker)
+                for motion, speech in zip(motions, self.speeches, strict=True)]
 
     def row(self, name: str, kind: str, motions: list[Motion]) -> ScoreRow:
         """Everything about one set of motions."""
@@ -146,12 +127,9 @@ class ScoreContext:
         _put(row, MOTION_METRICS, [
             clip_values(motion, theirs, beats, track, self.seed + k) for k, (motion, theirs, beats, track)
             in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
-        _put(row, tuple(EYE_METRICS), [eye_values(motion, voice, edges, self.space) for motion, voice, edges
-                                       in zip(motions, self.voices, self.edges, strict=True)])
-        for mode in ("A", "B"):
-            row.curves[mode] = np.array([delta_curve(beats, track, mode) for beats, track
-                                         in zip(row.beats, self.tracks, strict=True) if track is not None]
-                                        ).reshape(-1, len(pmb.DELTAS))
+        _put(row, tuple(EYE_METRICS), [
+            eye_values(motion, voice, None if speech is None else speech.blocks.edges, self.space)
+            for motion, voice, speech in zip(motions, self.voices, self.speeches, strict=True)])
         row.features = {key: pooled(motions, network) for key, network in self.networks.items()}
         ours, theirs = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
                         for clips in (motions, own))
@@ -159,25 +137,21 @@ class ScoreContext:
         self._lexemes(row)
         return row
 
-    @property
-    def edges(self) -> list[Array | None]:
-        """Of each clip, [N + 1] seconds of the blocks that the bundle cuts; None without a bundle or a speech."""
-        speeches = [None] * len(self.clips.names) if self.encoder is None else self.encoder.speeches
-        return [None if speech is None else speech.blocks.edges for speech in speeches]
-
     def _lexemes(self, row: ScoreRow) -> None:
         """What the lexemes nearest to a row's blocks say, where there is a lexicon."""
         of_sets = ("diversity", "motion_variance")
-        if self.encoder is None:
+        if self.bundle is None:
             row.values |= {metric: np.full(len(row.motions), np.nan) for metric in LEXEME_METRICS}
             row.reasons |= dict.fromkeys((*of_sets, *LEXEME_METRICS), "no lexicon was given (--bundle)")
             return
-        encoded = self.encoder.encoded(row.motions)
-        _put(row, LEXEME_METRICS, self.encoder.values(encoded))
+        encoded, judged = self.encoded(row.motions), self.bundle.reward_judge is not None
+        _put(row, LEXEME_METRICS, [lexeme_values(
+            motion, truth, math.nan if motion is None or speech is None else judged_reward(self.bundle, motion, speech),
+            judged) for motion, truth, speech in zip(encoded, self.truth, self.speeches, strict=True)])
         if not any(encoded):
             row.reasons |= dict.fromkeys(of_sets, "no speech is known")
             return
-        vectors = self.encoder.bundle.lexicon.vectors.double().numpy()
+        vectors = self.bundle.lexicon.vectors.double().numpy()
         moments = lexeme_moments([None if one is None else (one.latents.double().numpy(), one.labels)
                                   for one in encoded], vectors)
         row.sets["diversity"] = lambda chosen: entropy(moments[0][chosen].sum(axis=0))
@@ -242,45 +216,21 @@ def _undefined(name: str, value: Interval) -> str:
 
 def fgd_cell(figure: fgd.Figure, sure: bool = False) -> Marked:
     """A distance; (?) where the sample is too small for it. sure: of the truth against itself."""
-    doubt = not sure and math.isfinite(figure.distance) and fgd_verdict(figure).startswith("no")
+    doubt = not sure and math.isfinite(figure.distance) and figure.verdict.startswith("no")
     return Marked(replace(figure.interval, mean=figure.distance), "(?)" if doubt else "", figure.reason)
-
-
-def fgd_verdict(figure: fgd.Figure) -> str:
-    """Whether the sample suffices, and how many windows in each set would: "yes", or what is wrong with it.
-
-    Twice: the covariance takes `figure.needed` windows, and the bias of the sample, which falls as one over the number
-    of windows, should be a tenth of the distance at most.
-    """
-    fewest = min(figure.windows)
-    if not np.isfinite(figure.distance):
-        return f"no: {figure.reason}"
-    if fewest < figure.needed:
-        return f"no: {fewest} windows, and {figure.needed} are needed"
-    if figure.distance <= figure.bias:
-        return "no: not told from 0, as two samples of one motion of this size are as far apart"
-    if figure.bias <= figure.distance / 10:
-        return "yes"
-    mean_windows = 2.0 / sum(1.0 / count for count in figure.windows)
-    wanted = int(np.ceil(10.0 * figure.bias / figure.distance * mean_windows))
-    return f"roughly: chance is {100 * figure.bias / figure.distance:.0f} % of it, and a tenth from {wanted} windows on"
 
 
 def floor_figures(truth: ScoreRow, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
     """Distances between two halves of the truth; what is no distance between sets has none."""
     out = {name: Marked(Interval.undefined(), reason=NO_FLOOR) for name in (*CLIP_METRICS, *EYE_METRICS, *SET_METRICS)}
     place = {id(motion): k for k, motion in enumerate(truth.motions)}
-    halves: list[list[int]] = []
-    for groups in (context.clips.groups, None):
-        try:
-            halves = [[place[id(motion)] for motion in half]
-                      for half in baselines.split_halves(truth.motions, context.seed, groups)]
-            break
-        except ValueError as error:
-            out |= {key: Marked(Interval.undefined(), reason=str(error))
-                    for key in ("speed_distance", *context.networks)}
-    if not halves:
-        return out, {}
+    groups = context.clips.groups if len(set(context.clips.groups)) > 1 else None
+    try:
+        both = baselines.split_halves(truth.motions, context.seed, groups)
+    except ValueError as error:
+        return out | {key: Marked(Interval.undefined(), reason=str(error))
+                      for key in ("speed_distance", *context.networks)}, {}
+    halves = [[place[id(motion)] for motion in half] for half in both]
     counts = [np.sum([speed_histogram(hand_speeds(truth.motions[k])) for k in half], axis=0) for half in halves]
     out["speed_distance"] = Marked(Interval.exact(hellinger(counts[0], counts[1]), min(map(len, halves))))
     distances = {}
@@ -321,15 +271,6 @@ def mismatches(rows: Sequence[ScoreRow], context: ScoreContext) -> dict[str, dic
 
 
 # ----------------------------------------------------------------------------------------------------------- flags
-
-@dataclass(frozen=True)
-class Flag:
-    """What a control does to a metric."""
-
-    metric: str
-    control: str
-    says: str
-
 
 def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, Metric], seed: int) -> list[Flag]:
     """Which control beats what, by which metric.
@@ -389,37 +330,11 @@ def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow
     return [f"is not told from the truth ({own:.3g}, {theirs:.3g})"] if near or own == theirs else []
 
 
-# ----------------------------------------------------------------------------------------------------------- result
-
-@dataclass(frozen=True)
-class Scores:
-    """All that was measured. metrics: by column, FGD by network; kinds: row -> "truth", "system", "control", "floor".
-
-    distances: row -> network -> an FGD with what it depends on; curves: "row, mode" -> mean PMB at `pmb.DELTAS`.
-    """
-
-    clips: Sequence[str]
-    seconds: float
-    fps: float
-    metrics: Mapping[str, Metric]
-    kinds: Mapping[str, str]
-    figures: Figures
-    differences: Figures
-    distances: Mapping[str, Mapping[str, fgd.Figure]]
-    mismatch: Mapping[str, Mapping[str, Mismatch]]
-    curves: Mapping[str, Sequence[float]]
-    flags: Sequence[Flag]
-    notes: Sequence[str]
-
-
 def score(clips: ClipSet, networks: Mapping[str, Features], bundle: Any = None, *, with_controls: bool = True,
           seed: int = 0) -> Scores:
     """Measure all rows on the same clips."""
-    tracks = [OnsetTrack.of(speech) if speech is not None else None for speech in clips.speeches]
-    voices = [None if speech is None else eye.hear(speech) for speech in clips.speeches]
-    context = ScoreContext(clips, tracks, networks, None if bundle is None else ClipEncoder.of(bundle, clips), seed,
-                           voices, eye.ReferenceSpace.found())
-    made, notes = control_rows(clips, seed, voices) if with_controls else ({}, [])
+    context = ScoreContext.of(clips, networks, bundle, seed)
+    made, notes = control_rows(clips, seed, context.voices) if with_controls else ({}, [])
     rows = {name: context.row(name, TRUTH if name == TRUTH else "system", motions)
             for name, motions in clips.motions.items()}
     rows |= {name: context.row(name, "control", motions) for name, motions in made.items()}
@@ -437,140 +352,7 @@ def score(clips: ClipSet, networks: Mapping[str, Features], bundle: Any = None, 
         {f"{a.name} - {b.name}": differences(a, b, rows[TRUTH], context)
          for a, b in itertools.combinations(systems, 2)},
         distances, mismatches(list(rows.values()), context),
-        {f"{name}, {mode}": _mean(values) for name, row in rows.items() for mode, values in row.curves.items()},
         flags(rows, figures, metrics, seed), [*clips.notes, *notes])
-
-
-def _mean(curves: Array) -> list[float]:
-    """[deltas] the mean over the clips that have a value."""
-    known = curves[np.isfinite(curves).all(axis=1)]
-    return known.mean(axis=0).tolist() if len(known) else [math.nan] * curves.shape[1]
-
-
-# ------------------------------------------------------------------------------------------------------ for readers
-
-_GOOD = {"low": "less is better", "high": "more is better", "near": "near the truth's is good", "": "no judgement"}
-_PARTS = {"joints": "Joints against the speaker's own", "beats": "Motion beats and onsets",
-          "consistency": "Beat consistency", "vigour": "Vigour and smoothness", "lexemes": "As the bundle reads it",
-          "eye hands": "What the eye sees: two hands", "eye trunk": "What the eye sees: trunk and life",
-          "eye strokes": "What the eye sees: strokes", "eye voice": "What the eye sees: in time with the voice",
-          "eye frechet": "What the eye sees: everything at once", "sets": "Sets of motion",
-          "fgd": "Sets of motion, by a network's features"}
-_ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
-         "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
-         "jitter": "the truth with every joint 2 cm off, anew in each frame",
-         "mirrored": "the truth with the right arm's motion on both arms",
-         BOBBING: "the truth's mean pose whose forearms stop at every onset"}
-_LEGEND = (
-    "[low, high]: 95 % interval over clips. -: undefined, the reason is told below. (!): a metric that a control "
-    "beats, see below. (?): a distance of a set too small for it, see \"FGD of\".",
-    "PMB: share of motion beats with an onset of the speech within so many seconds. Beats A: where the arms brake "
-    "hardest; B: where they stand still. Chance is the same motion with the speech moved.")
-
-
-def tables(scores: Scores) -> list[Table]:
-    """What is compared, a table for each part, and what to make of it; metrics that a control beats bear (!)."""
-    flagged = {flag.metric for flag in scores.flags}
-    out = [_about(scores)]
-    for part, title in _PARTS.items():
-        metrics = {name: metric for name, metric in scores.metrics.items() if metric.part == part}
-        rows = {name: row for name, row in scores.figures.items() if part in ("sets", "fgd") or name != FLOOR}
-        if metrics:
-            columns = {name: Column(f"{metric.title}{' (!)' if name in flagged else ''}",
-                                    f"{metric.unit}{', ' if metric.unit else ''}{_GOOD[metric.good]}", metric.digits,
-                                    metric.good) for name, metric in metrics.items()}
-            out.append(Table(title, columns, {name: {key: row[key] for key in columns if key in row}
-                                              for name, row in {**rows, **scores.differences}.items()}, "row"))
-    out.append(Table("PMB by delta, %", {f"{delta:g}": Column(f"{delta:g} s", digits=0) for delta in pmb.DELTAS},
-                     {name: dict(zip((f"{delta:g}" for delta in pmb.DELTAS), values, strict=True))
-                      for name, values in scores.curves.items()}, "row, beats"))
-    return [*out, _mismatch_table(scores), _fgd_table(scores), _flag_table(scores), *_reason_tables(scores)]
-
-
-def _about(scores: Scores) -> Table:
-    """What is compared, what the rows are, how cells are to be read."""
-    clips, kinds = len(scores.clips), scores.kinds
-    few = f" Fewer than {FEW} clips: the intervals are too narrow." if clips < FEW else ""
-    rows: dict[str, str] = {TRUTH: _ROWS[TRUTH]} | {name: "judged" for name, kind in kinds.items() if kind == "system"}
-    rows |= {name: f"{_ROWS[name]} (control, known to be wrong)" for name, kind in kinds.items() if kind == "control"}
-    if FLOOR in kinds:
-        rows[FLOOR] = "as far apart as two sets of real motion of this size are"
-    if scores.differences:
-        rows["A - B"] = "the difference of two systems, paired over clips"
-    facts = {"clips": list(scores.clips), "seconds": scores.seconds, "fps": scores.fps, "notes": list(scores.notes),
-             "systems": [name for name, kind in kinds.items() if kind == "system"],
-             "controls": [name for name, kind in kinds.items() if kind == "control"]}
-    return Table(f"{clips} clip{'' if clips == 1 else 's'}, {scores.seconds:.0f} s, at {scores.fps:g} fps.{few}",
-                 {"what": Column("what it is")}, {name: {"what": told} for name, told in rows.items()}, "row",
-                 [*_LEGEND, *(f"Note: {note}." for note in scores.notes)], facts)
-
-
-def _mismatch_table(scores: Scores) -> Table:
-    """Right speech against others'; a row for each row and metric."""
-    rows: dict[str, dict[str, Any]] = {}
-    for name, tests in scores.mismatch.items():
-        for metric, test in tests.items():
-            digits = scores.metrics[metric].digits + 1
-            cells: dict[str, Cell] = {"right": test.right, "wrong": test.wrong, "difference": test.difference}
-            rows[f"{name}, {scores.metrics[metric].title}"] = {
-                **{key: shown_cell(cell, digits) for key, cell in cells.items()},
-                "p": test.reason or f"{test.p_value:.3g}"}
-    clips = len(scores.clips)
-    notes = [f"With {clips} clips p cannot be below {1 / math.factorial(clips):.3g}: look at the differences, or take "
-             "more clips (or --piece)."] if 1 < clips < 5 else []
-    facts = {name: {metric: test.to_dict() for metric, test in tests.items()}
-             for name, tests in scores.mismatch.items()}
-    return Table("Mismatch test", {"right": Column("right speech"), "wrong": Column("others'"),
-                                   "difference": Column("difference"), "p": Column("p")}, rows, "row, metric", notes,
-                 facts)
-
-
-def _fgd_table(scores: Scores) -> Table:
-    """Is each distance of enough windows?"""
-    rows: dict[str, dict[str, Any]] = {}
-    for name, distances in scores.distances.items():
-        for key, figure in distances.items() if name != TRUTH else ():
-            rows[f"{name}, {key}"] = {
-                "network": f"{figure.features} ({figure.sha256[:12]})",
-                "window": f"{figure.frames} at {figure.fps:g} fps",
-                "windows": f"{figure.windows[0]} / {figure.windows[1]}", "needed": figure.needed,
-                "bias": f"{figure.bias:.2g}" if math.isfinite(figure.bias) else None, "enough": fgd_verdict(figure)}
-    heads = {"network": "network (SHA-256)", "window": "window", "windows": "windows of it / of the truth",
-             "needed": "needed", "bias": "bias of the sample", "enough": "enough?"}
-    return Table("FGD of", {key: Column(title) for key, title in heads.items()}, rows, "row, network", [
-        "Bias of the sample: as far as two samples of this size of one motion are apart by chance, if windows were "
-        "independent; those of one clip are not, so it is more."])
-
-
-def _flag_table(scores: Scores) -> Table:
-    """Which metrics cannot be trusted."""
-    title, column = "Metrics that a control beats", {"says": Column("by what")}
-    if "control" not in scores.kinds.values():
-        return Table(title, {}, {}, notes=["No controls were measured, so nothing here says which metric can be "
-                                           "trusted."])
-    told: dict[str, list[str]] = {}
-    for flag in scores.flags:
-        told.setdefault(scores.metrics[flag.metric].heading, []).append(f"*{flag.control}* {flag.says}")
-    return Table(title, column if told else {}, {name: {"says": ". ".join(says)} for name, says in told.items()},
-                 "metric", [] if told else ["None."],
-                 {"flags": [vars(flag) | {"title": scores.metrics[flag.metric].heading} for flag in scores.flags]})
-
-
-def _reason_tables(scores: Scores) -> list[Table]:
-    """Why figures are undefined, if any are; by reason."""
-    rows: dict[tuple[str, str], list[str]] = {}
-    for metric, column in scores.metrics.items():
-        by_reason: dict[str, list[str]] = {}
-        for name, figures in scores.figures.items():
-            cell = figures.get(metric)
-            if cell is not None and cell.reason and column.part != "fgd" and cell.reason != NO_FLOOR:
-                by_reason.setdefault(cell.reason, []).append(name)
-        for reason, names in by_reason.items():
-            rows.setdefault((reason, ", ".join(names)), []).append(column.heading)
-    if not rows:
-        return []
-    return [Table("Undefined", {"rows": Column("rows"), "why": Column("why")}, {
-        "; ".join(titles): {"rows": names, "why": reason} for (reason, names), titles in rows.items()}, "metrics")]
 
 
 # --------------------------------------------------------------------------------------------------------- command
@@ -579,36 +361,21 @@ def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict
     """What FGD is measured in, two window lengths at least: the papers' network (fgd_folder), our own that lie in work
     (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
     found: list[Features] = [published(fgd_folder)] if fgd_folder else []
-    if work is not None:
-        own = sorted(file.parent for file in work.rglob("gesture_features.json"))
-        if not own and (truth / "store.json").is_file():
-            work.mkdir(parents=True, exist_ok=True)
-            found += [one for one in networks(Store.open(truth), work) if one.name.startswith("own")]
-        found += [as_features(load(folder)) for folder in own]
-    lengths = {round(one.frames / one.fps, 6) for one in found}
+    own = sorted(file.parent for file in work.rglob("gesture_features.json")) if work is not None else []
+    if work is not None and not own and (truth / "store.json").is_file():
+        work.mkdir(parents=True, exist_ok=True)
+        found += [one for one in networks(Store.open(truth), work) if one.name.startswith("own")]
+    found += [as_features(load(folder)) for folder in own]
     for frames in RAW_FRAMES:
+        lengths = {round(one.frames / one.fps, 6) for one in found}
         if len(lengths) < 2 and round(frames / FPS, 6) not in lengths:
             found.append(RawFeatures(frames))
-            lengths.add(round(frames / FPS, 6))
     table: dict[str, Features] = {}
     for one in found:
         length = f"{one.frames} frames"
         name = one.name if one.name.endswith(length) else f"{one.name}, {length}"
         # Two networks of our own may differ only in what they were trained on.
         table[name if name not in table else f"{name} ({one.sha256[:8]})"] = one
-    return table
-
-
-def named(entries: Sequence[str], what: str) -> dict[str, str]:
-    """NAME=VALUE ... as a table; InputError for one that is not, or a name that comes twice."""
-    table: dict[str, str] = {}
-    for entry in entries:
-        name, mark, value = entry.partition("=")
-        if not (name and mark and value):
-            raise InputError(f"{what} {entry}", "is not of the form NAME=VALUE", "name it: ours=DIR")
-        if name in table:
-            raise InputError(f"{what} {entry}", "has a name that was given before", "choose another")
-        table[name] = value
     return table
 
 

@@ -40,7 +40,7 @@ from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
 from eval import anova
 from eval.draw import video
-from eval.draw.strips import figure_points
+from eval.draw.figure import figure_points
 from eval.foreign import find_sound
 from eval.table import publish
 from gesticulator.export import sound

@@ -25,6 +25,7 @@ from data_module.store import Recording, RecordingInfo, Store, StoreWriter
 from data_module.truth import PlayedStroke, Truth
 from data_module.types import Blocks, Motion, Speech, Word
 from eval.commands import DRAW
+from eval.draw import embedding
 from eval.draw import lexicon_map as maps
 from eval.encode import EncodedMotion, encode_motion
 from gesticulator import bundle as bundles
@@ -136,15 +137,15 @@ def test_neighbours_and_embedding_of_two_heaps() -> None:
     rng = np.random.default_rng(0)
     labels = np.repeat([0, 1], 40)
     heaps = rng.standard_normal((80, 8)) + 30.0 * labels[:, None]
-    assert maps.neighbours_agree(heaps, labels) == 1.0
-    assert maps.neighbours_agree(heaps, np.arange(80) % 2) == pytest.approx(0.5, abs=0.1)
-    flat = maps.embed(heaps)
-    assert flat.shape == (80, 2) and maps.neighbours_agree(flat, labels) == 1.0
-    np.testing.assert_array_equal(flat, maps.embed(heaps))
+    assert embedding.neighbours_agree(heaps, labels) == 1.0
+    assert embedding.neighbours_agree(heaps, np.arange(80) % 2) == pytest.approx(0.5, abs=0.1)
+    flat = embedding.embed(heaps)
+    assert flat.shape == (80, 2) and embedding.neighbours_agree(flat, labels) == 1.0
+    np.testing.assert_array_equal(flat, embedding.embed(heaps))
 
 
 def test_colours_differ() -> None:
-    made = maps.colours(100)
+    made = embedding.colours(100)
     assert len(set(made)) == 100 and all(re.fullmatch("#[0-9a-f]{6}", own) for own in made)
 
 

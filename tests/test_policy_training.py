@@ -88,10 +88,10 @@ def test_what_acts_keeps_to_the_silent_mask(context: RacerContext) -> None:
 def test_each_kind_learns_from_its_own(context: RacerContext) -> None:
     def batch_of(name: str) -> dict[str, Tensor]:
         row, config = ROWS[f"racer-{name}"], context.config(f"racer-{name}")
-        learner = training.TRAININGS[row.training](context, config, context.untrained(f"racer-{name}", 1), 1)
-        assert isinstance(learner.model, ActorCritic if row.training == "actor-critic" else ConservativeQ)
-        learner.model.before_step(0)
-        got, again = (learner.make_batch(np.random.default_rng(5)) for _ in range(2))
+        model, make_batch = training.TRAININGS[row.training](context, config, context.untrained(f"racer-{name}", 1), 1)
+        assert isinstance(model, ActorCritic if row.training == "actor-critic" else ConservativeQ)
+        model.before_step(0)
+        got, again = (make_batch(np.random.default_rng(5)) for _ in range(2))
         assert all(torch.equal(value, again[key]) for key, value in got.items())
         return got
 
@@ -109,10 +109,10 @@ def test_each_kind_learns_from_its_own(context: RacerContext) -> None:
 
 def test_the_actor_begins_as_the_supervised_network(context: RacerContext) -> None:
     supervised, _ = training.trained(context, "racer-supervised", 1)
-    learner = training.actor_critic(context, context.config("racer-actor-critic"),
-                                    context.untrained("racer-cql", 1), 1)
-    assert isinstance(learner.model, ActorCritic) and isinstance(supervised, QNetwork)
-    assert torch.equal(weights(learner.model.actor), weights(supervised))
+    model, _ = training.actor_critic(context, context.config("racer-actor-critic"),
+                                     context.untrained("racer-cql", 1), 1)
+    assert isinstance(model, ActorCritic) and isinstance(supervised, QNetwork)
+    assert torch.equal(weights(model.actor), weights(supervised))
 
 
 @pytest.mark.parametrize("name", ["racer-cql", "racer-dqn", "racer-actor-critic"])

@@ -26,7 +26,7 @@ from data_module.store import Store
 from data_module.types import Motion, Speech
 from eval import foreign, score
 from eval.baselines import jittered, mean_pose
-from eval.clip_set import common_clips
+from eval.clip_set import TRUTH, common_clips
 from eval.commands import SCORE
 from eval.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.foreign import Clip, read_motion
@@ -34,7 +34,8 @@ from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.gesture_features import RawFeatures
 from eval.reward_probe import RewardProbe
-from eval.score import FLOOR, STILL, TRUTH, Flag, Scores, flags, mean_of, tables
+from eval.score import flags, mean_of
+from eval.score_tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, load, save
 from gesticulator import bundle as bundles
@@ -409,7 +410,7 @@ def test_the_shortest_clips_are_scored_or_say_why_not(truth: dict[str, Clip], fr
     result = score.score(common_clips({TRUTH: short, "ours": short}), NETWORKS)
     assert mean_of(result.figures, "ours", "maje") == 0.0
     assert np.isnan(mean_of(result.figures, "ours", "raw, 20 frames"))
-    verdict = score.fgd_verdict(result.distances["ours"]["raw, 20 frames"])
+    verdict = result.distances["ours"]["raw, 20 frames"].verdict
     assert verdict == "no: 0 windows in a set: a covariance needs two"
 
 
@@ -443,8 +444,8 @@ def test_a_system_that_equals_a_control_is_told_of(truth: dict[str, Clip]) -> No
 
 def test_the_table_says_whether_the_sample_suffices() -> None:
     def verdict(distance: float, bias: float, windows: tuple[int, int], needed: int = 160) -> str:
-        return score.fgd_verdict(fgd.Figure(distance, Interval(distance, 0.0, 1.0, 3), bias, windows, needed, "own", 34,
-                                            15.0, "00", "too little"))
+        return fgd.Figure(distance, Interval(distance, 0.0, 1.0, 3), bias, windows, needed, "own", 34, 15.0, "00",
+                          "too little").verdict
 
     assert verdict(9.0, 0.5, (200, 300)) == "yes"
     assert verdict(9.0, 0.5, (100, 300)) == "no: 100 windows, and 160 are needed"

@@ -12,7 +12,8 @@ from data_module.errors import InputError
 from data_module.motion import bvh
 from eval.commands import DRAW
 from eval.draw import strip_page
-from eval.draw.strip_page import BEAT_CREDIT, LINE, Source, draw_page, page_times
+from eval.draw.strip_page import BEAT_CREDIT, page_times
+from eval.draw.strips import PAGE, Source, draw_page
 
 matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 
@@ -35,7 +36,7 @@ def test_every_source_stands_front_and_side_in_every_line_that_it_reaches() -> N
                        page_times(0.0, 8.0, 8.0), long.speech, title="both", credits=["and thanks"])
     found = texts(figure)
     # 32 poses are two lines; the second source ends before the first line does, so it has none.
-    assert LINE < 32 and found.count("first") == 2 and found.count("second") == 0
+    assert PAGE.line < 32 and found.count("first") == 2 and found.count("second") == 0
     assert found.count("front") == found.count("side") == 2
     assert {"0.00 s", "3.75 s", "4.00 s", "7.75 s", "both", "made by somebody", "and thanks"} <= set(found)
     both = [Source("first", long.motion), Source("second", short.motion)]
@@ -66,7 +67,7 @@ def test_command_draws_a_page_of_files_and_folders(tmp_path: Path, capsys: pytes
     assert out.read_bytes() == first
     wrong = (([*begin], "--out"), ([*begin, "--out", str(out)], "name the file itself"),
              (["strip", "--out", str(out)], "nothing|outside"), (["strip", "--ours", "--out", str(out)], "no sound"),
-             (["strip", "--system", "nameless", "--out", str(out)], "NAME=FILE"),
+             (["strip", "--system", "nameless", "--out", str(out)], "NAME=VALUE"),
              (["strip", str(tmp_path / "ours" / "talk.bvh"), "--take"], "stands beside"))
     for arguments, told in wrong:
         capsys.readouterr()

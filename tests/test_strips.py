@@ -7,10 +7,11 @@ import pytest
 from performances import perform
 
 from data_module.errors import InputError
-from data_module.motion import bvh, kinematics
+from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, facing
+from data_module.types import Motion
 from eval.commands import DRAW
-from eval.draw import DRAWINGS, strips
+from eval.draw import DRAWINGS, figure, strips
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 
@@ -18,7 +19,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 def test_points_are_the_joints_of_the_facing_character() -> None:
     motion = perform().motion
     times = np.array([5, 40]) / motion.fps
-    points = strips.figure_points(motion, times)
+    points = figure.figure_points(motion, times)
     told = kinematics.positions_of(facing(motion))[[5, 40]] + [0, HIP_HEIGHT, 0]
     for joint, name in enumerate(CHARACTER.names):
         np.testing.assert_allclose(points[name], told[:, joint], atol=1e-9)
@@ -27,8 +28,8 @@ def test_points_are_the_joints_of_the_facing_character() -> None:
 
 
 def test_outline_is_a_hull_around_both_circles() -> None:
-    start, end = np.array([0.0, 0.0]), np.array([3.0, 4.0])
-    outline = strips.capsule_outline(start, end, (2.0, 1.0), steps=400)
+    start, end = np.array([[0.0, 0.0]]), np.array([[3.0, 4.0]])
+    outline = figure.outlines(start, end, np.array([1.0]), np.array([0.5]))[0]
     on_first = np.isclose(np.linalg.norm(outline - start, axis=1), 1.0)
     on_second = np.isclose(np.linalg.norm(outline - end, axis=1), 0.5)
     assert (on_first | on_second).all() and on_first.any() and on_second.any()
@@ -38,9 +39,24 @@ def test_outline_is_a_hull_around_both_circles() -> None:
     touch = np.arccos(0.5 / 5.0)
     sides = np.sqrt(25 - 0.25) * (1.0 + 0.5)
     caps = (np.pi - touch) * 1.0**2 + touch * 0.5**2
-    assert area == pytest.approx(sides + caps, rel=1e-3)
-    inside = strips.capsule_outline(start, start + 0.1, (2.0, 0.4))
-    np.testing.assert_allclose(np.linalg.norm(inside, axis=1), 1.0)
+    assert area == pytest.approx(sides + caps, rel=1e-2)
+    inside = figure.outlines(start, start + 0.1, np.array([1.0]), np.array([0.2]))[0]
+    assert (np.linalg.norm(inside, axis=1) <= 1.0 + 1e-9).all()
+    assert np.isclose(np.linalg.norm(inside, axis=1), 1.0).sum() == figure.ROUND
+
+
+@pytest.mark.parametrize("view", ["front", "side"])
+def test_what_is_nearer_is_drawn_later(view: str) -> None:
+    """In the rest pose, arms to the sides."""
+    turns = np.zeros((2, len(CHARACTER), 3))
+    motion = Motion(CHARACTER, rotation.from_exponential_map(turns), np.zeros((2, 3)), 30.0)
+    parts = figure.seen(figure.figure_points(motion, np.zeros(1)), figure.VIEWS[view])
+    order = [part.hand for part in parts if part.hand]
+    assert sorted(order) == ["Left", "Right"] and parts[0].limbs[0].colour == figure.TROUSERS
+    assert [part.near[0] for part in parts[1:]] == sorted(part.near[0] for part in parts[1:])
+    # From her left, the right hand is far and the left one near; from the front, her left is at the right.
+    places = {part.hand: part.limbs[-1].end[0] for part in parts if part.hand}
+    assert order == ["Right", "Left"] if view == "side" else places["Left"][0] > 0 > places["Right"][0]
 
 
 def test_times_cover_the_stretch_and_bad_ones_are_refused() -> None:

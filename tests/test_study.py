@@ -24,7 +24,7 @@ from data_module.types import Array, Speech
 from eval import anova, study
 from eval.anova import Key
 from eval.commands import STUDY
-from eval.draw import strips
+from eval.draw.figure import figure_points
 from eval.stats import crossed_means
 from eval.table import load
 
@@ -99,7 +99,7 @@ def test_items_hold_the_motion_and_the_sound_that_the_key_says(made: Path, syste
         clip = key["clips"][own["clip"]]
         sounds.setdefault(own["clip"], set()).add(item["sound"])
         motion = bvh.read_bvh(systems[own["system"]] / f"{clip['recording']}.bvh")
-        expected = strips.figure_points(motion, clip["start"] + np.arange(61) / 30)
+        expected = figure_points(motion, clip["start"] + np.arange(61) / 30)
         steps = np.frombuffer(base64.b64decode(item["motion"]), "<i2").reshape(61, len(told["points"]), 3)
         for number, name in enumerate(told["points"]):
             np.testing.assert_allclose(steps[:, number] / told["stepsPerMetre"], expected[name], atol=1e-4)
@@ -415,7 +415,7 @@ def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str
         far = {}
         for system, folder in systems.items():
             motion = bvh.read_bvh(folder / f"{clip['recording']}.bvh")
-            points = strips.figure_points(motion, clip["start"] + np.array([20]) / 30)
+            points = figure_points(motion, clip["start"] + np.array([20]) / 30)
             far[system] = np.abs(np.array(next(video.pictures(points))).astype(int) - shown[20]).mean()
         assert min(far, key=lambda system: far[system]) == own["system"]
         with av.open(str(films["webm"] / "page" / f"{name}.webm")) as container:

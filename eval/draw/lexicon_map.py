@@ -15,18 +15,14 @@ speed that counts is the performed one.
 from __future__ import annotations
 
 import argparse
-import colorsys
-import html
 import json
 import math
-import re
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -38,23 +34,20 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.types import Array, Blocks, Motion
-from eval.draw.strips import HANDS, INK, SHIRT, SKIN, VIEWS, figure_points, save_strip
+from eval.draw.embedding import NEIGHBOURS, Labels, embed, embedding_panels, neighbours_agree
+from eval.draw.lexicon_page import LexemeEntry, LexemeWord, page, pictures
+from eval.draw.strips import save_strip
 from eval.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
 from gesticulator.statistics import representation_of
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-PERPLEXITY, NEIGHBOURS = 30.0, 10
 LEAST, SURE, PRIOR = 5, 3.0, 500.0
 """A word is listed when it stands on a lexeme's blocks this often and this many standard errors too often; the strength
 of the prior in words."""
 MOST_WORDS, MOST_STROKES = 6, 3
 NO_STROKE = "no stroke"
-Labels = NDArray[np.int64]
 
 
 def evenly(store: Store, split: str, limit: int | None = None) -> list[RecordingInfo]:
@@ -73,82 +66,7 @@ def block_of_frames(edges: Array, count: int, fps: float) -> Labels:
     return np.clip(np.searchsorted(edges, (np.arange(count) + 0.5) / fps) - 1, 0, len(edges) - 2)
 
 
-# -------------------------------------------------------------------------------------------------- the latents
-
-def embed(latents: Array, seed: int = 0) -> Array:
-    """[n, 2] t-SNE of latents [n, D]."""
-    from sklearn.manifold import TSNE
-
-    perplexity = min(PERPLEXITY, (len(latents) - 1) / 3)
-    made = TSNE(perplexity=perplexity, init="pca", random_state=seed).fit_transform(latents)
-    return np.asarray(made, dtype=np.float64)
-
-
-def neighbours_agree(points: Array, labels: Labels, count: int = NEIGHBOURS) -> float:
-    """Share of each point's nearest neighbours that have its label."""
-    from sklearn.neighbors import NearestNeighbors
-
-    near = NearestNeighbors(n_neighbors=min(count, len(points) - 1)).fit(points).kneighbors(return_distance=False)
-    return float((labels[near] == labels[:, None]).mean())
-
-
-def colours(size: int) -> list[str]:
-    """`size` colours, neighbours in number far apart in hue."""
-    made = [colorsys.hls_to_rgb(i * 0.61803398875 % 1, (0.42, 0.56, 0.34)[i % 3], (0.65, 0.8, 0.5)[i % 3])
-            for i in range(size)]
-    return ["#" + "".join(f"{round(255 * part):02x}" for part in own) for own in made]
-
-
-def draw_latents(points: Array, labels: Labels, silent: Sequence[int], size: int, caption: str) -> Figure:
-    """Points [n, 2] coloured by lexeme, its number where they are thickest; silent lexemes are crosses."""
-    from matplotlib.figure import Figure as NewFigure
-
-    canvas = NewFigure(figsize=(9, 9.4), facecolor="white")
-    axis = canvas.add_axes((0.02, 0.02, 0.96, 0.92))
-    palette = colours(size)
-    for lexeme in np.unique(labels).tolist():
-        own = points[labels == lexeme]
-        still = lexeme in silent
-        axis.scatter(own[:, 0], own[:, 1], s=14 if still else 9, marker="x" if still else "o", c=palette[lexeme],
-                     alpha=0.75, linewidths=0.8 if still else 0, rasterized=True)
-        # The point nearest to all of its own: a lexeme of two clumps gets its number on one of them.
-        centre = own[np.abs(own[:, None] - own[None]).sum(-1).sum(-1).argmin()]
-        axis.text(float(centre[0]), float(centre[1]), str(lexeme), fontsize=9, color=INK, ha="center", va="center",
-                  bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": palette[lexeme], "lw": 0.8, "alpha": 0.85})
-    axis.axis("off")
-    canvas.text(0.5, 0.97, caption, fontsize=10, color=INK, ha="center", va="center")
-    return canvas
-
-
 # ---------------------------------------------------------------------------------------------- what goes with it
-
-@dataclass(frozen=True)
-class LexemeWord:
-    """A word on the blocks of a lexeme: how often, and how many standard errors more often than elsewhere."""
-
-    text: str
-    count: int
-    z: float
-
-
-@dataclass(frozen=True)
-class LexemeEntry:
-    """One lexeme. share: of all blocks; shares: of each performer's; hand_speed: m/s on its blocks as performed (NaN
-    where none was read); decoded_speed: m/s of the decoded lexeme in normalised time; in_silence: share of its blocks
-    that lie in a pause; strokes: shares of its blocks; sample: where its sample gesture is from."""
-
-    lexeme: int
-    silent: bool
-    blocks: int
-    share: float
-    shares: dict[str, float]
-    hand_speed: float
-    decoded_speed: float
-    in_silence: float
-    words: tuple[LexemeWord, ...]
-    strokes: dict[str, float]
-    sample: str
-
 
 def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int = LEAST, sure: float = SURE,
                 most: int = MOST_WORDS) -> list[tuple[LexemeWord, ...]]:
@@ -268,108 +186,6 @@ def decoded(bundle: Bundle) -> list[Motion]:
     return [representation.motion(own, bundle.config.rhythm.fps) for own in poses]
 
 
-# ------------------------------------------------------------------------------------------------------ the page
-
-_SLOT = re.compile(r"\{\{([a-z]+)\}\}")
-_CROP = {"front": (-0.72, 1.44), "side": (-0.78, 1.14)}
-"""View -> left edge and width of the picture in metres."""
-_TOP, _TALL = 1.8, 1.06
-_GHOSTS = ((0.0, 0.16), (0.5, 0.34), (1.0, 1.0))
-"""Share of the gesture, and how strongly its pose is drawn."""
-_KNOTS = 11
-
-
-def picture(motion: Motion, views: Sequence[str] = tuple(VIEWS)) -> str:
-    """A short motion as inline SVG, one per view: first, middle and last pose, and the hands' ways.
-
-    Dots mark a hand's way at eleven even moments, so wide gaps are speed; the ring is its end.
-    """
-    points = figure_points(motion, np.linspace(0, (len(motion) - 1) / motion.fps, _KNOTS))
-    return "".join(_view(points, view, _KNOTS) for view in views)
-
-
-def _view(points: Mapping[str, Array], view: str, frames: int) -> str:
-    across, depth = VIEWS[view]
-    sign = -1.0 if view == "side" else 1.0  # as in strips: seen from the left, +Z points left
-    flat = {name: np.stack([sign * p[:, across], _TOP - p[:, 1]], axis=1) for name, p in points.items()}
-    left, wide = _CROP[view]
-    parts = []
-    for share, strength in _GHOSTS:
-        frame = round(share * (frames - 1))
-        near = {side: float(points[f"{side}Hand"][frame, depth]) for side in HANDS}
-        parts.append(f'<g opacity="{strength}">{_pose({n: p[frame] for n, p in flat.items()}, near)}</g>')
-    for side, colour in HANDS.items():
-        way = flat[f"{side}HandTip"]
-        dots = "".join(f'<circle cx="{x:.3f}" cy="{y:.3f}" r=".009"/>' for x, y in way)
-        line = " ".join(f"{x:.3f},{y:.3f}" for x, y in way)
-        parts.append(f'<g fill="{colour}"><polyline points="{line}" fill="none" stroke="{colour}" stroke-width=".008"/>'
-                     f'{dots}<circle cx="{way[-1, 0]:.3f}" cy="{way[-1, 1]:.3f}" r=".022" fill="none" '
-                     f'stroke="{colour}" stroke-width=".009"/></g>')
-    return (f'<svg class="{view}" viewBox="{left} 0 {wide} {_TALL}" role="img" aria-label="{view} view">'
-            f'{"".join(parts)}</svg>')
-
-
-def _pose(now: Mapping[str, Array], near: Mapping[str, float]) -> str:
-    def line(names: Sequence[str], width: float, colour: str) -> str:
-        way = " ".join(f"{now[name][0]:.3f},{now[name][1]:.3f}" for name in names)
-        return f'<polyline points="{way}" stroke="{colour}" stroke-width="{width}"/>'
-
-    def arm(side: str) -> str:
-        return (line((f"{side}Arm", f"{side}ForeArm"), 0.085, SHIRT)
-                + line((f"{side}ForeArm", f"{side}Hand", f"{side}HandTip"), 0.06, SKIN))
-
-    sides = sorted(HANDS, key=lambda side: near[side])
-    head = (now["Head"] + now["HeadTip"]) / 2
-    body = (line(("Hips", "Spine", "Spine1", "Spine2", "Spine3"), 0.25, SHIRT)
-            + line(("LeftArm", "Neck", "RightArm"), 0.11, SHIRT) + line(("Neck", "Head"), 0.09, SKIN)
-            + f'<circle cx="{head[0]:.3f}" cy="{head[1]:.3f}" r=".105" fill="{SKIN}"/>')
-    behind = [side for side in sides if near[side] < 0]
-    front = [side for side in sides if near[side] >= 0]
-    return (f'<g fill="none" stroke-linecap="round" stroke-linejoin="round">{"".join(map(arm, behind))}{body}'
-            f'{"".join(map(arm, front))}</g>')
-
-
-def pictures(entry: LexemeEntry, sample: Motion | None, own: Motion) -> str:
-    """The sample gesture of a lexeme beside the lexeme as decoded."""
-    drawn, said = (picture(sample), entry.sample) if sample is not None else ("", "on no block that was read")
-    return (f'<figure class="sample">{drawn}<figcaption>{html.escape(said)}</figcaption></figure>'
-            f'<figure>{picture(own, ("front",))}<figcaption>as decoded</figcaption></figure>')
-
-
-def card(entry: LexemeEntry, drawing: str, colour: str, widest: float) -> str:
-    """One lexeme of the page. widest: the share that fills a bar."""
-    who = "".join(f'<span>{html.escape(name)}</span><span><span class="bar" style="width:'
-                  f'{min(100.0, 80 * share / max(widest, 1e-9)):.0f}px"></span>{100 * share:.1f} %</span>'
-                  for name, share in entry.shares.items())
-    words = ", ".join(f'<b title="{w.count} times, z = {w.z:.1f}">{html.escape(w.text)}</b>' for w in entry.words)
-    speed = f"{entry.hand_speed:.2f} m/s as performed, " if math.isfinite(entry.hand_speed) else ""
-    strokes = ", ".join(f"{html.escape(kind)} {100 * share:.0f} %" for kind, share in entry.strokes.items())
-    return (f'<article data-lexeme="{entry.lexeme}" data-share="{entry.share}" data-speed="{_plain(entry.hand_speed)}" '
-            f'data-pause="{entry.in_silence}"><h2><i style="background:{colour}"></i>{entry.lexeme}<label>'
-            f'<input type="checkbox"{" checked" if entry.silent else ""}> silent</label></h2>'
-            f'<div class="pictures">{drawing}</div><dl><dt>blocks</dt><dd>{entry.blocks} ({100 * entry.share:.1f} %), '
-            f'{100 * entry.in_silence:.0f} % of them in pauses</dd>'
-            f'<dt>hands</dt><dd>{speed}{entry.decoded_speed:.2f} as decoded</dd>'
-            f'<dt>words</dt><dd>{words or "-"}</dd><dt>strokes</dt><dd>{strokes or "-"}</dd>'
-            f'<dt>performers</dt><dd class="who">{who}</dd></dl></article>')
-
-
-def _plain(value: float) -> float:
-    return value if math.isfinite(value) else -1.0
-
-
-def page(entries: Sequence[LexemeEntry], drawings: Sequence[str], command: tuple[str, str], title: str, note: str
-         ) -> str:
-    """The contact sheet, nothing outside it. command: what stands before and after the list of ticked lexemes."""
-    widest = max((share for own in entries for share in own.shares.values()), default=1.0)
-    cards = "\n".join(card(own, drawing, colour, widest)
-                      for own, drawing, colour in zip(entries, drawings, colours(len(entries)), strict=True))
-    head, tail = (html.escape(part, quote=True) for part in command)
-    parts = {"title": html.escape(title), "note": html.escape(note), "head": head, "tail": tail, "cards": cards}
-    text = (resources.files("eval") / "assets" / "lexicon.html").read_text(encoding="utf-8")
-    return _SLOT.sub(lambda found: parts[found[1]], text)
-
-
 # --------------------------------------------------------------------------------------------------- the command
 
 def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], progress: bool = True
@@ -397,10 +213,10 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     flat = embed(latents[few])
     shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])
     used = sum(own.blocks > 0 for own in entries)
-    caption = (f"E(M) of {len(few)} blocks by t-SNE; {used} of {size} lexemes, x silent\n{100 * shown:.0f} % of the "
+    caption = (f"E(M) by t-SNE; {used} of {size} lexemes are used, x silent\n{100 * shown:.0f} % of the "
                f"{NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space")
     out.mkdir(parents=True, exist_ok=True)
-    figure = draw_latents(flat, labels[few], silent, size, caption)
+    figure = embedding_panels({caption: (flat, labels[few])}, size, silent)
     for suffix in ("png", "svg"):
         save_strip(figure, out / f"latents.{suffix}")
     shipped = folder is None or Path(folder).resolve() == bundles.SHIPPED.resolve()

@@ -8,7 +8,7 @@ motion is of the first seed and, where one clip is shown, of the first test reco
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,18 +25,10 @@ from data_module.speech.beats import find_beats
 from data_module.store import Recording
 from data_module.types import Motion
 from eval.draw.edited import figure_10
-from eval.draw.lexicon_map import NEIGHBOURS, draw_latents, embed, evenly, neighbours_agree
-from eval.draw.plots import (
-    Overview,
-    beat_strips,
-    cluster_bars,
-    delta_curves,
-    embedding_panels,
-    joint_embedding,
-    overview,
-    size_sweep,
-)
-from eval.draw.strips import draw_strip, frame_times, save_strip
+from eval.draw.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
+from eval.draw.lexicon_map import evenly
+from eval.draw.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
+from eval.draw.strips import STRIP, Source, draw_page, frame_times, save_strip
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.diversity import nearest_lexemes
 from eval.probes import style_editing
@@ -52,7 +44,7 @@ from gesticulator.stages import LABELS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-VERSION = 2
+VERSION = 3
 """Raised when the same rows would be drawn otherwise."""
 POINTS = 3000
 """Blocks in the picture of the lexicon."""
@@ -118,7 +110,7 @@ def lexicon(source: FigureSource) -> Drawn:
     shown, true = neighbours_agree(flat, labels), neighbours_agree(latents, labels)
     caption = (f"E(M) of {len(few)} blocks by t-SNE, coloured by lexeme, silent ones crossed. {100 * shown:.0f} % of "
                f"the {NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space.")
-    return draw_latents(flat, labels, labelled.silent.tolist(), len(judge.vectors), ""), caption, {
+    return embedding_panels({"E(M)": (flat, labels)}, len(judge.vectors), labelled.silent.tolist()), caption, {
         "blocks": len(few), "lexemes_used": len(np.unique(labels)), "neighbours_in_picture": shown,
         "neighbours_in_latents": true}
 
@@ -129,8 +121,8 @@ def pipeline(source: FigureSource) -> Drawn:
     rhythm = source.context.first.config.rhythm
     shown = Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
                      cut(recording.speech, rhythm).edges, clip["lexemes"],
-                     acting_speed(acting_positions(motion), motion.fps), motion.fps, recording.speech.words or (),
-                     source.context.first.get(LABELS).silent.tolist(), clip["beats"])
+                     acting_speed(acting_positions(motion), motion.fps), motion.fps, clip["beats"],
+                     recording.speech.words or (), source.context.first.get(LABELS).silent.tolist())
     return (overview(shown, source.start, STRETCH),
             "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.", {})
 
@@ -140,7 +132,8 @@ def strip(name: str) -> Callable[[FigureSource], Drawn]:
     def drawn(source: FigureSource) -> Drawn:
         recording, motion = source.first, source.motion(name)
         times = frame_times(motion, source.start, STRETCH / 2, 9)
-        return draw_strip(motion, times, ("front",), recording.speech, find_beats(recording.speech)), (
+        return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
+                         layout=replace(STRIP, views=("front",))), (
             f"{name}: {STRETCH / 2:g} s of {recording.info.name}."), {}
 
     return drawn

@@ -15,8 +15,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,124 +22,20 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.motion import bvh
-from data_module.types import Array, Beats, Motion, Speech
-from eval.draw.strips import FLOOR, INK, SOFT, RowStyle, draw_row, draw_sound, draw_strip, frame_times, save_strip
+from data_module.types import Array, Speech
+from eval.draw.strips import PAGE, STRIP, Source, draw_page, frame_times, save_strip
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from data_module.store import Recording
 
 POSES = 4.0
 """Figures a second on a page."""
 SECONDS = 4.0
 """Of a page, when not told."""
-LINE = 16
-"""Figures of a line: 4 s."""
 BEAT_CREDIT = ("real take: BEAT, speaker Scott (Liu et al., ECCV 2022; pantomatrix.github.io/BEAT), CC BY-NC 4.0: "
                "not for commercial use")
 DPI = 105
-"""Dots an inch: a page is 1450 wide, as a screen is."""
-_SPACING, _LOW, _HIGH = 0.98, 0.60, 2.02
-"""Metres: between figures, and what is seen of them: from the thighs to a raised hand."""
-_CAPTION, _SOUND, _GAP, _CLOCK, _AIR = 0.24, 0.42, 0.22, 0.16, 0.06
-"""Metres of height: of a source's name, of the waveform, between lines, of the seconds below, and below a rule."""
-_MARGIN = 0.88
-"""Metres beside the first and the last figure: a stretched arm ends inside."""
-_SCALE = 0.84
-"""Inches for a metre: a line of 16 figures is 14 inches wide."""
-_STYLE = RowStyle(_SPACING, _LOW, _HIGH, clock=False, margin=_MARGIN)
-
-
-@dataclass(frozen=True)
-class Source:
-    """A system on a page: its name, its motion, and what is to be said of its rights."""
-
-    name: str
-    motion: Motion
-    credit: str = ""
-
-
-def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = None, beats: Beats | None = None,
-              title: str = "", credits: Sequence[str] = ()) -> Figure:
-    """Every source, front over side, at the same `times` [n] seconds, in lines of `LINE`; the sound below each line.
-
-    A source that ends earlier is left out of the lines that it does not reach. The credits of sources and those given
-    stand at the foot. InputError for no source or no time.
-    """
-    from matplotlib.figure import Figure as NewFigure
-
-    if not sources or len(times) == 0:
-        raise InputError("draw strip", "has nothing to draw", "name a motion, --take, --corpus, --ours or --system")
-    lines = [times[at:at + LINE] for at in range(0, len(times), LINE)]
-    shown = [[source for source in sources if source.motion.duration > line[-1] - 1e-9] for line in lines]
-    row = _HIGH - _LOW
-    foot = [*dict.fromkeys([*(source.credit for source in sources if source.credit), *credits])]
-    tall = sum(len(own) * (2 * row + _CAPTION + _AIR) + (_SOUND if speech is not None else 0.0) + _CLOCK + _GAP
-               for own in shown)
-    tall += (0.34 if title else 0.0) + 0.16 * len(foot) + 0.11
-    wide = (min(len(times), LINE) - 1) * _SPACING + 2 * _MARGIN
-    figure = NewFigure(figsize=(wide * _SCALE, tall * _SCALE), facecolor="white")
-    pen = _Pen(figure, wide, tall)
-    if title:
-        pen.text(0.34, title, 12, INK, centre=True)
-    for line, own in zip(lines, shown, strict=True):
-        _draw_line(pen, own, line, speech, beats)
-    for text in foot:
-        pen.text(0.16, text, 7.5, SOFT)
-    return figure
-
-
-@dataclass
-class _Pen:
-    """Goes down a page in metres of the figures' own scale."""
-
-    figure: Figure
-    wide: float
-    tall: float
-    at: float = 0.06
-
-    def axis(self, height: float, share: float = 1.0) -> Axes:
-        """The next axes of this height, of the page's whole width or a share of it."""
-        self.at += height
-        return self.figure.add_axes((0.0, 1.0 - self.at / self.tall, share, height / self.tall))
-
-    def rule(self, share: float) -> None:
-        """A thin line across the page, or a share of it."""
-        from matplotlib.lines import Line2D
-
-        height = 1.0 - self.at / self.tall
-        self.figure.add_artist(Line2D([0.0, share], [height, height], color=FLOOR, linewidth=1.0))
-
-    def text(self, height: float, text: str, size: float, colour: str, *, centre: bool = False, bold: bool = False
-             ) -> None:
-        """A line of text."""
-        x = 0.5 if centre else 0.12 / self.wide
-        self.figure.text(x, 1.0 - (self.at + height / 2) / self.tall, text, fontsize=size, color=colour,
-                         weight="bold" if bold else "normal", ha="center" if centre else "left", va="center")
-        self.at += height
-
-
-def _draw_line(pen: _Pen, sources: Sequence[Source], times: Array, speech: Speech | None, beats: Beats | None) -> None:
-    # A last line that is short keeps the scale of the others.
-    across = (len(times) - 1) * _SPACING + 2 * _MARGIN
-    share = across / pen.wide
-    for source in sources:
-        pen.text(_CAPTION, source.name, 10.5, INK, bold=True)
-        for view in ("front", "side"):
-            draw_row(pen.axis(_HIGH - _LOW, share), source.motion, times, view, _STYLE)
-        pen.rule(share)
-        pen.at += _AIR
-    if speech is not None and times[0] < speech.duration:
-        draw_sound(pen.axis(_SOUND, share), speech, beats, times, _STYLE)
-    clock = pen.axis(_CLOCK, share)
-    clock.set_xlim(-_MARGIN, across - _MARGIN)
-    clock.set_ylim(0.0, 1.0)
-    clock.axis("off")
-    for k, time in enumerate(times):
-        clock.text(k * _SPACING, 0.5, f"{time:.2f} s", ha="center", va="center", fontsize=7.5, color=SOFT)
-    pen.at += _GAP
+"""Dots an inch of a page, which is then 1450 wide, as a screen is."""
 
 
 def page_times(start: float, seconds: float, longest: float) -> Array:
@@ -152,8 +46,6 @@ def page_times(start: float, seconds: float, longest: float) -> Array:
     end = min(start + seconds, longest)
     return start + np.arange(max(1, math.floor((end - start) * POSES + 1e-9))) / POSES
 
-
-# ------------------------------------------------------------------------------------------------------------- command
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator draw strip` takes."""
@@ -178,54 +70,46 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> list[Path]:
     """Draw it; the picture's path."""
-    if arguments.motion is not None:
-        return [_run_one(arguments)]
-    if arguments.out is None:
-        raise InputError("--out", "is missing", "name the picture: --out page.png")
-    sources, speech = _sources(arguments)
-    times = page_times(arguments.start, SECONDS if arguments.seconds is None else arguments.seconds,
-                       max((source.motion.duration for source in sources), default=0.0))
-    beats = None if speech is None else _beats(speech)
-    save_strip(draw_page(sources, times, speech, beats, arguments.title, arguments.credit), arguments.out, DPI)
-    return [arguments.out]
-
-
-def _run_one(arguments: argparse.Namespace) -> Path:
-    from data_module.speech.audio import load_speech
-
-    if arguments.take or arguments.corpus or arguments.ours is not None or arguments.system:
-        raise InputError(arguments.motion, "stands beside --take, --corpus, --ours or --system",
-                         f"name it, too: --system NAME={arguments.motion}")
-    motion = bvh.read_bvh(arguments.motion, fps=arguments.fps)
-    times = frame_times(motion, arguments.start, arguments.seconds, arguments.frames)
-    speech = load_speech(arguments.sound) if arguments.sound else None
-    out: Path = arguments.out or arguments.motion.with_suffix(".png")
-    beats = None if speech is None else _beats(speech)
-    save_strip(draw_strip(motion, times, speech=speech, beats=beats, title=arguments.title), out)
-    return out
-
-
-def _beats(speech: Speech) -> Beats:
     from data_module.speech.beats import BeatSettings, find_beats
 
-    return find_beats(speech, BeatSettings())
+    told, layout, dpi = arguments, PAGE, DPI
+    if told.motion is not None:
+        if told.take or told.corpus or told.ours is not None or told.system:
+            raise InputError(told.motion, "stands beside --take, --corpus, --ours or --system",
+                             f"name it, too: --system NAME={told.motion}")
+        layout, dpi = STRIP, 150
+    out: Path | None = told.out or (told.motion and told.motion.with_suffix(".png"))
+    if out is None:
+        raise InputError("--out", "is missing", "name the picture: --out page.png")
+    sources, speech = _sources(told)
+    times = (frame_times(sources[0].motion, told.start, told.seconds, told.frames) if layout is STRIP else
+             page_times(told.start, SECONDS if told.seconds is None else told.seconds,
+                        max((source.motion.duration for source in sources), default=0.0)))
+    beats = None if speech is None else find_beats(speech, BeatSettings())
+    save_strip(draw_page(sources, times, speech, beats, told.title, told.credit, layout), out, dpi)
+    return [out]
 
 
 def _sources(arguments: argparse.Namespace) -> tuple[list[Source], Speech | None]:
     """The motions in the order of the page, and the sound that those gesture to that need one."""
     from data_module.speech.audio import load_speech
+    from eval.clip import real_take
+    from eval.foreign import named
 
     speech = load_speech(arguments.sound) if arguments.sound else None
     sources = []
+    if arguments.motion is not None:
+        sources.append(Source("", bvh.read_bvh(arguments.motion, fps=arguments.fps)))
     if arguments.take:
-        motion, heard = _take()
-        sources.append(Source("real take", motion, BEAT_CREDIT))
-        speech = heard if speech is None else speech
+        take = real_take(60.0)
+        if take is None:
+            raise InputError("--take", "is not to be had", "set GESTICULATOR_DATA to the folder that holds takes/")
+        sources.append(Source("real take", take[0], BEAT_CREDIT))
+        speech = speech or take[1]
     if arguments.corpus:
         recording = _recording(arguments.corpus)
-        name = "corpus" if speech is None else "corpus, to a voice of its own"
-        sources.append(Source(name, recording.motion))
-        speech = recording.speech if speech is None else speech
+        sources.append(Source("corpus, to a voice of its own" if speech else "corpus", recording.motion))
+        speech = speech or recording.speech
     if arguments.ours is not None:
         if speech is None:
             raise InputError("--ours", "has no sound to gesture to", "give --sound, --take or --corpus")
@@ -234,17 +118,8 @@ def _sources(arguments: argparse.Namespace) -> tuple[list[Source], Speech | None
 
         made = Gesticulator.from_pretrained(arguments.ours or None)(speech, seed=arguments.seed)
         sources.append(Source("ours", made.motion))
-    sources += [_system(entry, arguments) for entry in arguments.system]
+    sources += [_system(name, value, arguments) for name, value in named(arguments.system, "--system").items()]
     return sources, speech
-
-
-def _take() -> tuple[Motion, Speech]:
-    from eval.clip import real_take
-
-    found = real_take(60.0)
-    if found is None:
-        raise InputError("--take", "is not to be had", "set GESTICULATOR_DATA to the folder that holds takes/")
-    return found
 
 
 def _recording(told: str) -> Recording:
@@ -257,12 +132,9 @@ def _recording(told: str) -> Recording:
     return store.load(name or store.of_split("test")[0].name)
 
 
-def _system(entry: str, arguments: argparse.Namespace) -> Source:
+def _system(name: str, value: str, arguments: argparse.Namespace) -> Source:
     from eval.foreign import find_motions, read_motion
 
-    name, mark, value = entry.partition("=")
-    if not (name and mark and value):
-        raise InputError(f"--system {entry}", "is not of the form NAME=FILE", "name it: ours=FILE")
     place = Path(value)
     if place.is_dir():
         held, _ = find_motions(place)

@@ -21,6 +21,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,7 +34,7 @@ from data_module.files import write_bytes
 from data_module.motion import bvh
 from data_module.speech.audio import load_speech
 from data_module.types import Array, Motion, Samples, Speech
-from eval.draw.strips import FLOOR, HAIR, INK, NOSE, SHIRT, SKIN, TROUSERS, figure_points
+from eval.draw.figure import FLOOR, FlatPart, body, figure_points, flattened, legs
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -73,9 +74,6 @@ LEAST_FILLING = 9
 
 _OVER = 2
 """Drawn this many times as large and scaled down, which smooths the edges."""
-_ROUND = 18
-"""Corners of each half of a limb's outline."""
-_HALO = 0.009
 # The numbers of ITU-T H.273 and of FFmpeg for BT.709 and the narrow range.
 _BT709 = 1
 _NARROW = 1
@@ -113,107 +111,9 @@ class Camera:
         return np.stack([size[0] / 2 + across * scale, size[1] / 2 - up * scale], axis=-1), scale, depth
 
 
-@dataclass(frozen=True)
-class _Limb:
-    """Two balls and what lies between them: places [T, 3] and diameters in metres, colour."""
-
-    start: Array
-    end: Array
-    wide: float
-    narrow: float
-    colour: str
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Limbs with one thin outline around them all; `lift` metres nearer to the viewer than they are.
-
-    `shown` [T] says in which frames, where it is not all of them.
-    """
-
-    limbs: tuple[_Limb, ...]
-    lift: float
-    shown: NDArray[np.bool_] | None = None
-
-
-def _legs() -> list[_Part]:
-    """Legs that stand still under the hips; the data knows nothing below them."""
-    def at(x: float, y: float, z: float) -> Array:
-        return np.array([[x, y, z]])
-
-    limbs = [limb for x in (0.095, -0.095) for limb in (
-        _Limb(at(x * 0.85, 0.9, 0), at(x * 1.25, 0.07, 0), 0.17, 0.095, TROUSERS),
-        _Limb(at(x * 1.25, 0.035, 0), at(x * 1.5, 0.03, 0.15), 0.085, 0.07, INK))]
-    return [_Part(tuple(limbs), 0.0)]
-
-
-def _trunk(now: dict[str, Array]) -> list[_Part]:
-    collar = now["Spine3"] * 0.35 + now["Neck"] * 0.65
-    line = [now["Hips"] + [0.0, 0.06, 0.0], *(now[name] for name in ("Spine", "Spine1", "Spine2", "Spine3")), collar]
-    wide = (0.29, 0.28, 0.28, 0.31, 0.32, 0.15)
-    shirt = [_Limb(line[k], line[k + 1], wide[k], wide[k + 1], SHIRT) for k in range(len(line) - 1)]
-    shirt += [_Limb(now["Spine3"] * 0.4 + now[f"{side}Arm"] * 0.6, now[f"{side}Arm"], 0.16, 0.125, SHIRT)
-              for side in ("Left", "Right")]
-    return [_Part((_Limb(now["Neck"], now["Head"], 0.11, 0.105, SKIN),), -0.05), _Part(tuple(shirt), 0.0)]
-
-
-def _arm(now: dict[str, Array], side: str) -> list[_Part]:
-    shoulder, elbow, wrist, tip = (now[side + name] for name in ("Arm", "ForeArm", "Hand", "HandTip"))
-    return [_Part((_Limb(shoulder, elbow, 0.118, 0.09, SHIRT),), 0.04),
-            _Part((_Limb(elbow, wrist, 0.084, 0.054, SKIN), _Limb(wrist, tip, 0.07, 0.044, SKIN)), 0.06)]
-
-
-def _head(now: dict[str, Array], camera: Camera) -> list[_Part]:
-    """Hair is a ball, the face a smaller one where the nose points, so that one sees where the figure looks."""
-    up = now["HeadTip"] - now["Head"]
-    centre = now["Head"] + 0.52 * up
-    gaze = now["Nose"] - centre
-    face = centre + 0.22 * gaze - 0.15 * up
-    ahead = camera.project(now["Nose"], SIZE)[2] - camera.project(centre, SIZE)[2] > -0.04
-    hair = _Limb(centre, centre, 0.216, 0.216, HAIR)
-    front = (_Limb(face, face, 0.2, 0.2, SKIN), _Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))
-    return [_Part((hair,), 0.05, ~ahead), _Part((hair, *front), 0.05, ahead)]
-
-
-def outlines(start: Array, end: Array, r0: Array, r1: Array) -> Array:
-    """[T, 2 * _ROUND, 2] outlines of the hulls of two discs each: centres [T, 2], radii [T], all in pixels.
-
-    The sides touch both circles: they lean by asin((r0 - r1) / distance) against the axis. Where one disc holds the
-    other, its circle is the outline (and the other's one point lies within).
-    """
-    way = end - start
-    heading = np.arctan2(way[:, 1], way[:, 0])[:, None]
-    touch = np.arccos(np.clip((r0 - r1) / np.maximum(np.hypot(*way.T), 1e-9), -1.0, 1.0))[:, None]
-    share = np.linspace(0.0, 1.0, _ROUND)
-    far = heading - touch + 2 * touch * share
-    back = heading + touch + 2 * (np.pi - touch) * share
-    halves = [centre[:, None] + radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-              for centre, radius, angle in ((end, r1, far), (start, r0, back))]
-    return np.concatenate(halves, axis=1)
-
-
-class _Sheet(NamedTuple):
-    """A part ready to draw: how near [T], in which frames, and per polygon its corners [T, K, 2] and its colour."""
-
-    near: Array
-    shown: NDArray[np.bool_] | None
-    polygons: list[tuple[NDArray[np.int64], _Colour]]
-
-
-def _sheet(part: _Part, camera: Camera, size: tuple[int, int], ink: _Ink) -> _Sheet:
-    halos: list[tuple[NDArray[np.int64], _Colour]] = []
-    fills: list[tuple[NDArray[np.int64], _Colour]] = []
-    depths = []
-    for limb in part.limbs:
-        p, p_scale, _ = camera.project(limb.start, size)
-        q, q_scale, _ = camera.project(limb.end, size)
-        r0, r1 = limb.wide / 2 * p_scale, limb.narrow / 2 * q_scale
-        for where, extra, colour in ((halos, _HALO, PAPER), (fills, 0.0, limb.colour)):
-            # Whole pixels: Pillow would cut the fractions off.
-            corners = np.rint(outlines(p, q, r0 + extra * p_scale, r1 + extra * q_scale)).astype(np.int64)
-            where.append((corners, ink(colour)))
-        depths.append(camera.project((limb.start + limb.end) / 2, size)[2])
-    return _Sheet(np.mean(depths, axis=0) + part.lift, part.shown, halos + fills)
+def _polygons(part: FlatPart, ink: _Ink) -> list[tuple[NDArray[np.int64], _Colour]]:
+    """Corners [T, K, 2] in whole pixels, of which Pillow would cut the fractions off, and colours."""
+    return [(np.rint(corners).astype(np.int64), ink(colour)) for corners, colour in part.polygons(PAPER)]
 
 
 def _background(camera: Camera, size: tuple[int, int], ink: _Ink) -> Image:
@@ -228,8 +128,8 @@ def _background(camera: Camera, size: tuple[int, int], ink: _Ink) -> Image:
         pen.ellipse([*(place - reach), *(place + reach)], fill=ink(colour))
     picture = picture.filter(ImageFilter.GaussianBlur(0.012 * float(scale)))
     pen = ImageDraw.Draw(picture)
-    for part in _legs():
-        for polygon, code in _sheet(part, camera, size, ink).polygons:
+    for part in legs():
+        for polygon, code in _polygons(flattened(part, partial(camera.project, size=size)), ink):
             pen.polygon(polygon[0].ravel().tolist(), fill=code)
     return picture
 
@@ -256,27 +156,26 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
     except ImportError:
         raise _missing("Pillow") from None
     camera, large = Camera(), (size[0] * _OVER, size[1] * _OVER)
-    background = _background(camera, large, ink)
-    parts = [*_trunk(points), *_arm(points, "Left"), *_arm(points, "Right"), *_head(points, camera)]
-    sheets = [_sheet(part, camera, large, ink) for part in parts]
+    look, background = partial(camera.project, size=large), _background(camera, large, ink)
+    parts = [flattened(part, look) for part in body(points, look)]
+    drawn = [_polygons(part, ink) for part in parts]
     # Only the box that the figure ever touches is drawn anew: the rest, most of the picture, stays.
-    every = np.concatenate([corners.reshape(-1, 2) for sheet in sheets for corners, _ in sheet.polygons])
+    every = np.concatenate([corners.reshape(-1, 2) for polygons in drawn for corners, _ in polygons])
     low, high = (np.clip([every.min(0) // _OVER, every.max(0) // _OVER + 1], 0, size)).tolist()
     stage = background.crop((low[0] * _OVER, low[1] * _OVER, high[0] * _OVER, high[1] * _OVER))
     rest = background.reduce(_OVER)
     corner = np.multiply(low, _OVER)
-    flat = [[((corners - corner).reshape(len(corners), -1).tolist(), colour) for corners, colour in sheet.polygons]
-            for sheet in sheets]
-    # Far parts first. Each is as near as its limbs' middle.
-    order = np.argsort(np.stack([sheet.near for sheet in sheets]), axis=0, kind="stable")
+    flat = [[((corners - corner).reshape(len(corners), -1).tolist(), colour) for corners, colour in polygons]
+            for polygons in drawn]
+    order = np.argsort(np.stack([part.near for part in parts]), axis=0, kind="stable")
     for frame, numbers in enumerate(order.T.tolist()):
         picture = stage.copy()
         pen = ImageDraw.Draw(picture)
         for number in numbers:
-            shown = sheets[number].shown
+            shown = parts[number].shown
             if shown is None or shown[frame]:
-                for polygons, colour in flat[number]:
-                    pen.polygon(polygons[frame], fill=colour)
+                for corners, colour in flat[number]:
+                    pen.polygon(corners[frame], fill=colour)
         rest.paste(picture.reduce(_OVER), (low[0], low[1]))
         yield rest.copy()
 

@@ -140,11 +140,6 @@ def _synchrony_values(out: Values, beats: MotionBeats, track: OnsetTrack, seed: 
         out.put(name, value, found.reason)
 
 
-def delta_curve(beats: MotionBeats, track: OnsetTrack, mode: str) -> Array:
-    """[deltas] PMB at each of `pmb.DELTAS`, percent."""
-    return pmb.delta_curve(beats.modes[mode], track.lasting(beats.duration).onsets).percent
-
-
 def synchrony(name: str, beats: MotionBeats, track: OnsetTrack) -> float:
     """One of `SYNCHRONY` of a motion with any speech, which is cut or repeated to last as long."""
     onsets = track.lasting(beats.duration).onsets

@@ -81,6 +81,25 @@ class Figure:
         """Whether both sets have the windows that they need."""
         return min(self.windows) >= self.needed
 
+    @property
+    def verdict(self) -> str:
+        """Whether the sample suffices, and how many windows in each set would: "yes", or what is wrong with it.
+
+        Twice: the covariance takes `needed` windows, and the bias of the sample, which falls as one over the number of
+        windows, should be a tenth of the distance at most.
+        """
+        if not np.isfinite(self.distance):
+            return f"no: {self.reason}"
+        if not self.enough:
+            return f"no: {min(self.windows)} windows, and {self.needed} are needed"
+        if self.distance <= self.bias:
+            return "no: not told from 0, as two samples of one motion of this size are as far apart"
+        if self.bias <= self.distance / 10:
+            return "yes"
+        mean_windows = 2.0 / sum(1.0 / count for count in self.windows)
+        wanted = int(np.ceil(10.0 * self.bias / self.distance * mean_windows))
+        return f"roughly: chance is {100 * self.bias / self.distance:.0f} % of it, and a tenth from {wanted} windows on"
+
     def to_dict(self) -> dict[str, object]:
         """For JSON."""
         return asdict(self)

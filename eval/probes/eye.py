@@ -33,11 +33,11 @@ from data_module.types import Array, Motion, Speech
 from eval import baselines
 from eval.clip import real_take
 from eval.eye_table import CORPUS, EyeSample, controls, eye_tables
-from eval.foreign import find_motions, read_motion
+from eval.foreign import find_motions, named, read_motion
 from eval.metrics.eye import ReferenceSpace, Voice, hear
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
-from eval.score import UNITS, named
+from eval.score import UNITS
 from eval.table import Table
 from eval.unit_selection import UnitDatabase, UnitSelection
 from gesticulator import bundle as bundles

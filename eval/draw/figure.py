@@ -1,0 +1,204 @@
+"""The body that every picture and film draws: limbs of a 16-joint character as capsules, flattened by a way to look.
+
+A part is a few limbs with one thin outline around them all, such as the shirt; parts are drawn far ones first. Strips
+look straight at the figure from the front and from the side (`VIEWS`), films through a camera. Legs stand still: the
+data knows nothing below the hips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.motion import kinematics, rotation, skeletons
+from data_module.types import Array, Motion
+
+INK, SOFT, FLOOR = "#262a31", "#8d8578", "#d9d0c2"
+SHIRT, TROUSERS, SKIN, HAIR, NOSE = "#3d7a85", "#4a4f5c", "#dcb999", "#5b493d", "#c79d7a"
+HANDS = {"Left": "#1f8a8a", "Right": "#c8553d"}
+HALO = 0.009
+"""Metres of the outline around a part."""
+ROUND = 18
+"""Corners of each half of a limb's outline."""
+_NOSE = np.array([0.0, 0.075, 0.125])
+"""Metres from the head's joint."""
+
+Look = Callable[[Array], tuple[Array, Array, Array]]
+"""Points [..., 3] in metres -> places [..., 2], scale [...], and depth [...] in metres, more towards the viewer."""
+
+
+def from_front(points: Array) -> tuple[Array, Array, Array]:
+    """The character's left is on the right; places are metres, up is up."""
+    return points[..., :2], np.ones(points.shape[:-1]), points[..., 2]
+
+
+def from_side(points: Array) -> tuple[Array, Array, Array]:
+    """She is seen from her left and faces left."""
+    return points[..., 2:0:-1] * [-1.0, 1.0], np.ones(points.shape[:-1]), points[..., 0]
+
+
+class View(NamedTuple):
+    """A way to look, and how deep a trunk is seen as a share of its width."""
+
+    look: Look
+    trunk: float
+
+
+VIEWS = {"front": View(from_front, 1.0), "side": View(from_side, 0.72)}
+
+
+def figure_points(motion: Motion, times: Array) -> dict[str, Array]:
+    """Where everything that is drawn lies: joint (or "LeftHandTip", "HeadTip", "Nose") -> [len(times), 3] metres.
+
+    Any upper body is brought onto the 16-joint character, faces +Z, and stands at `skeletons.HIP_HEIGHT`.
+    """
+    frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
+    first = int(frames.min())
+    # Only the frames around these moments: a take may last an hour.
+    near = skeletons.facing(skeletons.to_character(motion.crop(first, int(np.ceil(frames.max())) + 1)))
+    rotations = rotation.interpolate(near.rotations, frames - first)
+    root = np.tile([0.0, skeletons.HIP_HEIGHT, 0.0], (len(frames), 1))
+    skeleton = near.skeleton
+    places = kinematics.joint_positions(skeleton, rotations, root)
+    world = kinematics.global_rotations(skeleton, rotations)
+    points = {name: places[:, joint] for joint, name in enumerate(skeleton.names)}
+    for joint, tip in skeleton.end_sites.items():
+        points[skeleton.names[joint] + "Tip"] = places[:, joint] + rotation.rotate(world[:, joint], tip)
+    head = skeleton.index("Head")
+    points["Nose"] = places[:, head] + rotation.rotate(world[:, head], _NOSE)
+    return points
+
+
+class Limb(NamedTuple):
+    """Two balls and what lies between them: places [T, 3] and diameters in metres, colour."""
+
+    start: Array
+    end: Array
+    wide: float
+    narrow: float
+    colour: str
+
+
+@dataclass(frozen=True)
+class BodyPart:
+    """Limbs with one outline; `lift` metres nearer to the viewer than they are; hand: whose hand it ends in, if any.
+
+    `shown` [T] says in which frames, where it is not all of them.
+    """
+
+    limbs: tuple[Limb, ...]
+    lift: float
+    hand: str = ""
+    shown: NDArray[np.bool_] | None = None
+
+
+def legs() -> list[BodyPart]:
+    """At one moment, under hips at the origin."""
+    def at(x: float, y: float, z: float) -> Array:
+        return np.array([[x, y, z]])
+
+    return [BodyPart(tuple(limb for x in (0.095, -0.095) for limb in (
+        Limb(at(x * 0.85, 0.9, 0), at(x * 1.25, 0.07, 0), 0.17, 0.095, TROUSERS),
+        Limb(at(x * 1.25, 0.035, 0), at(x * 1.5, 0.03, 0.15), 0.085, 0.07, INK))), 0.0)]
+
+
+def body(now: Mapping[str, Array], look: Look, trunk: float = 1.0) -> list[BodyPart]:
+    """Everything over the legs, of `figure_points`. trunk: the trunk's thickness as a share of its width."""
+    return [*_trunk(now, trunk), *_arm(now, "Left"), *_arm(now, "Right"), *_head(now, look)]
+
+
+def _trunk(now: Mapping[str, Array], share: float) -> list[BodyPart]:
+    collar = now["Spine3"] * 0.35 + now["Neck"] * 0.65
+    line = [now["Hips"] + [0.0, 0.06, 0.0], *(now[name] for name in ("Spine", "Spine1", "Spine2", "Spine3")), collar]
+    wide = [share * one for one in (0.29, 0.28, 0.28, 0.31, 0.32, 0.15)]
+    shirt = [Limb(line[k], line[k + 1], wide[k], wide[k + 1], SHIRT) for k in range(len(line) - 1)]
+    shirt += [Limb(now["Spine3"] * 0.4 + now[f"{side}Arm"] * 0.6, now[f"{side}Arm"], 0.16, 0.125, SHIRT)
+              for side in ("Left", "Right")]
+    return [BodyPart((Limb(now["Neck"], now["Head"], 0.11, 0.105, SKIN),), -0.05), BodyPart(tuple(shirt), 0.0)]
+
+
+def _arm(now: Mapping[str, Array], side: str) -> list[BodyPart]:
+    shoulder, elbow, wrist, tip = (now[side + name] for name in ("Arm", "ForeArm", "Hand", "HandTip"))
+    return [BodyPart((Limb(shoulder, elbow, 0.118, 0.09, SHIRT),), 0.04),
+            BodyPart((Limb(elbow, wrist, 0.084, 0.054, SKIN), Limb(wrist, tip, 0.07, 0.044, SKIN)), 0.06, side)]
+
+
+def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
+    """Hair is a ball, the face a smaller one where the nose points, so that one sees where the figure looks."""
+    up = now["HeadTip"] - now["Head"]
+    centre = now["Head"] + 0.52 * up
+    gaze = now["Nose"] - centre
+    face = centre + 0.22 * gaze - 0.15 * up
+    ahead = look(now["Nose"])[2] - look(centre)[2] > -0.04
+    hair = Limb(centre, centre, 0.216, 0.216, HAIR)
+    front = (Limb(face, face, 0.2, 0.2, SKIN), Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))
+    return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead)]
+
+
+class FlatLimb(NamedTuple):
+    """A limb as it is seen: places [T, 2], radii [T], the scales [T] there, colour."""
+
+    start: Array
+    end: Array
+    r0: Array
+    r1: Array
+    scales: tuple[Array, Array]
+    colour: str
+
+    def outline(self, halo: float = 0.0) -> Array:
+        """[T, 2 * ROUND, 2], with so many metres around it."""
+        first, second = self.scales
+        return outlines(self.start, self.end, self.r0 + halo * first, self.r1 + halo * second)
+
+
+class FlatPart(NamedTuple):
+    """A part as it is seen: how near [T], in which frames, its limbs, and whose hand it ends in."""
+
+    near: Array
+    shown: NDArray[np.bool_] | None
+    limbs: list[FlatLimb]
+    hand: str
+
+    def polygons(self, paper: str) -> Iterator[tuple[Array, str]]:
+        """Corners [T, K, 2] with their colour: the outline in the colour of the paper first."""
+        yield from ((limb.outline(HALO), paper) for limb in self.limbs)
+        yield from ((limb.outline(), limb.colour) for limb in self.limbs)
+
+
+def flattened(part: BodyPart, look: Look) -> FlatPart:
+    """A part as it is seen; it is as near as its limbs' middles."""
+    limbs, depths = [], []
+    for limb in part.limbs:
+        (start, scale, _), (end, other, _) = look(limb.start), look(limb.end)
+        limbs.append(FlatLimb(start, end, limb.wide / 2 * scale, limb.narrow / 2 * other, (scale, other),
+                              limb.colour))
+        depths.append(look((limb.start + limb.end) / 2)[2])
+    return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, limbs, part.hand)
+
+
+def seen(points: Mapping[str, Array], view: View) -> list[FlatPart]:
+    """The figure of one moment, points [1, 3]: legs, then all parts that are shown, the far ones first."""
+    parts = [flattened(part, view.look) for part in body(points, view.look, view.trunk)]
+    return [*(flattened(part, view.look) for part in legs()),
+            *sorted((part for part in parts if part.shown is None or part.shown[0]), key=lambda part: part.near[0])]
+
+
+def outlines(start: Array, end: Array, r0: Array, r1: Array) -> Array:
+    """[T, 2 * ROUND, 2] outlines of the hulls of two discs each: centres [T, 2], radii [T].
+
+    The sides touch both circles: they lean by asin((r0 - r1) / distance) against the axis. Where one disc holds the
+    other, its circle is the outline (and the other's one point lies within).
+    """
+    way = end - start
+    heading = np.arctan2(way[:, 1], way[:, 0])[:, None]
+    touch = np.arccos(np.clip((r0 - r1) / np.maximum(np.hypot(*way.T), 1e-9), -1.0, 1.0))[:, None]
+    share = np.linspace(0.0, 1.0, ROUND)
+    far = heading - touch + 2 * touch * share
+    back = heading + touch + 2 * (np.pi - touch) * share
+    halves = [centre[:, None] + radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+              for centre, radius, angle in ((end, r1, far), (start, r0, back))]
+    return np.concatenate(halves, axis=1)
