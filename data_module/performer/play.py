@@ -19,7 +19,7 @@ from data_module.motion import rotation
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
 from data_module.performer.plan import BRAKE, Habits, Planned
-from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet
+from data_module.performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
 from data_module.performer.types import Played, Spoken
 from data_module.truth import PlayedStroke
 from data_module.types import Array, Motion
@@ -142,7 +142,7 @@ class _Score:
     made: targets that need not be computed again.
     """
 
-    figure: Figure
+    figure: PerformerBody
     planned: tuple[Planned, ...]
     events: tuple[tuple[_Event, ...], tuple[_Event, ...]]
     micro: Array
@@ -266,7 +266,7 @@ def _truth(p: Planned) -> PlayedStroke:
 # --- What stays the same from pass to pass
 
 
-def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits,
+def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits,
            rng: np.random.Generator) -> _Score:
     frames = max(2, round(spoken.speech.duration * FPS))
     runs = planning.runs_of(spoken.phrases)
@@ -370,7 +370,7 @@ def _wander(frames: int, channels: int, period: float, rng: np.random.Generator)
     return curve / 0.52
 
 
-def _drift(figure: Figure, lively: Array, frames: int, rng: np.random.Generator) -> Array:
+def _drift(figure: PerformerBody, lively: Array, frames: int, rng: np.random.Generator) -> Array:
     """[T, A * 3] the arm's own slow wandering: degrees while it is up, a trace of it at rest."""
     joints = len(figure.arms[0])
     share = np.zeros((joints, 3))
@@ -418,8 +418,8 @@ def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], frames: int,
 # --- The body
 
 
-def _trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits, speaking: Array, frames: int,
-           rng: np.random.Generator) -> Array:
+def _trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits, speaking: Array,
+           frames: int, rng: np.random.Generator) -> Array:
     """[T, B, 3] log rotations of hips, spine, neck and head: sway, breath, nods, and the clips' own small motion."""
     names = [figure.skeleton.names[j] for j in figure.trunk]
     slow = gaussian_filter1d(speaking, 0.4 * FPS, mode="nearest")
@@ -588,7 +588,7 @@ def _turned(rest: Array, logs: Array) -> Array:
     return rotation.multiply(rest[None], rotation.from_exponential_map(logs))
 
 
-def _carried(figure: Figure, trunk: Array) -> tuple[Array, Array]:
+def _carried(figure: PerformerBody, trunk: Array) -> tuple[Array, Array]:
     """Place [T, 3] and world rotation [T, 4] of the joint that both shoulders hang on, in the facing frame."""
     carrier = figure.skeleton.parents[figure.arms[LEFT][0]]
     place = np.zeros((len(trunk), 3))

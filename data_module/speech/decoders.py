@@ -66,14 +66,14 @@ def sndfile(raw: BinaryIO) -> Iterator[Sound]:
     """Whatever libsndfile reads."""
     import soundfile
 
-    class Straight(soundfile.SoundFile):
+    class ForwardOnlyFile(soundfile.SoundFile):
         """Only ever read forwards: where the length is open, a seek after each piece fails."""
 
         def seekable(self) -> bool:
             return False
 
     try:
-        file = Straight(raw)
+        file = ForwardOnlyFile(raw)
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NoSoundError from error
     with file:

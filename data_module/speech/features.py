@@ -68,7 +68,7 @@ class Normaliser:
 
 
 @dataclass(frozen=True)
-class Levels:
+class AudioFeatures:
     """Features per motion frame of each window. low: [N, 3K, d_low] the sound; high: [N, 3K, d_high] its content."""
 
     low: Features
@@ -76,7 +76,7 @@ class Levels:
 
 
 class FrontEnd(Protocol):
-    """Anything that turns windows of sound into `Levels`."""
+    """Anything that turns windows of sound into `AudioFeatures`."""
 
     @property
     def name(self) -> str:
@@ -90,7 +90,7 @@ class FrontEnd(Protocol):
     def width_high(self) -> int:
         """d_high."""
 
-    def encode(self, windows: Samples, reference: Array | None = None) -> Levels:
+    def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         """Windows [N, 3 * K * samples_per_frame] to levels; reference: [N] dBFS from `reference_level`, or None."""
 
 
@@ -140,12 +140,12 @@ class MelFrontEnd:
     def _taper(self) -> Features:
         return np.hanning(self._window + 1)[:-1].astype(np.float32)
 
-    def encode(self, windows: Samples, reference: Array | None = None) -> Levels:
+    def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         """See `FrontEnd.encode`. Without a reference the recording is taken as it is."""
         out = np.empty((len(windows), self.frames, self.width_low), np.float32)
         for part, scaled in scaled_windows(windows, reference, self.frames * self.samples_per_frame, _BATCH):
             out[part] = self.rows(scaled)
-        return Levels(out, out)
+        return AudioFeatures(out, out)
 
     def rows(self, windows: Samples) -> Features:
         """[n, frames, bands + 2] of windows [n, samples]; the last two columns are onset strength and loudness."""

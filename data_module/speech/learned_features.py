@@ -18,7 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.speech.features import Features, Levels, MelFrontEnd, scaled_windows
+from data_module.speech.features import AudioFeatures, Features, MelFrontEnd, scaled_windows
 from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder
 from data_module.types import Array, Samples
 
@@ -48,7 +48,7 @@ class LearnedFrontEnd:
     def width_high(self) -> int:
         return self.widths[1] + _LEVEL_COLUMNS
 
-    def encode(self, windows: Samples, reference: Array | None = None) -> Levels:
+    def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         """See `data_module.speech.features.FrontEnd.encode`."""
         mel, count = self.mel, len(windows)
         low, high = (np.empty((count, mel.frames, width), np.float32) for width in (self.width_low, self.width_high))
@@ -58,7 +58,7 @@ class LearnedFrontEnd:
             columns: Features = mel.rows(scaled)[..., -_LEVEL_COLUMNS:]
             for out, state in zip((low, high), states, strict=True):
                 out[part] = np.concatenate([state.cpu().numpy(), columns], axis=-1)
-        return Levels(low, high)
+        return AudioFeatures(low, high)
 
 
 def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence[int] | None = None, *,
