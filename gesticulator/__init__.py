@@ -9,8 +9,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from gesticulator.version import __version__
-
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
     from data_module.errors import InputError
@@ -19,6 +17,9 @@ if TYPE_CHECKING:
     from gesticulator.options import InferenceOptions
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
+
+__version__ = "0.1.0"
+"""As it stands in pyproject.toml."""
 
 __all__ = ["Controls", "Curve", "Gesticulator", "InferenceOptions", "InputError", "Motion", "Performance", "Speech",
            "Word", "__version__", "load_speech"]

@@ -33,10 +33,10 @@ from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER
 from data_module.speech.features import Normaliser
+from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
 from gesticulator.models import BUILDERS, Sizes, codebook_shape, shapes
 from gesticulator.statistics import Statistics, representation_of
-from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
@@ -45,10 +45,9 @@ if TYPE_CHECKING:
     from interpreters.base import LexemeInterpreter
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
-    from interpreters.lstm import LstmInterpreter
+    from interpreters.lstm import LstmInterpreter, StyleInterpreter
     from interpreters.reward import RewardModel
     from interpreters.statistical import StatisticalInterpreter
-    from interpreters.style import StyleInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.inventory import Inventory
     from lexicon.racer import RacerCodec

@@ -15,10 +15,10 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
+from gesticulator import __version__
 from gesticulator.batch import Job, plan
 from gesticulator.cli import PROGRAM, Command
 from gesticulator.options import FPS, RANGES
-from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:

@@ -18,6 +18,7 @@ from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.types import Array, Motion, Speech
+from gesticulator import __version__
 from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle import load as load_bundle
 from gesticulator.inputs import Recording, Text, amplified, as_speech, as_transcript, texts_for
@@ -27,7 +28,6 @@ from gesticulator.performance import Performance
 from gesticulator.rollout import OnBlock, Sampling, rollout
 from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
 from gesticulator.statistics import control_rows, representation_of
-from gesticulator.version import __version__
 
 if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder

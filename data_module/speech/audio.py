@@ -20,10 +20,21 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from data_module.speech.decoders import BrokenSoundError, NoSoundError, Sound, container, mpeg, sndfile
 from data_module.speech.features import TYPICAL_LEVEL
 from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, noise_floor
-from data_module.speech.sound_headers import Patched, Promise, container_of, is_mpeg, promised
+from data_module.speech.sound_files import (
+    BrokenSoundError,
+    NoSoundError,
+    Patched,
+    Promise,
+    Sound,
+    container,
+    container_of,
+    is_mpeg,
+    mpeg,
+    promised,
+    sndfile,
+)
 from data_module.types import Samples, Speech
 
 SAMPLE_RATE = 16000

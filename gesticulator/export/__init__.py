@@ -1,4 +1,6 @@
-"""Writing a performance: the suffix of the file picks the writer. A new format is one file and one entry here."""
+"""Writing a performance: the suffix of the file picks the writer. A new format is one writer and one entry here.
+
+BVH, the format that every animation tool opens, is a few lines and stands here; the others have files of their own."""
 
 from __future__ import annotations
 
@@ -9,12 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
+from data_module.motion import bvh
+from data_module.motion.skeletons import standing
 
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
 
 WRITERS = {
-    ".bvh": "gesticulator.export.bvh:write_bvh_file",
+    ".bvh": "gesticulator.export:write_bvh_file",
     ".html": "gesticulator.export.html:write_preview",
     ".json": "gesticulator.export.plan:write_plan",
 }
@@ -39,3 +43,9 @@ def write(path: str | os.PathLike[str], performance: Performance) -> Path:
     Returns `path`. InputError for an unknown suffix; OSError where the disk refuses.
     """
     return writer_for(path)(Path(path), performance)
+
+
+def write_bvh_file(path: Path, performance: Performance) -> Path:
+    """Write the motion, standing on the floor, at its own frame rate. Returns `path`."""
+    bvh.write_bvh(path, standing(performance.motion))
+    return path
