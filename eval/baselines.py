@@ -42,7 +42,7 @@ from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
-    from gesticulator.speech_features import SpeechFeatures
+    from gesticulator.features import SpeechFeatures
     from gesticulator.stages import Corpus
     from interpreters.base import BlockFeatures
 

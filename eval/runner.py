@@ -53,8 +53,8 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import fit as fitting
 from gesticulator.config import Config
+from gesticulator.features import SpeechFeatures
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.speech_features import SpeechFeatures
 from gesticulator.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Corpus, Node, Run, Stage, assemble, wanted
 from gesticulator.stages import base as stages
 from gesticulator.stages.corpus import weights_hash

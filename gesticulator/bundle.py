@@ -32,11 +32,10 @@ from data_module.controls import Levels
 from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER
-from data_module.speech.features import Normaliser
 from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
+from gesticulator.features import Normaliser, Statistics, representation_of
 from gesticulator.models import BUILDERS, Sizes, codebook_shape, shapes
-from gesticulator.statistics import Statistics, representation_of
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:

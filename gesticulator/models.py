@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from gesticulator.config import Config
-from gesticulator.statistics import CONTROL_WIDTH
+from gesticulator.features import CONTROL_WIDTH
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder

@@ -21,13 +21,12 @@ from data_module.types import Array, Motion, Speech
 from gesticulator import __version__
 from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle import load as load_bundle
+from gesticulator.features import SpeechFeatures, control_rows, encode_speech, front_end_for, representation_of
 from gesticulator.inputs import Recording, Text, amplified, as_speech, as_transcript, texts_for
 from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.rollout import OnBlock, Sampling, rollout
-from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
-from gesticulator.statistics import control_rows, representation_of
 
 if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder

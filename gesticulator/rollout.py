@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gesticulator.bundle import Bundle
+from gesticulator.features import SpeechFeatures
 from gesticulator.performance import BEST
-from gesticulator.speech_features import SpeechFeatures
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 
 if TYPE_CHECKING:

@@ -12,17 +12,11 @@ from hypothesis import strategies as st
 
 from data_module.blocks import windows_of
 from data_module.errors import InputError
-from data_module.speech.features import (
-    TYPICAL_LEVEL,
-    AudioFeatures,
-    FrontEnd,
-    MelFrontEnd,
-    Normaliser,
-    reference_level,
-)
-from data_module.speech.front_ends import FRONT_ENDS, front_end
+from data_module.speech.front_ends import FRONT_ENDS, AudioFeatures, FrontEnd, MelFrontEnd, front_end
+from data_module.speech.silence import TYPICAL_LEVEL, reference_level
 from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.types import Array, Samples
+from gesticulator.features import Normaliser
 
 RATE = 16000
 MEL = MelFrontEnd()

@@ -166,7 +166,7 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
     frames = codec.decode(codec.vectors[codes])[0, 8:].numpy().astype(np.float64)
     poses = system.bundle.statistics.denormalise(frames, system.speaker_index(None))
     # The frames of the motion at 20 fps are the decoded ones, but for the smoothing.
-    from gesticulator.statistics import representation_of
+    from gesticulator.features import representation_of
 
     wanted = representation_of(system.bundle.config).motion(poses[:-16], 20.0)
     gap = np.abs(np.einsum("tjq,tjq->tj", made.motion.rotations[1:len(wanted) + 1], wanted.rotations))

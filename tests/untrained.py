@@ -10,19 +10,17 @@ import torch
 
 from data_module.controls import Levels
 from data_module.layers import freeze
-from data_module.speech.features import Normaliser
 from data_module.speech.speech_encoder import SpeechEncoder
 from data_module.store import Store
 from gesticulator import models
 from gesticulator.bundle import Bundle, TextSource, rest_distances
 from gesticulator.config import with_settings
+from gesticulator.features import Normaliser, Statistics, front_end_for, representation_of
 from gesticulator.models import Sizes
 from gesticulator.presets import preset
-from gesticulator.speech_features import front_end_for
 from gesticulator.stages import wanted
 from gesticulator.stages.corpus import prepare
 from gesticulator.stages.reward import block_audio
-from gesticulator.statistics import Statistics, representation_of
 from interpreters.cql import QNetwork
 from interpreters.reward import RewardModel
 from interpreters.settings import QConfig, RewardConfig

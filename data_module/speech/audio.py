@@ -20,8 +20,7 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from data_module.speech.features import TYPICAL_LEVEL
-from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, noise_floor
+from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, TYPICAL_LEVEL, frame_levels, noise_floor
 from data_module.speech.sound_files import (
     BrokenSoundError,
     NoSoundError,

@@ -43,7 +43,7 @@ from eval.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
-from gesticulator.statistics import representation_of
+from gesticulator.features import representation_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

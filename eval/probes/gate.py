@@ -41,8 +41,8 @@ from eval.metrics.smoothness import hand_speeds
 from eval.stats import Interval, mean_interval
 from eval.table import Column, Table
 from gesticulator.bundle import Bundle
+from gesticulator.features import encode_speech, front_end_for
 from gesticulator.pipeline import Gesticulator
-from gesticulator.speech_features import encode_speech, front_end_for
 from interpreters.base import BlockFeatures
 
 GATE, LOUDNESS, SILENCE, PERFORMER = "gate", "loudness alone", "detected silence alone", "performer alone"

@@ -28,10 +28,10 @@ from eval.metrics import pmb
 from eval.policy import Decisions, accuracy
 from eval.table import Cell, Column, Table
 from gesticulator import bundle as bundles
+from gesticulator.features import representation_of
 from gesticulator.pipeline import FPS, Gesticulator
 from gesticulator.stages.lexicon import lexicon_figures
 from gesticulator.stages.q_network import takes_of
-from gesticulator.statistics import representation_of
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter
 

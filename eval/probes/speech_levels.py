@@ -33,7 +33,8 @@ from tqdm import tqdm
 
 from data_module import blocks as block_module
 from data_module.errors import InputError
-from data_module.speech.features import MelFrontEnd, reference_level, scaled_windows
+from data_module.speech.front_ends import MelFrontEnd, scaled_windows
+from data_module.speech.silence import reference_level
 from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
 from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.text.word_vectors import word_frames
