@@ -85,7 +85,7 @@ def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundl
     labels = token_labels(bundle.lexicon, corpus)
     config = RewardConfig(shortest=2, window=4, longest=6, rivals=3)
     windows = RewardWindows(corpus, block_audio(corpus), decoded_blocks(bundle.lexicon, labels, corpus),
-                            corpus.recordings("train"), config, labels, lexemes, bundle.inventory.transitions)
+                            corpus.recordings("train"), config, labels, lexemes, bundle.transitions)
     batch = windows.sample(np.random.default_rng(1), 48, 1.0)
     assert batch["rivalled"].all() and batch["rival"].shape[:3] == (48, 3, 6)
     other = (batch["rival"] != batch["motion"][:, None]).flatten(3).any(3)  # [B, H, W]

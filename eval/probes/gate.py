@@ -173,7 +173,7 @@ def judge(system: Gesticulator, recording: Recording) -> GateScores:
     for i, window in enumerate(encoded.low):
         low = torch.as_tensor(bundle.statistics.low.apply(window), dtype=torch.float32)
         said[i], state = gate.step(state, BlockFeatures(low, low))
-    habit = 1.0 - float(bundle.inventory.frequencies[bundle.speakers[who]][bundle.silent].sum())
+    habit = 1.0 - float(bundle.frequencies[who][bundle.silent].sum())
     quiet = encoded.blocks.silent
     return GateScores(recording.info.group or recording.info.name, ~np.isin(read.labels, bundle.silent), {
         GATE: said, LOUDNESS: loudness(speech, encoded.blocks.edges), SILENCE: (~quiet).astype(np.float64),
