@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
 from gesticulator.cli import PROGRAM, Command
-from gesticulator.options import FPS, RANGES
+from gesticulator.performance import FPS, RANGES
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ _OUTPUTS = {"output": ".bvh", "preview": ".html", "explain": ".json"}
 
 
 def number(name: str) -> Callable[[str], float]:
-    """Reads the argument --NAME, in its range of `gesticulator.options.RANGES`."""
+    """Reads the argument --NAME, in its range of `gesticulator.performance.RANGES`."""
     return lambda text: RANGES[name].parse(f"--{name}", text)
 
 

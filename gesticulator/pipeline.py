@@ -22,9 +22,8 @@ from gesticulator import __version__
 from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle import load as load_bundle
 from gesticulator.features import SpeechFeatures, control_rows, encode_speech, front_end_for, representation_of
-from gesticulator.options import FPS as FPS
-from gesticulator.options import HandControl, InferenceArguments, InferenceOptions
-from gesticulator.performance import Performance
+from gesticulator.performance import FPS as FPS
+from gesticulator.performance import HandControl, InferenceArguments, InferenceOptions, Performance
 from gesticulator.rollout import OnBlock, Sampling, rollout
 
 if TYPE_CHECKING:
