@@ -11,13 +11,13 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 RUN = 30
-"""Files in which a function ran, while modules were imported or after; 41 before files that are one thought were joined.
-Twenty-five are not reached without harm: each of the thirty has its own subject. Eight read the sound and find beats
-and features, six turn vectors into a BVH file, five hold the models, three settings and four the bundle and what it is
-opened by; the command, its errors, the product, its result and the loop over blocks are the rest. To join further would
-make files of more than 450 lines (the loop and the product, rotations and their representation), put two subjects under
-one name (silence and beats), or leave out checks: settings are held against their ranges, and what low, mid and high
-mean is checked, when a bundle is opened and not halfway through a recording."""
+"""Files in which a function ran, while modules were imported or after; 41 before files of one subject were joined.
+Twenty-five are not reached without harm, since each of the thirty has its own subject: eight turn sound into blocks and
+features, five turn vectors into a BVH file, five are the models and what builds them, four settings, and eight the
+nouns, errors, command line, its main verb, bundle, product, loop over blocks and result. To join further would make
+files of more than 450 lines (the loop and the product; rotations and their representation), put two subjects under one
+name (silence and beats), or give up checks: settings, and what low, mid and high mean, are held against their ranges
+when a bundle is opened and not halfway through a recording."""
 IMPORTED = 39
 """Files that were imported, those of seven packages (`__init__`) included; 53 before."""
 NEVER = ("sklearn", "transformers", "matplotlib", "av", "tqdm.notebook")
