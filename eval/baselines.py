@@ -42,7 +42,7 @@ from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
     from gesticulator.bundle import Bundle
-    from gesticulator.speech_features import SpeechFeatures
+    from gesticulator.features import SpeechFeatures
     from gesticulator.stages import Corpus
     from interpreters.base import BlockFeatures
 
@@ -292,7 +292,7 @@ class Majority:
     """Always the lexeme that the speaker uses most: the floor of every table."""
 
     def __init__(self, bundle: Bundle) -> None:
-        self._best = [int(bundle.inventory.frequencies[name].argmax()) for name in bundle.speakers]
+        self._best = [int(own.argmax()) for own in bundle.frequencies]
         self._size = bundle.lexicon.quantizer.size
 
     def start(self, speaker: int, first_lexeme: int) -> int:

@@ -17,8 +17,7 @@ from data_module import blocks as block_module
 from data_module.types import Blocks, Motion, Speech
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
-from gesticulator.speech_features import encode_speech, front_end_for
-from gesticulator.statistics import Statistics, representation_of
+from gesticulator.features import Statistics, encode_speech, front_end_for, representation_of
 
 
 @dataclass(frozen=True)

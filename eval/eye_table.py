@@ -17,7 +17,7 @@ import numpy as np
 from data_module.types import Array, Motion
 from eval import baselines, stats
 from eval.metrics import EYE_METRICS, eye
-from eval.metrics.eye import ReferenceSpace, Voice, frechet
+from eval.metrics.eye import ReferenceSpace, VoiceActivity, frechet
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 
@@ -57,7 +57,7 @@ class EyeSample:
     groups: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
-    def add(self, motion: Motion, heard: Voice | None = None, edges: Array | None = None,
+    def add(self, motion: Motion, heard: VoiceActivity | None = None, edges: Array | None = None,
             space: ReferenceSpace | None = None, *, group: str = "", rolled: Motion | None = None) -> None:
         """Measure a clip. heard: of its own speech; edges: of its own blocks; rolled: what the system makes of the same
         sound rolled."""
@@ -90,7 +90,7 @@ class EyeSample:
         return Interval.exact(space.distance(own, other), len(self.windows))
 
 
-def controls(motion: Motion, heard: Voice | None, space: ReferenceSpace | None) -> dict[str, EyeSample]:
+def controls(motion: Motion, heard: VoiceActivity | None, space: ReferenceSpace | None) -> dict[str, EyeSample]:
     """Every one of `CONTROLS`, made of a real motion of the 16-joint character; bobbing needs its speech."""
     made = {"mirrored": baselines.mirrored([motion]), "still": baselines.mean_pose([motion]),
             "reversed": baselines.reversed_in_time([motion]), "jitter": baselines.jittered([motion], 0)}

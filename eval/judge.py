@@ -26,7 +26,7 @@ from eval.metrics import fgd, gesture_features, pmb
 from eval.metrics.diversity import diversity, motion_variance
 from eval.rows.row import COLUMNS, PAPERS_DELTA
 from gesticulator.config import Config
-from gesticulator.statistics import Statistics
+from gesticulator.features import Statistics
 from lexicon.autoencoder import Lexicon
 
 Lexemes = NDArray[np.int64]

@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from data_module import blocks as block_module
-from data_module.speech.features import MelFrontEnd, reference_level, scaled_windows
+from data_module.speech.front_ends import MelFrontEnd, scaled_windows
+from data_module.speech.silence import reference_level
 from data_module.speech.speech_encoder import LEVELS, SpeechEncoder
 from data_module.store import Recording
 from data_module.text.word_vectors import word_frames

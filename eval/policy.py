@@ -28,8 +28,8 @@ from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.rows.row import EPISODE
 from gesticulator import bundle as bundles
+from gesticulator.features import SpeechFeatures
 from gesticulator.pipeline import Gesticulator
-from gesticulator.speech_features import SpeechFeatures
 from gesticulator.stages import Corpus
 from gesticulator.stages.q_network import takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select

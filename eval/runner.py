@@ -49,8 +49,8 @@ from eval.rows import CONTROLS, FLOOR, REAL_TAKE, REFERENCES, ROWS, STILL, racer
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator.config import Config
+from gesticulator.features import SpeechFeatures
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.speech_features import SpeechFeatures
 from gesticulator.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Corpus, Node, Run, Stage, assemble, wanted
 from gesticulator.stages.corpus import weights_hash
 from gesticulator.stages.q_network import takes_of

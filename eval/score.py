@@ -99,7 +99,7 @@ class ScoreContext:
     networks: Mapping[str, Features]
     bundle: Any
     seed: int
-    voices: list[eye.Voice | None]
+    voices: list[eye.VoiceActivity | None]
     space: eye.ReferenceSpace | None
     speeches: list[SpeechBlocks | None]
     truth: list[EncodedMotion | None] = field(default_factory=list)
@@ -169,7 +169,7 @@ def _put(row: ScoreRow, metrics: Sequence[str], every: Sequence[Values]) -> None
             row.reasons[metric] = f"{lacking} of {len(every)} clips: {'; '.join(why)}"
 
 
-def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.Voice | None] = ()
+def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.VoiceActivity | None] = ()
                  ) -> tuple[dict[str, list[Motion]], list[str]]:
     """Each control's motions, and why one could not be made. voices: of each clip, None where its speech is
     not known; without any nothing bobs."""

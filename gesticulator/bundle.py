@@ -32,11 +32,10 @@ from data_module.controls import Levels
 from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER
-from data_module.speech.features import Normaliser
+from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
+from gesticulator.features import Normaliser, Statistics, representation_of
 from gesticulator.models import BUILDERS, Sizes, codebook_shape, shapes
-from gesticulator.statistics import Statistics, representation_of
-from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
@@ -45,12 +44,10 @@ if TYPE_CHECKING:
     from interpreters.base import LexemeInterpreter
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
-    from interpreters.lstm import LstmInterpreter
+    from interpreters.lstm import LstmInterpreter, StyleInterpreter
     from interpreters.reward import RewardModel
     from interpreters.statistical import StatisticalInterpreter
-    from interpreters.style import StyleInterpreter
     from lexicon.autoencoder import Lexicon
-    from lexicon.inventory import Inventory
     from lexicon.racer import RacerCodec
 
 FORMAT = 4
@@ -108,15 +105,17 @@ class Bundle:
 
     parts: the models by name (see `FILES`); of a bundle that was read, each is opened when it is asked for. vectors:
     [S, D_s] the codebook; rest_distances: [speakers, S] how far each lexeme is from standing still in the speaker's
-    resting pose, in the codebook's own (squared) distance. silent: the silent lexemes. inventory: counts of the
-    training split. text: where the word vectors come from. provenance: what the weights were trained on, in plain
-    values; figures: stage -> its figures on the validation split.
+    resting pose, in the codebook's own (squared) distance. silent: the silent lexemes. frequencies: [speakers, S] how
+    often each uses each lexeme, and transitions: [S, S] what follows what, on the training split. text: where the word
+    vectors come from. provenance: what the weights were trained on, in plain values; figures: stage -> its figures on
+    the validation split.
     """
 
     config: Config
     statistics: Statistics
     silent: NDArray[np.int64]
-    inventory: Inventory
+    frequencies: NDArray[np.float64]
+    transitions: NDArray[np.float64]
     vectors: Tensor
     rest_distances: NDArray[np.float32]
     parts: Mapping[str, nn.Module]
@@ -240,8 +239,7 @@ class Bundle:
         """The speech-blind interpreter over the same lexicon."""
         from interpreters.statistical import StatisticalInterpreter
 
-        frequencies = np.stack([self.inventory.frequencies[name] for name in self.speakers])
-        return StatisticalInterpreter(frequencies, self.inventory.transitions, self.config.statistical)
+        return StatisticalInterpreter(self.frequencies, self.transitions, self.config.statistical)
 
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose as the models see it."""
@@ -309,8 +307,8 @@ def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
     """What `statistics.safetensors` holds."""
     s = bundle.statistics
     arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation, "bounds": s.bounds,
-              "frequencies": np.stack([bundle.inventory.frequencies[name] for name in s.speakers]),
-              "transitions": bundle.inventory.transitions, "rest_distances": bundle.rest_distances}
+              "frequencies": bundle.frequencies, "transitions": bundle.transitions,
+              "rest_distances": bundle.rest_distances}
     for name, normaliser in (("low", s.low), ("high", s.high)):
         arrays.update({f"{name}_{key}": value for key, value in normaliser.to_dict().items()})
     if s.quiet_low is not None and s.quiet_high is not None:
@@ -612,7 +610,7 @@ def load(path: str | Path) -> Bundle:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
     text = _text_source(folder, index["text"])
     speakers, silent = tuple(index["speakers"]), np.array(index["silent_lexemes"], dtype=np.int64)
-    statistics, inventory, distances = _statistics(folder, weights, config, speakers)
+    statistics, tensors = _statistics(folder, weights, config, speakers)
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
@@ -620,7 +618,8 @@ def load(path: str | Path) -> Bundle:
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")
-    return Bundle(config, statistics, silent, inventory, vectors, distances,
+    return Bundle(config, statistics, silent, tensors["frequencies"], tensors["transitions"], vectors,
+                  tensors["rest_distances"].astype(np.float32),
                   StoredParts(weights, replace(sizes, vectors=vectors)), index["provenance"], index["figures"], text)
 
 
@@ -635,9 +634,8 @@ def _text_source(folder: Path, found: dict[str, Any] | None) -> TextSource | Non
 
 
 def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[str, ...]
-                ) -> tuple[Statistics, Inventory, NDArray[np.float32]]:
-    from lexicon.inventory import Inventory
-
+                ) -> tuple[Statistics, dict[str, NDArray[np.float64]]]:
+    """The statistics, and the arrays that are beside them in the file."""
     tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
     motion, count, size = representation_of(config).width, len(speakers), codebook_shape(config)[0]
     wanted = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
@@ -658,5 +656,4 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(folder / f"{_STATISTICS}{_ENDING}", f"does not fit together ({str(error)[:100]})",
                          "train it again") from None
-    inventory = Inventory(dict(zip(speakers, tensors["frequencies"], strict=True)), tensors["transitions"])
-    return statistics, inventory, tensors["rest_distances"].astype(np.float32)
+    return statistics, tensors

@@ -26,7 +26,7 @@ from data_module.settings import (
 )
 from data_module.speech.beats import BeatSettings
 from data_module.speech.speech_encoder import EncoderConfig
-from generator.settings import GeneratorConfig
+from generator.model import GeneratorConfig
 from interpreters.settings import (
     EpisodeConfig,
     GateConfig,

@@ -16,16 +16,15 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from gesticulator.config import Config
-from gesticulator.statistics import CONTROL_WIDTH
+from gesticulator.features import CONTROL_WIDTH
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
     from generator.model import Generator
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
-    from interpreters.lstm import LstmInterpreter
+    from interpreters.lstm import LstmInterpreter, StyleInterpreter
     from interpreters.reward import RewardModel
-    from interpreters.style import StyleInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.racer import RacerCodec
 
@@ -134,7 +133,7 @@ def style_text(sizes: Sizes) -> StyleInterpreter:
 
 
 def _style_interpreter(sizes: Sizes, reads: bool) -> StyleInterpreter:
-    from interpreters.style import StyleInterpreter
+    from interpreters.lstm import StyleInterpreter
 
     config = sizes.config.style
     return StyleInterpreter(config if reads else config.without_text(), sizes.frames, sizes.low, sizes.lexemes,

@@ -1,26 +1,154 @@
-"""What the product gives back: a motion, the sound it belongs to, and why each block got its gesture."""
+"""A performance: what can be asked of it, what it is, and how it is written to a file.
+
+Nothing heavy is imported before it is needed, so that the command line checks its numbers against the same ranges
+before numpy and torch are loaded.
+"""
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
-import numpy as np
-from numpy.typing import NDArray
+from data_module.errors import InputError
 
-from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import standing
-from data_module.types import Array, BeatFlag, Blocks, Motion, Speech
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
+    from data_module.controls import Controls, Curve
+    from data_module.types import Array, Blocks, Motion, Speech
+    from interpreters.base import LexemeInterpreter
+
+HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
+
+FPS = 60.0
+"""Frames per second of a performance when not told: the models' 20 fps frames, interpolated."""
 BEST = 5
 """How many candidates a block keeps."""
 
 # The blocks must end where the sound ends; a cut on the frame grid may miss it by less than this.
 _END_TOLERANCE = 0.05
 
+WRITERS = {
+    ".bvh": "gesticulator.performance:write_bvh_file",
+    ".html": "gesticulator.export.html:write_preview",
+    ".json": "gesticulator.export.plan:write_plan",
+}
+"""Suffix -> module and name of writer(path, performance) -> path, imported when something is written. A new format is
+one writer in `gesticulator.export` and one entry here."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers that a setting takes: low to high, both included; whole: no fractions."""
+
+    low: float
+    high: float
+    advice: str
+    whole: bool = False
+
+    def parse(self, name: str, text: str) -> float:
+        """The number that a text gives; `InputError` with the name where it gives none or one out of range."""
+        try:
+            # Python reads 0_4 as 4, which nobody means here.
+            number = math.nan if "_" in text else int(text) if self.whole else float(text)
+        except ValueError:
+            raise InputError(f"{name} {text[:40]}", f"is no {'whole ' if self.whole else ''}number",
+                             f"choose {self.advice}") from None
+        return self.check(name, number)
+
+    def check(self, name: str, number: float) -> float:
+        """The number itself; `InputError` with the name where it is out of range or no number at all."""
+        if isinstance(number, bool) or not hasattr(number, "__index__" if self.whole else "__float__"):
+            raise InputError(f"{name} {number!r}", f"is no {'whole ' if self.whole else ''}number",
+                             f"choose {self.advice}")
+        if not self.low <= number <= self.high:  # also NaN
+            shown = f"{number:g}" if not abs(number) > 1e300 or math.isinf(number) else "of that size"
+            raise InputError(f"{name} {shown}", "is out of range", f"choose {self.advice}")
+        return number
+
+
+RANGES = {
+    "seed": Range(0, 2**64 - 1, "a whole number from 0", whole=True),
+    # At 1000 the lexemes are already as good as equally likely.
+    "temperature": Range(0, 1000, "0 (always the likeliest lexeme) to 1000"),
+    "activity": Range(0, 1, "0 (stillness) to 1 (never holds back)"),
+    "fps": Range(1, 1000, "1 to 1000 frames per second"),
+    # 64 dB bring the faintest speech that is listened for (-90 dBFS) to the usual level (-26 dBFS).
+    "gain": Range(-70, 70, "-70 to 70 decibels"),
+    # Far above any machine's cores; beyond the system's limit on threads torch ends the process.
+    "threads": Range(1, 256, "1 to 256 threads", whole=True),
+}
+"""What each number may be. "threads" belongs to the command, the others to `InferenceOptions`."""
+
+
+@dataclass(frozen=True)
+class InferenceOptions:
+    """What is asked of a performance; what is None is the bundle's own choice. `InputError` for a value out of range.
+
+    A hand control is "low", "mid" or "high" (quantiles of the training data), a number in its unit, a `Curve` over
+    time, or the path of a CSV file with the columns time and value (RG 7.2.1).
+    """
+
+    speaker: str | None = None
+    """Whose habits of moving: a performer of the bundle (`Gesticulator.speakers`), not a voice."""
+    interpreter: str | LexemeInterpreter | None = None
+    """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "statistical") or an object."""
+    seed: int = 0
+    """The same seed, bundle and speech give the same performance."""
+    temperature: float | None = None
+    """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
+    activity: float | None = None
+    """How readily to gesture at all, 0 (stillness) to 1 (the gate never closes)."""
+    fps: float = FPS
+    """Frames per second of the motion, 1 to 1000."""
+    gain: float = 0.0
+    """Decibels by which the recording is amplified first, -70 to 70; beyond full scale it is clipped."""
+    hand_height: HandControl = None
+    """Height of the right hand over the hips, metres."""
+    hand_speed: HandControl = None
+    """Mean speed of both hands, metres per second."""
+    hand_radius: HandControl = None
+    """Mean horizontal distance of both hands from the body's axis, metres."""
+    controls: Controls | None = None
+    """The three hand controls in one object, instead of them."""
+
+    def __post_init__(self) -> None:
+        for name in ("seed", "temperature", "activity", "fps", "gain"):
+            value = getattr(self, name)
+            if value is not None or name not in ("temperature", "activity"):
+                RANGES[name].check(name, value)
+        if self.controls is not None and any(part is not None for part in self.hands):
+            raise InputError("controls", "are given beside hand_height, hand_speed or hand_radius", "give one or other")
+
+    @property
+    def hands(self) -> tuple[HandControl, ...]:
+        """The hand controls in the order of `data_module.controls.FEATURES`."""
+        return self.hand_height, self.hand_speed, self.hand_radius
+
+
+class InferenceArguments(TypedDict, total=False):
+    """The fields of `InferenceOptions` as keyword arguments, for type checkers."""
+
+    speaker: str | None
+    interpreter: str | LexemeInterpreter | None
+    seed: int
+    temperature: float | None
+    activity: float | None
+    fps: float
+    gain: float
+    hand_height: HandControl
+    hand_speed: HandControl
+    hand_radius: HandControl
+    controls: Controls | None
+
+
+# ---------------------------------------------------------------------------------------------------- the result
 
 @dataclass(frozen=True)
 class Performance:
@@ -51,6 +179,8 @@ class Performance:
     """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
 
     def __post_init__(self) -> None:
+        import numpy as np
+
         n = len(self.blocks)
         if self.lexemes.shape != (n,) or self.best.ndim != 2 or len(self.best) != n or self.best.shape[1] == 0:
             raise ValueError(f"lexemes {self.lexemes.shape} and best {self.best.shape} do not fit {n} blocks")
@@ -84,16 +214,17 @@ class Performance:
 
     def positions(self) -> Array:
         """[T, J, 3] where the joints are, metres: Y up, facing +Z, the floor at 0, as in the files that are written."""
+        from data_module.motion.kinematics import positions_of
+        from data_module.motion.skeletons import standing
+
         return positions_of(standing(self.motion))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write it, whole or not at all, in the format of the suffix (`gesticulator.export.WRITERS`): .bvh the motion,
+        """Write it, whole or not at all, in the format of the suffix (`WRITERS`): .bvh the motion,
         .html a page that plays it, .json its plan.
 
         Folders that are missing are made. `InputError` for an unknown suffix; OSError where the disk refuses.
         """
-        from gesticulator.export import write, writer_for
-
         writer_for(path)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         return write(path, self)
@@ -108,6 +239,10 @@ class Performance:
         one ended; `played` is the lexeme that was taken, and `gate`, where the gate was asked, how likely it thought a
         gesture.
         """
+        import numpy as np
+
+        from data_module.types import BeatFlag
+
         edges = self.blocks.edges.tolist()
         gates = np.full(len(self.blocks), np.nan) if self.gate is None else self.gate
         return {"made_by": dict(self.made_by), "notes": list(self.notes), "score": self.score_is, "blocks": [
@@ -125,3 +260,34 @@ class Performance:
                 edges[:-1], edges[1:], self.blocks.flags, self.blocks.silent, self.lexemes, gates, self.best,
                 self.scores, strict=True)
         ]}
+
+
+# ---------------------------------------------------------------------------------------------------- its files
+
+def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Path]:
+    """The writer for a path by its suffix, in any case; InputError that lists the known ones."""
+    target = Path(path)
+    writer = WRITERS.get(target.suffix.lower())
+    if writer is None:
+        said = f"'{target.suffix}' is no format that can be written" if target.suffix else "has no suffix"
+        raise InputError(target, said, f"use one of {', '.join(sorted(WRITERS))}")
+    module, name = writer.split(":")
+    found: Callable[[Path, Performance], Path] = getattr(import_module(module), name)
+    return found
+
+
+def write(path: str | os.PathLike[str], performance: Performance) -> Path:
+    """Write a performance, whole or not at all, in the format of the suffix.
+
+    Returns `path`. InputError for an unknown suffix; OSError where the disk refuses.
+    """
+    return writer_for(path)(Path(path), performance)
+
+
+def write_bvh_file(path: Path, performance: Performance) -> Path:
+    """Write the motion, standing on the floor, at its own frame rate. Returns `path`."""
+    from data_module.motion import bvh
+    from data_module.motion.skeletons import standing
+
+    bvh.write_bvh(path, standing(performance.motion))
+    return path

@@ -16,24 +16,22 @@ from torch import nn
 from data_module.blocks import denormalise
 from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
-from data_module.speech.audio import SAMPLE_RATE, resample
+from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Array, Motion, Speech
+from gesticulator import __version__
 from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle import load as load_bundle
-from gesticulator.inputs import Recording, Text, amplified, as_speech, as_transcript, texts_for
-from gesticulator.options import FPS as FPS
-from gesticulator.options import HandControl, InferenceArguments, InferenceOptions
-from gesticulator.performance import Performance
+from gesticulator.features import SpeechFeatures, control_rows, encode_speech, front_end_for, representation_of
+from gesticulator.performance import FPS as FPS
+from gesticulator.performance import HandControl, InferenceArguments, InferenceOptions, Performance
 from gesticulator.rollout import OnBlock, Sampling, rollout
-from gesticulator.speech_features import SpeechFeatures, encode_speech, front_end_for
-from gesticulator.statistics import control_rows, representation_of
-from gesticulator.version import __version__
 
 if TYPE_CHECKING:
+    from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from interpreters.base import LexemeInterpreter
 
-R = TypeVar("R", bound=Recording)
+R = TypeVar("R", bound=SpeechInput)
 
 
 class Gesticulator:
@@ -101,13 +99,13 @@ class Gesticulator:
         """Speech with the words of a text (`str`) or of a transcript's file, and a line on how their times were got."""
         if not self.reads_text:
             raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
-        from data_module.text.transcript import with_transcript
+        from data_module.text.transcript import as_transcript, with_transcript
 
         spoken, timing = with_transcript(speech, as_transcript(text, speech))
         return spoken, timing.note
 
     @overload
-    def __call__(self, speech: Recording, sample_rate: float | None = None, *, text: Text | None = None,
+    def __call__(self, speech: SpeechInput, sample_rate: float | None = None, *, text: Text | None = None,
                  encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None,
                  **options: Unpack[InferenceArguments]) -> Performance: ...
 
@@ -116,7 +114,7 @@ class Gesticulator:
                  text: Sequence[Text | None] | None = None, encoded: None = None, on_block: OnBlock | None = None,
                  **options: Unpack[InferenceArguments]) -> list[Performance]: ...
 
-    def __call__(self, speech: Recording | list[R] | tuple[R, ...], sample_rate: float | None = None, *,
+    def __call__(self, speech: SpeechInput | list[R] | tuple[R, ...], sample_rate: float | None = None, *,
                  text: Text | Sequence[Text | None] | None = None, encoded: SpeechFeatures | None = None,
                  on_block: OnBlock | None = None, **options: Unpack[InferenceArguments]
                  ) -> Performance | list[Performance]:
@@ -136,7 +134,7 @@ class Gesticulator:
         if isinstance(speech, list | tuple):
             if encoded is not None:
                 raise InputError("encoded", "is one for several recordings", "give one recording")
-            texts = texts_for(len(speech), text)
+            texts = _texts_for(len(speech), text)
             return [self._one(one, sample_rate, said, asked, None, on_block)
                     for one, said in zip(speech, texts, strict=True)]
         return self._one(speech, sample_rate, text, asked, encoded, on_block)  # type: ignore[arg-type]
@@ -173,7 +171,7 @@ class Gesticulator:
                                activity=activity, controls=controls, hand_height=None, hand_speed=None,
                                hand_radius=None), self._reads(speech)))
 
-    def _one(self, speech: Recording, sample_rate: float | None, text: Text | None, options: InferenceOptions,
+    def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
         spoken = _prepared(as_speech(speech, sample_rate), options)
         if text is None:
@@ -243,6 +241,17 @@ class Gesticulator:
         frames = denormalise(poses, statistics.rest_pose[speaker], encoded.blocks, fps,
                              self.bundle.config.motion.smoothing)
         return representation_of(self.bundle.config).motion(frames, fps)
+
+
+def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequence[Text | None]:
+    """A text for each of several recordings; `InputError` where there is one for all, or another number of them."""
+    if text is None:
+        return [None] * count
+    if isinstance(text, str | os.PathLike):
+        raise InputError("text", f"is one for {count} recordings", "give a list with a text (or None) for each")
+    if len(text) != count:
+        raise InputError("text", f"has {len(text)} entries for {count} recordings", "give one (or None) for each")
+    return text
 
 
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:

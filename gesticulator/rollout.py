@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gesticulator.bundle import Bundle
+from gesticulator.features import SpeechFeatures
 from gesticulator.performance import BEST
-from gesticulator.speech_features import SpeechFeatures
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Sampling:
 
 
 @dataclass(frozen=True)
-class Played:
+class RolloutResult:
     """What a rollout gives: motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M],
     style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked."""
 
@@ -48,7 +48,7 @@ class Played:
     gate: NDArray[np.float64]
 
     @classmethod
-    def empty(cls, blocks: int, lexemes: int, motion: tuple[int, ...], code_width: int) -> Played:
+    def empty(cls, blocks: int, lexemes: int, motion: tuple[int, ...], code_width: int) -> RolloutResult:
         """Arrays to be filled, for N blocks of a lexicon of S lexemes; motion: [K, D_m]."""
         best = min(BEST, lexemes)
         return cls(np.empty((blocks, *motion), np.float32), np.empty(blocks, np.int64),
@@ -91,7 +91,7 @@ class Rollout:
 
     @torch.inference_mode()
     def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
-            ) -> Played:
+            ) -> RolloutResult:
         """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
         b, count = self.bundle, len(encoded.blocks)
         generator, style = b.generator_and_style(encoded.text is not None)
@@ -106,7 +106,7 @@ class Rollout:
         gate_state = None if gate is None else gate.start(self.speaker)
         guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
         low, high = self._tensor(b.statistics.bounds)
-        made = Played.empty(count, len(vectors), past.shape[1:], style.code_width)
+        made = RolloutResult.empty(count, len(vectors), past.shape[1:], style.code_width)
         resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
         for i in range(count):
             features = self._features(encoded, i, asked)
@@ -165,12 +165,12 @@ class CodecRollout(Rollout):
 
     @torch.inference_mode()
     def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
-            ) -> Played:
+            ) -> RolloutResult:
         """Every code in turn; nothing can be asked of the style."""
         codec = cast("RacerCodec", self.bundle.lexicon)
         count = len(encoded.blocks)
         rest = previous = self.bundle.rest_lexeme(self.speaker)
-        made = Played.empty(count, len(self.bundle.vectors), (0, 0), 0)
+        made = RolloutResult.empty(count, len(self.bundle.vectors), (0, 0), 0)
         state = self.interpreter.start(self.speaker, previous)
         for i in range(count):
             scores, state = self.interpreter.step(state, self._features(encoded, i, asked), previous)

@@ -20,8 +20,8 @@ from data_module.layers import freeze
 from gesticulator import models
 from gesticulator.bundle import CARD, FILES, INDEX, lexicon_hash, read_json, replace_folder, rest_distances, write_index
 from gesticulator.config import Config, from_dict, to_dict
+from gesticulator.features import Statistics, representation_of
 from gesticulator.models import Sizes
-from gesticulator.statistics import Statistics, representation_of
 
 SETTINGS = {("silence", "settle"): "rest_decay", ("interpreter", "text_reading"): "text_head",
             ("interpreter", "reading_dropout"): "text_head_dropout"}
@@ -97,7 +97,7 @@ def _write(source: Path, index: dict[str, Any], folder: Path) -> None:
 
 def _poses(tensors: dict[str, torch.Tensor], speakers: tuple[str, ...]) -> Statistics:
     """As much of the statistics as the resting pose needs."""
-    from data_module.speech.features import Normaliser
+    from gesticulator.features import Normaliser
 
     arrays = {key: value.double().numpy() for key, value in tensors.items()}
     none = Normaliser(np.zeros(1), np.ones(1))

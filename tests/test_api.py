@@ -24,10 +24,9 @@ from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import HIP_HEIGHT
+from data_module.speech.audio import amplified, as_speech
 from data_module.types import Speech, Word
-from gesticulator.inputs import amplified, as_speech
-from gesticulator.options import InferenceArguments, InferenceOptions
-from gesticulator.performance import Performance
+from gesticulator.performance import InferenceArguments, InferenceOptions, Performance
 from gesticulator.pipeline import Gesticulator
 
 RATE = 16000

@@ -24,7 +24,7 @@ from eval.metrics import EYE_METRICS
 from eval.metrics.eye import ReferenceSpace, figures, frechet, hear
 from eval.probes import eye as probe
 from eval.table import Table, load
-from gesticulator.speech_features import SpeechFeatures
+from gesticulator.features import SpeechFeatures
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +181,7 @@ def test_edges_come_from_a_plan(plan: object, told: list[float] | None, tmp_path
 def test_a_system_without_a_sound_s_motion_is_refused(tmp_path: Path) -> None:
     one = recording("one", 0, 6.0)
     write_bvh(tmp_path / "other.bvh", one.motion)
-    sound = probe.Sound("voice", one.speech, hear(one.speech))
+    sound = probe.SpeechClip("voice", one.speech, hear(one.speech))
     with pytest.raises(InputError, match="no motion for voice"):
         probe._read("a", tmp_path, [sound], None)
     write_bvh(tmp_path / "voice.3.bvh", one.motion)

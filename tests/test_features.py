@@ -12,17 +12,11 @@ from hypothesis import strategies as st
 
 from data_module.blocks import windows_of
 from data_module.errors import InputError
-from data_module.speech.features import (
-    TYPICAL_LEVEL,
-    FrontEnd,
-    Levels,
-    MelFrontEnd,
-    Normaliser,
-    reference_level,
-)
-from data_module.speech.front_ends import FRONT_ENDS, front_end
+from data_module.speech.front_ends import FRONT_ENDS, AudioFeatures, FrontEnd, MelFrontEnd, front_end
+from data_module.speech.silence import TYPICAL_LEVEL, reference_level
 from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.types import Array, Samples
+from gesticulator.features import Normaliser
 
 RATE = 16000
 MEL = MelFrontEnd()
@@ -106,7 +100,7 @@ def test_a_window_is_heard_alone() -> None:
     whole = MEL.encode(windows, reference)
     for part in (slice(0, 1), slice(130, 133), slice(250, 400)):
         assert np.allclose(MEL.encode(windows[part], reference[part]).low, whole.low[part], atol=1e-4)
-    assert isinstance(whole, Levels)
+    assert isinstance(whole, AudioFeatures)
     assert whole.low.shape == (400, 30, MEL.width_low)
     assert whole.high.shape == (400, 30, MEL.width_high)
 

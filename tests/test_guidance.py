@@ -12,7 +12,7 @@ from data_module.types import Speech
 from gesticulator.bundle import Bundle
 from gesticulator.config import with_settings
 from gesticulator.pipeline import Gesticulator
-from gesticulator.rollout import Played, Sampling, rollout
+from gesticulator.rollout import RolloutResult, Sampling, rollout
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def bundle() -> Bundle:
     return dataclasses.replace(made, statistics=dataclasses.replace(made.statistics, bounds=bounds))
 
 
-def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0.1) -> Played:
+def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0.1) -> RolloutResult:
     """The first blocks with guidance; the same sound each time, all of it silent where noise is 0."""
     config = with_settings(bundle.config, [f"selection.guidance={guidance}", "silence.rest_decay=0"])
     own = dataclasses.replace(bundle, config=config)
@@ -35,7 +35,7 @@ def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0
     return rollout(own, system.interpreter("lstm"), 0, Sampling(0.0, 0, 0), 1.0).run(encoded, rows)
 
 
-def scores(made: Played) -> np.ndarray:
+def scores(made: RolloutResult) -> np.ndarray:
     """[S] scores of the first block, by lexeme."""
     out = np.full(made.best.max() + 1, np.nan)
     out[made.best[0]] = made.scores[0]

@@ -1,4 +1,4 @@
-"""The rules of the house that no linter knows: doors, circles of files, names, and how much a function asks for."""
+"""The rules of the house that no linter knows: doors, names, and how much a function asks for."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections import defaultdict
 from importlib.metadata import entry_points
 from pathlib import Path
 
-import grimp
 import pytest
 
 from gesticulator.cli import GROUP, Command
@@ -48,14 +47,6 @@ def test_every_verb_is_a_command_that_says_what_it_is_for() -> None:
         assert command.summary
         assert command.examples, f"{name} shows no example in its help"
         assert name in command.parser(f"gesticulator {name}").format_help()
-
-
-def test_no_two_files_import_each_other_in_a_circle() -> None:
-    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
-    reached = {module: graph.find_downstream_modules(module) for module in graph.modules}
-    circles = {tuple(sorted((one, other))) for one, others in reached.items() for other in others
-               if one in reached[other] and one != other}
-    assert not circles
 
 
 def test_a_class_name_stands_once() -> None:

@@ -22,7 +22,7 @@ from data_module.speech import audio
 from data_module.types import Speech
 from gesticulator import bundle as bundles
 from gesticulator import infer
-from gesticulator.export import write
+from gesticulator.performance import write
 from gesticulator.pipeline import Gesticulator
 
 RATE = 16000
@@ -110,9 +110,9 @@ def test_many_recordings_go_to_a_folder(recording: Path, tiny_bundle: Path, tmp_
 
 
 def test_an_hour_streams_through_the_front_end_in_bounded_memory() -> None:
-    from gesticulator import presets, speech_features
+    from gesticulator import features, presets
 
-    limit = speech_features._CHUNK * 3 * presets.preset("default").rhythm.frames * 800 * 4
+    limit = features._CHUNK * 3 * presets.preset("default").rhythm.frames * 800 * 4
     assert limit < 100e6, "bytes of windows in flight, whatever the length"
 
 

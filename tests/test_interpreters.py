@@ -12,9 +12,8 @@ from gesticulator.bundle import FILES
 from interpreters import INTERPRETERS
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.cql import QConfig, QNetwork
-from interpreters.lstm import LstmConfig, LstmInterpreter
+from interpreters.lstm import LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
-from interpreters.style import StyleConfig, StyleInterpreter
 
 FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL = 5, 4, 6, 3, 3, 6
 

@@ -21,7 +21,8 @@ from performances import perform
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, standing
-from gesticulator.export import html, write
+from gesticulator.export import html
+from gesticulator.performance import write
 
 ASSETS = Path(html.__file__).parent.parent / "assets"
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",

@@ -85,7 +85,7 @@ def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundl
     labels = token_labels(bundle.lexicon, corpus)
     config = RewardConfig(shortest=2, window=4, longest=6, rivals=3)
     windows = RewardWindows(corpus, block_audio(corpus), decoded_blocks(bundle.lexicon, labels, corpus),
-                            corpus.recordings("train"), config, labels, lexemes, bundle.inventory.transitions)
+                            corpus.recordings("train"), config, labels, lexemes, bundle.transitions)
     batch = windows.sample(np.random.default_rng(1), 48, 1.0)
     assert batch["rivalled"].all() and batch["rival"].shape[:3] == (48, 3, 6)
     other = (batch["rival"] != batch["motion"][:, None]).flatten(3).any(3)  # [B, H, W]
@@ -166,7 +166,7 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
     frames = codec.decode(codec.vectors[codes])[0, 8:].numpy().astype(np.float64)
     poses = system.bundle.statistics.denormalise(frames, system.speaker_index(None))
     # The frames of the motion at 20 fps are the decoded ones, but for the smoothing.
-    from gesticulator.statistics import representation_of
+    from gesticulator.features import representation_of
 
     wanted = representation_of(system.bundle.config).motion(poses[:-16], 20.0)
     gap = np.abs(np.einsum("tjq,tjq->tj", made.motion.rotations[1:len(wanted) + 1], wanted.rotations))

@@ -10,15 +10,15 @@ import torch
 
 from data_module.blocks import stretch_speech, windows_of
 from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.features import reference_level
+from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder
 from data_module.types import Speech, Word
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
+from gesticulator import features as hearing
 from gesticulator import presets
-from gesticulator import speech_features as hearing
-from gesticulator.speech_features import encode, encode_speech, front_end_for, tempo_column, three_blocks, word_table
+from gesticulator.features import encode, encode_speech, front_end_for, tempo_column, three_blocks, word_table
 from gesticulator.stages.corpus import Corpus, prepare
 
 WORDS = (Word("one", 0.5, 1.0), Word("two", 1.1, 1.5), Word("", 1.5, 2.2), Word("three", 2.2, 2.9))

@@ -12,12 +12,11 @@ import torch
 
 from data_module.motion.skeletons import CHARACTER
 from data_module.speech.audio import load_speech
-from data_module.speech.features import Normaliser
 from gesticulator import bundle as bundles
+from gesticulator.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
 from gesticulator.pipeline import Gesticulator
 from gesticulator.presets import preset
 from gesticulator.stages.corpus import measured
-from gesticulator.statistics import LEAST_MOVEMENT, Statistics, control_rows
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "speech.flac"
 FRAMES = 10

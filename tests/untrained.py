@@ -10,23 +10,20 @@ import torch
 
 from data_module.controls import Levels
 from data_module.layers import freeze
-from data_module.speech.features import Normaliser
 from data_module.speech.speech_encoder import SpeechEncoder
 from data_module.store import Store
 from gesticulator import models
 from gesticulator.bundle import Bundle, TextSource, rest_distances
 from gesticulator.config import with_settings
+from gesticulator.features import Normaliser, Statistics, front_end_for, representation_of
 from gesticulator.models import Sizes
 from gesticulator.presets import preset
-from gesticulator.speech_features import front_end_for
 from gesticulator.stages import wanted
 from gesticulator.stages.corpus import prepare
 from gesticulator.stages.reward import block_audio
-from gesticulator.statistics import Statistics, representation_of
 from interpreters.cql import QNetwork
 from interpreters.reward import RewardModel
 from interpreters.settings import QConfig, RewardConfig
-from lexicon.inventory import Inventory
 
 SPEAKERS = ("ann", "bob")
 SILENT = (2, 5)
@@ -73,8 +70,8 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     frequencies = rng.dirichlet(np.ones(size), size=2).astype(np.float32).astype(np.float64)
     moves = np.full((size, size), 1 / 16) if size == 16 else np.eye(size)
     return Bundle(
-        config, statistics, np.array(SILENT), Inventory(dict(zip(SPEAKERS, frequencies, strict=True)), moves),
-        lexicon.vectors, rest_distances(lexicon, statistics), parts,
+        config, statistics, np.array(SILENT), frequencies, moves, lexicon.vectors,
+        rest_distances(lexicon, statistics), parts,
         {"store": "none", "fingerprint": "0" * 64, "licence": "none", "hours": {"train": 0.0}}, {},
         TextSource.of(config, words))
 
@@ -84,13 +81,12 @@ def with_policies(store: Store, work: Path) -> Bundle:
     bundle = untrained(*PLAIN, "selection.temperature=0.7")
     corpus = prepare(store, bundle.config, work, progress=False)
     names, frames, audio = corpus.statistics.speakers, bundle.config.rhythm.frames, block_audio(corpus).shape[-1]
-    table = next(iter(bundle.inventory.frequencies.values()))
+    table = np.repeat(bundle.frequencies[:1], len(names), axis=0)
     reward, judge = (RewardModel(RewardConfig(width=16, projection=8), frames, corpus.motion.shape[-1], audio)
                      for _ in range(2))
     network = QNetwork(QConfig(width=16, heads=2, layers=1, audio_features=4, audio_bottleneck=4), frames,
                        corpus.high.shape[-1], len(bundle.vectors), len(names), bundle.silent.tolist())
     for module in (reward, judge, network):
         freeze(module)
-    inventory = dataclasses.replace(bundle.inventory, frequencies=dict.fromkeys(names, table))
-    return dataclasses.replace(bundle, statistics=corpus.statistics, inventory=inventory).with_parts(
+    return dataclasses.replace(bundle, statistics=corpus.statistics, frequencies=table).with_parts(
         q_network=network, reward=reward, reward_judge=judge)

@@ -69,7 +69,7 @@ class BindPose:
 
 
 @dataclass(frozen=True)
-class Clip:
+class SmartBodyMotion:
     """A motion file as it stands: channels (joint, kind), their values, and the author's marks in seconds.
 
     times: [F] seconds; columns: (joint, kind) -> [F, 1] metres (XPos, YPos, ZPos) or [F, 3] axis times angle (Quat).
@@ -120,7 +120,7 @@ def read_sk(path: str | os.PathLike[str]) -> BindPose:
 _WIDTHS = {"XPos": 1, "YPos": 1, "ZPos": 1, "Quat": 3}
 
 
-def read_skm(path: str | os.PathLike[str]) -> Clip:
+def read_skm(path: str | os.PathLike[str]) -> SmartBodyMotion:
     """Read a `.skm` motion; InputError, by name, when it is none or is cut short."""
     where = str(path)
     text = _text(path)
@@ -147,10 +147,10 @@ def read_skm(path: str | os.PathLike[str]) -> Clip:
                for channel, start, stop in zip(channels, ends[:-1], ends[1:], strict=True)}
     sync = {name: _numbers([value], 1, where)[0]
             for name, value in re.findall(r"^[ \t]*+(\w++) time:[ \t]*+(\S++)", body, re.MULTILINE)}
-    return Clip(values[:, 0], columns, sync)
+    return SmartBodyMotion(values[:, 0], columns, sync)
 
 
-def motion_of(bind: BindPose, clip: Clip, *, path: str = "motion") -> Motion:
+def motion_of(bind: BindPose, clip: SmartBodyMotion, *, path: str = "motion") -> Motion:
     """The clip on its skeleton at 30 fps, with the joints of `JOINT_TABLE`; metres.
 
     A last frame whose time, as written with six digits, falls short of a whole frame is left out. InputError naming

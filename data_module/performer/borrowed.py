@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module.performer.strokes import Figure, Stroke, StrokeSet, held_out_keys, load_speaker
+from data_module.performer.strokes import PerformerBody, Stroke, StrokeSet, held_out_keys, load_speaker
 
 LENDER = "pn"
 _LEXEMES: dict[str, tuple[str, ...]] = {
@@ -27,7 +27,7 @@ def lexemes_of_clip(stem: str) -> tuple[str, ...]:
     return _LEXEMES.get(stem.removeprefix(LENDER + "_").rstrip("0123456789").removesuffix("_intense"), ())
 
 
-def load_borrowed(folder: str | Path) -> tuple[Figure, tuple[Stroke, ...]]:
+def load_borrowed(folder: str | Path) -> tuple[PerformerBody, tuple[Stroke, ...]]:
     """The lender's body and strokes from the folder that holds `manifest.csv` and her clips."""
     with (Path(folder) / "manifest.csv").open(encoding="utf-8", newline="") as lines:
         rows = [row for row in csv.DictReader(lines) if row["person"] == LENDER]
@@ -41,7 +41,7 @@ def load_borrowed(folder: str | Path) -> tuple[Figure, tuple[Stroke, ...]]:
     return figure, tuple(replace(stroke, held_out=(LENDER, stroke.base) in kept) for stroke in strokes)
 
 
-def with_borrowed(strokes: StrokeSet, lender: Figure, own: Sequence[Stroke]) -> StrokeSet:
+def with_borrowed(strokes: StrokeSet, lender: PerformerBody, own: Sequence[Stroke]) -> StrokeSet:
     """The strokes with those of a lender for every performer: the arms' log rotations on joints of the same name.
 
     A joint that the lender lacks stays at rest, and so does the trunk. A lexeme takes the first of its names that the

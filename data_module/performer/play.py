@@ -21,7 +21,7 @@ from data_module.performer import plan as planning
 from data_module.performer.hands import Manner, waiting_levels
 from data_module.performer.inertialisation import quintic_offset
 from data_module.performer.plan import BRAKE, Casting, Habits, Planned
-from data_module.performer.strokes import LEFT, RIGHT, SIDES, Figure, StrokeSet
+from data_module.performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
 from data_module.performer.styles import NEUTRAL, StyleTrack
 from data_module.performer.trunk import Segment, idle_arms, kept_ahead, postures, spread, sway, trunk_track
 from data_module.performer.types import Played, Spoken
@@ -153,7 +153,7 @@ class _Score:
     made: targets that need not be computed again.
     """
 
-    figure: Figure
+    figure: PerformerBody
     planned: tuple[Planned, ...]
     events: tuple[tuple[_Event, ...], tuple[_Event, ...]]
     micro: Array
@@ -292,7 +292,7 @@ def _truth(p: Planned) -> PlayedStroke:
 # --- What stays the same from pass to pass
 
 
-def _score(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits,
+def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits,
            staged: tuple[Casting | None, tuple[Segment, ...]], rng: np.random.Generator) -> _Score:
     casting, segments = staged
     manner = casting.manner if casting else None
@@ -431,7 +431,7 @@ def _wander(frames: int, channels: int, period: float, rng: np.random.Generator)
     return curve / 0.52
 
 
-def _drift(figure: Figure, lively: Array, wander: float, frames: int, rng: np.random.Generator) -> Array:
+def _drift(figure: PerformerBody, lively: Array, wander: float, frames: int, rng: np.random.Generator) -> Array:
     """[T, A * 3] the arm's own slow wandering: degrees while it is up, a trace of it at rest."""
     joints = len(figure.arms[0])
     share = np.zeros((joints, 3))
@@ -480,8 +480,8 @@ def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], least: float
 # --- The body
 
 
-def _trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits, speaking: Array, frames: int,
-           rng: np.random.Generator) -> Array:
+def _trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits, speaking: Array,
+           frames: int, rng: np.random.Generator) -> Array:
     """[T, B, 3] log rotations of hips, spine, neck and head: sway, breath, nods, and the clips' own small motion."""
     names = [figure.skeleton.names[j] for j in figure.trunk]
     slow = gaussian_filter1d(speaking, 0.4 * FPS, mode="nearest")
@@ -505,7 +505,7 @@ def _trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, habits:
     return out
 
 
-def _living_trunk(figure: Figure, planned: tuple[Planned, ...], spoken: Spoken, segments: tuple[Segment, ...],
+def _living_trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, segments: tuple[Segment, ...],
                   life: tuple[Array, float, Habits], rng: np.random.Generator) -> Array:
     """[T, B, 3] log rotations of hips, spine, neck and head: a real person's, with postures, nods and breath."""
     speaking, gain, habits = life
@@ -660,7 +660,7 @@ def _turned(rest: Array, logs: Array) -> Array:
     return rotation.multiply(rest[None], rotation.from_exponential_map(logs))
 
 
-def _carried(figure: Figure, trunk: Array) -> tuple[Array, Array]:
+def _carried(figure: PerformerBody, trunk: Array) -> tuple[Array, Array]:
     """Place [T, 3] and world rotation [T, 4] of the joint that both shoulders hang on, in the facing frame."""
     carrier = figure.skeleton.parents[figure.arms[LEFT][0]]
     place = np.zeros((len(trunk), 3))

@@ -10,7 +10,7 @@ from data_module.performer.strokes import (
     LEFT,
     RIGHT,
     SIDES,
-    Figure,
+    PerformerBody,
     Stroke,
     StrokeSet,
     acting_hands,
@@ -107,7 +107,7 @@ def procedural_strokes() -> StrokeSet:
     idle = np.repeat(_HANGING[None], frames, axis=0)
     rest = _clip({LEFT: idle, RIGHT: idle * flip}, frames)[0]
     arms, trunk = arm_joints(CHARACTER), trunk_joints(CHARACTER)
-    figure = Figure(PERFORMER, CHARACTER, rest, np.array([0.0, HIP_HEIGHT, 0.0]), arms, trunk,
+    figure = PerformerBody(PERFORMER, CHARACTER, rest, np.array([0.0, HIP_HEIGHT, 0.0]), arms, trunk,
                     np.zeros((2, len(arms[0]), 3)))
     strokes: list[Stroke] = []
     for name, (ready, target, both) in _REACHES.items():
@@ -117,11 +117,11 @@ def procedural_strokes() -> StrokeSet:
             rotations = _clip({LEFT: path, RIGHT: (path if both else idle) * flip}, frames)
             stroke = _stroke(figure, name, variant, rotations)
             strokes += [stroke, mirror(stroke)]
-    figure = Figure(PERFORMER, CHARACTER, rest, figure.root, arms, trunk, home_pose(strokes))
+    figure = PerformerBody(PERFORMER, CHARACTER, rest, figure.root, arms, trunk, home_pose(strokes))
     return StrokeSet(tuple(strokes), {PERFORMER: figure})
 
 
-def _stroke(figure: Figure, name: str, variant: int, rotations: Array) -> Stroke:
+def _stroke(figure: PerformerBody, name: str, variant: int, rotations: Array) -> Stroke:
     positions = kinematics.joint_positions(CHARACTER, rotations)
     hands = positions[:, [CHARACTER.index(side + "Hand") for side in SIDES]]
     hand, reach = acting_hands(hands)

@@ -61,7 +61,7 @@ _AFTER_EMPHASIS = 0.12
 
 
 @dataclass(frozen=True)
-class Figure:
+class PerformerBody:
     """A performer's body.
 
     rest: [J, 4] local rotations of the pose with hanging arms. root: [3] place of the hips at rest, metres.
@@ -89,7 +89,7 @@ class Stroke:
     """One gesture of one performer.
 
     clip: name of the recording; base: the same for a clip and its mirror image. arms: [2, T, A, 3] log rotations of
-    the left and the right arm against the figure's rest; trunk: [T, B, 3] likewise, B joints of `Figure.trunk`.
+    the left and the right arm against the figure's rest; trunk: [T, B, 3] likewise, B joints of `PerformerBody.trunk`.
     start, beat, hold_end, end: seconds in the clip. reach: metres that the acting hand travels away. held_out: kept
     for the test split. steady: must not be played faster than recorded.
     """
@@ -137,7 +137,7 @@ class StrokeSet:
     """Strokes, and the bodies that play them."""
 
     strokes: tuple[Stroke, ...]
-    figures: Mapping[str, Figure]
+    figures: Mapping[str, PerformerBody]
 
     @property
     def performers(self) -> tuple[str, ...]:
@@ -303,7 +303,7 @@ def load_strokes(folder: str | Path) -> StrokeSet:
     rows = [row for row in read_manifest(folder)
             if Path(row["file"]).stem not in _DROPPED and row["lexeme"] not in _NO_STROKE]
     strokes: list[Stroke] = []
-    figures: dict[str, Figure] = {}
+    figures: dict[str, PerformerBody] = {}
     for speaker in sorted({row["speaker"] for row in rows}):
         figure, own = load_speaker(Path(folder), speaker, [row for row in rows if row["speaker"] == speaker])
         figures[speaker] = figure
@@ -350,7 +350,7 @@ def _clip_key(stroke: Stroke) -> str:
     return stroke.base.removeprefix(stroke.speaker + "_")
 
 
-def load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[Figure, list[Stroke]]:
+def load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[PerformerBody, list[Stroke]]:
     """The body of a speaker and the strokes of her clips (rows of the manifest), each with its mirror image."""
     motions = [read_bvh(folder / row["file"], unit=1.0) for row in rows]
     skeleton = motions[0].skeleton
@@ -367,7 +367,7 @@ def load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tupl
 
 
 def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]
-                        ) -> tuple[Figure, list[Stroke]]:
+                        ) -> tuple[PerformerBody, list[Stroke]]:
     """The body of a speaker and the strokes of its clips; KeyError or ValueError where they lack arms to move."""
     skeleton = motions[0].skeleton
     standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _POSTURE.get(speaker, "")]
@@ -376,7 +376,7 @@ def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Seque
     rest = rotation.normalise(np.median(first * signs, axis=0))
     root = np.array([0.0, np.median([m.root_positions[0, 1] for m in standing or motions]), 0.0])
     arms, trunk = arm_joints(skeleton), trunk_joints(skeleton)
-    figure = Figure(speaker, skeleton, rest, root, arms, trunk, np.zeros((2, len(arms[0]), 3)))
+    figure = PerformerBody(speaker, skeleton, rest, root, arms, trunk, np.zeros((2, len(arms[0]), 3)))
     strokes = []
     for row, motion in zip(rows, motions, strict=True):
         stroke = _measure(figure, row, motion.rotations, motion.fps)
@@ -385,7 +385,7 @@ def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Seque
     return replace(figure, home=home_pose(strokes)), strokes
 
 
-def _measure(figure: Figure, row: Mapping[str, str], rotations: Array, fps: float) -> Stroke | None:
+def _measure(figure: PerformerBody, row: Mapping[str, str], rotations: Array, fps: float) -> Stroke | None:
     """The stroke of one clip, or None when no hand leaves its place."""
     positions = kinematics.joint_positions(figure.skeleton, rotations)
     hands = positions[:, [figure.skeleton.index(side + "Hand") for side in SIDES]]

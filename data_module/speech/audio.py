@@ -1,4 +1,4 @@
-"""Speech from a sound file, and back: any common format in, mono 16 kHz inside.
+"""Speech from a sound file or from samples, and back: any common format in, mono 16 kHz inside.
 
 A recording is read piece by piece, so an hour of 48 kHz stereo never lies in memory at its own rate.
 """
@@ -14,17 +14,31 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from data_module.speech.decoders import BrokenSoundError, NoSoundError, Sound, container, mpeg, sndfile
-from data_module.speech.features import TYPICAL_LEVEL
-from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, noise_floor
-from data_module.speech.sound_headers import Patched, Promise, container_of, is_mpeg, promised
+from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, TYPICAL_LEVEL, frame_levels, noise_floor
+from data_module.speech.sound_files import (
+    BrokenSoundError,
+    NoSoundError,
+    Patched,
+    Promise,
+    Sound,
+    container,
+    container_of,
+    is_mpeg,
+    mpeg,
+    promised,
+    sndfile,
+)
 from data_module.types import Samples, Speech
+
+SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any]"
+"""A recording: a `Speech`, a sound file by its path or as a binary stream, or samples [n] or [n, channels]."""
 
 SAMPLE_RATE = 16000
 """Hertz of every `Speech` that this module returns."""
@@ -40,7 +54,9 @@ LOW_LEVEL = -45.0
 _LOWEST_RATE, _HIGHEST_RATE = 1000, 768_000
 """Hertz: below the first no syllable can be told, and no sound card goes beyond the second."""
 _FULL_SCALE = 16.0
-"""Times full scale (24 dB) that a sample in floating point may be above it; more is another unit."""
+"""Times full scale (24 dB) that a sample in floating point may be above it, to be clipped; more is another unit."""
+_MOST_CHANNELS = 1024
+"""More are samples and channels taken for each other."""
 _OPEN_END = 1 << 40
 """Samples: decoders give more than these two years for a file that does not tell its length."""
 _STREAM_PIECE = 1 << 20
@@ -81,6 +97,28 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = Fa
     return Speech(samples, SAMPLE_RATE)
 
 
+def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
+    """A `Speech` of what was given. sample_rate: hertz, for samples alone.
+
+    Samples are [n] or [n, channels], which are averaged; floating-point ones lie in [-1, 1], whole numbers are divided
+    by their type's full scale. `InputError` for anything else, and for less than `SHORTEST` seconds of samples.
+    """
+    if isinstance(given, Speech | str | os.PathLike) or hasattr(given, "read"):
+        if sample_rate is not None:
+            raise InputError("sample_rate", "is given beside a recording that knows its own", "leave it out")
+        return given if isinstance(given, Speech) else load_speech(cast("str | BinaryIO", given))
+    if sample_rate is None:
+        raise InputError("sample_rate", "is lacking", "give it with the samples: g(samples, 16000)")
+    if not _LOWEST_RATE <= sample_rate <= _HIGHEST_RATE or sample_rate != round(sample_rate):
+        raise InputError(f"sample_rate {sample_rate:g}", "is out of range",
+                         f"give {_LOWEST_RATE} to {_HIGHEST_RATE} samples per second")
+    samples = _as_mono(np.asarray(given))
+    if len(samples) < SHORTEST * sample_rate:
+        raise InputError("speech", f"lasts {len(samples) / sample_rate:.2f} s, too short for a gesture",
+                         f"give {SHORTEST} s or more")
+    return Speech(samples, round(sample_rate))
+
+
 def check_file(name: Path, any_length: bool = False) -> None:
     """`InputError` where a path cannot be a recording, or its header tells of a longer one than may be; no decoding."""
     if not name.exists():
@@ -114,6 +152,14 @@ def level_note(speech: Speech) -> str | None:
     return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
 
+def amplified(speech: Speech, decibels: float) -> Speech:
+    """The speech louder by some decibels, clipped at full scale; itself for 0."""
+    if decibels == 0:
+        return speech
+    samples = np.clip(speech.samples * 10.0 ** (decibels / 20), -1.0, 1.0).astype(np.float32)
+    return replace(speech, samples=samples)
+
+
 def resample(speech: Speech, sample_rate: int) -> Speech:
     """The same speech at another sample rate."""
     import soxr
@@ -131,6 +177,25 @@ def write_flac(path: str | os.PathLike[str], speech: Speech) -> None:
     memory = io.BytesIO()
     soundfile.write(memory, np.clip(speech.samples, -1.0, 1.0), speech.sample_rate, format="FLAC", subtype="PCM_16")
     write_bytes(path, memory.getvalue())
+
+
+def _as_mono(samples: NDArray[Any]) -> Samples:
+    """[n] or [n, channels] of any type of number to [n] in [-1, 1]."""
+    if samples.ndim not in (1, 2) or samples.dtype.kind not in "fiu":
+        raise InputError("speech", f"is an array of {samples.dtype} shaped {list(samples.shape)}",
+                         "give samples [n] or [n, channels] as numbers")
+    if samples.ndim == 2 and not 1 <= samples.shape[1] <= _MOST_CHANNELS:
+        raise InputError("speech", f"is shaped {list(samples.shape)}, which is {samples.shape[1]} channels",
+                         "give [n, channels]: samples first")
+    if samples.dtype.kind in "iu":
+        half = 2.0 ** (8 * samples.dtype.itemsize - 1)
+        samples = (samples.astype(np.float64) - (half if samples.dtype.kind == "u" else 0.0)) / half
+    if samples.ndim == 2:
+        samples = samples.mean(axis=1, dtype=np.float64)
+    if len(samples) and not np.abs(samples).max() <= _FULL_SCALE:  # also NaN
+        raise InputError("speech", f"holds samples up to {np.abs(samples).max():.3g}, where full scale is 1",
+                         "scale them to [-1, 1]")
+    return np.clip(samples, -1.0, 1.0).astype(np.float32)
 
 
 # ---------------------------------------------------------------------------------------------------- reading

@@ -1,23 +1,291 @@
-"""The front ends by name, and the one place in which they are built.
+"""Front ends: sound turned into what the models hear, two levels of features per motion frame, behind one interface.
 
-The network behind a learned one is imported only when it is asked for.
+A front end sees one fixed window per block (previous, current, next), stretched to normalised time, so a stream and a
+file give the same features. There are mel energies, and front ends that were learned: the levels of the speech encoder,
+or hidden layers of a model of transformers. The learned ones are blind to loudness, because networks normalise what
+they hear; so both their levels get the two columns of the mel front end that carry it, onset strength and loudness.
+They are built by name in one place, `front_end`; transformers is imported only when it is asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.speech.features import FrontEnd, MelFrontEnd
+from data_module.speech.silence import TYPICAL_LEVEL
+from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
+from data_module.types import Array, Samples
 
-if TYPE_CHECKING:
-    from data_module.speech.speech_encoder import SpeechEncoder
+Features = NDArray[np.float32]
 
+_BATCH = 256
+_EARLY, _LATE = 1, 0.75  # hidden layers of a transformer: the first, and three quarters up
+_LEVEL_COLUMNS = 2
+
+
+@dataclass(frozen=True)
+class AudioFeatures:
+    """Features per motion frame of each window. low: [N, 3K, d_low] the sound; high: [N, 3K, d_high] its content."""
+
+    low: Features
+    high: Features
+
+
+class FrontEnd(Protocol):
+    """Anything that turns windows of sound into `AudioFeatures`."""
+
+    @property
+    def name(self) -> str:
+        """What bundles and commands call it."""
+
+    @property
+    def width_low(self) -> int:
+        """d_low."""
+
+    @property
+    def width_high(self) -> int:
+        """d_high."""
+
+    def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
+        """Windows [N, 3 * K * samples_per_frame] to levels; reference: [N] dBFS from `reference_level`, or None."""
+
+
+@dataclass(frozen=True)
+class MelFrontEnd:
+    """Log-mel energies, onset strength and loudness per motion frame; the low and the high level are the same.
+
+    bands: mel bands up to half the sample rate. frames: rows per window (3K). samples_per_frame: as the blocks have
+    it. Each row is pooled from `hops` spectra of 64 ms. Width: bands + 2; values are natural logarithms of power, the
+    onset strength their mean rise since the spectrum before. Levels are kept, not normalised per window: how loud a
+    phrase is carries its style. `reference` takes off what the microphone did.
+    """
+
+    bands: int = 32
+    frames: int = 30
+    samples_per_frame: int = 800
+    sample_rate: int = 16000
+    hops: int = 2
+    floor: float = 1e-8
+
+    @property
+    def name(self) -> str:
+        return "mel"
+
+    @property
+    def width_low(self) -> int:
+        return self.bands + 2
+
+    @property
+    def width_high(self) -> int:
+        return self.width_low
+
+    @cached_property
+    def _filters(self) -> Features:
+        """[window / 2 + 1, bands]: power of a spectrum to mean power per band; white noise of RMS r gives r^2."""
+        import librosa
+
+        bank = librosa.filters.mel(sr=self.sample_rate, n_fft=self._window, n_mels=self.bands, norm=None)
+        scale = np.maximum(bank.sum(axis=1, keepdims=True), 1e-6) * np.sum(self._taper.astype(np.float64) ** 2)
+        return np.ascontiguousarray((bank / scale).T, dtype=np.float32)
+
+    @property
+    def _window(self) -> int:
+        return 2 * round(0.032 * self.sample_rate)
+
+    @cached_property
+    def _taper(self) -> Features:
+        return np.hanning(self._window + 1)[:-1].astype(np.float32)
+
+    def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
+        """See `FrontEnd.encode`. Without a reference the recording is taken as it is."""
+        out = np.empty((len(windows), self.frames, self.width_low), np.float32)
+        for part, scaled in scaled_windows(windows, reference, self.frames * self.samples_per_frame, _BATCH):
+            out[part] = self.rows(scaled)
+        return AudioFeatures(out, out)
+
+    def rows(self, windows: Samples) -> Features:
+        """[n, frames, bands + 2] of windows [n, samples]; the last two columns are onset strength and loudness."""
+        from scipy.fft import rfft
+
+        count, length = windows.shape
+        padded = np.zeros((count, length + self._window), np.float32)
+        padded[:, self._window // 2:self._window // 2 + length] = windows
+        spectra = self.frames * self.hops
+        # A spectrum belongs to the middle of its hop, so that the rows of a block hold the block.
+        at = np.lib.stride_tricks.sliding_window_view(padded, self._window, axis=1)
+        at = at[:, [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(spectra)]]
+        spectrum = rfft(at * self._taper, axis=-1)
+        power = (spectrum.real ** 2 + spectrum.imag ** 2) @ self._filters
+        logs = np.log(np.maximum(power, self.floor))
+        rise = np.maximum(np.diff(logs, axis=1, prepend=logs[:, :1]), 0.0).mean(axis=-1)
+        energy = windows.reshape(count, self.frames, -1)
+        energy = np.einsum("nfs,nfs->nf", energy, energy) / self.samples_per_frame
+        return np.concatenate([
+            logs.reshape(count, self.frames, self.hops, self.bands).mean(axis=2),
+            rise.reshape(count, self.frames, self.hops).max(axis=2)[..., None],
+            np.log(np.maximum(energy, self.floor))[..., None]], axis=-1)
+
+
+def scaled_windows(windows: Samples, reference: Array | None, length: int, batch: int
+                   ) -> Iterator[tuple[slice, Samples]]:
+    """Windows [N, length] in parts of `batch`, brought from their reference level [N] to the typical one."""
+    if windows.ndim != 2 or windows.shape[1] != length:
+        raise ValueError(f"windows {windows.shape} are not [N, {length}]")
+    gain = np.zeros(len(windows)) if reference is None else np.asarray(reference) - TYPICAL_LEVEL
+    for start in range(0, len(windows), batch):
+        part = slice(start, start + batch)
+        yield part, windows[part] * (10.0 ** (-gain[part, None] / 20.0)).astype(np.float32)
+
+
+# ---------------------------------------------------------------------------------------------------- learned
+
+@dataclass(frozen=True)
+class LearnedFrontEnd:
+    """A network's two levels per motion frame, each followed by onset strength and loudness.
+
+    states: scaled windows [n, T] to the low and the high level, [n, frames, d]. widths: the two d. mel: gives the two
+    further columns, and the size of a window. batch: windows at a time (few, so that they stay in the cache).
+    """
+
+    name: str
+    widths: tuple[int, int]
+    mel: MelFrontEnd = field(repr=False)
+    states: Callable[[Tensor], tuple[Tensor, Tensor]] = field(repr=False)
+    batch: int = 4
+
+    @property
+    def width_low(self) -> int:
+        return self.widths[0] + _LEVEL_COLUMNS
+
+    @property
+    def width_high(self) -> int:
+        return self.widths[1] + _LEVEL_COLUMNS
+
+    def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
+        """See `FrontEnd.encode`."""
+        mel, count = self.mel, len(windows)
+        low, high = (np.empty((count, mel.frames, width), np.float32) for width in (self.width_low, self.width_high))
+        for part, scaled in scaled_windows(windows, reference, mel.frames * mel.samples_per_frame, self.batch):
+            with torch.inference_mode():
+                states = self.states(torch.from_numpy(scaled))
+            columns: Features = mel.rows(scaled)[..., -_LEVEL_COLUMNS:]
+            for out, state in zip((low, high), states, strict=True):
+                out[part] = np.concatenate([state.cpu().numpy(), columns], axis=-1)
+        return AudioFeatures(low, high)
+
+
+def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence[int] | None = None, *,
+                      name: str = "vqwav2vec") -> LearnedFrontEnd:
+    """Levels 2 and 8 of a speech encoder, or the two that `layers` names (1 to 8)."""
+    low, high = _two(layers or (LOW, HIGH), 1, LEVELS)
+    _same_rate(16000, mel)
+
+    def states(samples: Tensor) -> tuple[Tensor, Tensor]:
+        weights = next(encoder.parameters())
+        first, second = encoder.levels(samples.to(weights.device), mel.frames, (low, high))
+        return first, second
+
+    encoder.eval()
+    return LearnedFrontEnd(name, (encoder.config.width, encoder.config.width), mel, states)
+
+
+def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[int] | None = None) -> LearnedFrontEnd:
+    """Two hidden layers of a speech model that takes samples (wav2vec 2.0, HuBERT, WavLM and their kin).
+
+    model_name: a folder, or a name whose files transformers has on this machine; nothing is fetched. layers: 0 is what
+    enters the first layer; by default the first and one three quarters up. InputError when the model is not there or
+    does not take samples.
+    """
+    subject = f"hf:{model_name}"
+    model, normalise, rate = _open(model_name, subject)
+    _same_rate(rate, mel)
+
+    def hidden(samples: Tensor) -> Sequence[Tensor]:
+        if normalise:
+            spread, mean = torch.var_mean(samples, dim=-1, keepdim=True, correction=0)
+            samples = (samples - mean) / torch.sqrt(spread + 1e-7)
+        return model(samples, output_hidden_states=True).hidden_states
+
+    try:
+        with torch.inference_mode():
+            found = hidden(torch.zeros(1, mel.frames * mel.samples_per_frame))
+        widths = [state.shape[2] for state in found]
+    except (RuntimeError, ValueError, TypeError, IndexError, AttributeError) as error:
+        raise InputError(subject, f"gives no hidden layers for samples ({type(error).__name__})",
+                         "name a model like wav2vec 2.0, HuBERT or WavLM") from None
+    low, high = _two(layers or (_EARLY, max(_EARLY, round(_LATE * (len(found) - 1)))), 0, len(found) - 1)
+
+    def states(samples: Tensor) -> tuple[Tensor, Tensor]:
+        every = hidden(samples)
+        first, second = (F.adaptive_avg_pool1d(every[layer].transpose(1, 2), mel.frames).transpose(1, 2)
+                         for layer in (low, high))
+        return first, second
+
+    return LearnedFrontEnd(subject, (widths[low], widths[high]), mel, states)
+
+
+def _two(layers: Sequence[int], least: int, most: int) -> tuple[int, int]:
+    if len(layers) != 2 or not all(least <= layer <= most for layer in layers):
+        raise InputError("front_end.layers", f"is {list(layers)}", f"give two numbers from {least} to {most}")
+    return layers[0], layers[1]
+
+
+def _same_rate(rate: int, mel: MelFrontEnd) -> None:
+    if rate != mel.sample_rate:
+        raise InputError("front end", f"wants sound at {rate} Hz, not {mel.sample_rate}", "choose another")
+
+
+def _open(name: str, subject: str) -> tuple[Any, bool, int]:
+    """The model in evaluation mode, whether it wants each window at mean 0 and spread 1, and its sample rate."""
+    from transformers import AutoFeatureExtractor, AutoModel
+
+    advice = "give a folder that holds it, or fetch it first (hf download NAME)"
+    with _quiet():
+        try:
+            model = AutoModel.from_pretrained(name, local_files_only=True)
+        except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:
+            there = Path(name).is_dir()
+            raise InputError(subject, f"is no model that transformers can load ({type(error).__name__})" if there else
+                             "is not on this machine", advice) from error
+        if getattr(model, "main_input_name", "") != "input_values" or model.config.is_encoder_decoder:
+            raise InputError(subject, "does not take samples", "name a model like wav2vec 2.0, HuBERT or WavLM")
+        try:
+            extractor = AutoFeatureExtractor.from_pretrained(name, local_files_only=True)
+        except (OSError, ValueError, KeyError):  # a model saved without its preprocessing takes samples as they are
+            return model.eval().float(), False, 16000
+    return model.eval().float(), bool(getattr(extractor, "do_normalize", False)), int(extractor.sampling_rate)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """No bars and no advice of transformers' on the terminal."""
+    from transformers.utils import logging
+
+    level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(level)
+        if bars:
+            logging.enable_progress_bar()
+
+
+# ---------------------------------------------------------------------------------------------------- by name
 
 def _vqwav2vec(encoder: SpeechEncoder | None = None, layers: Sequence[int] | None = None, **size: int) -> FrontEnd:
-    from data_module.speech.learned_features import encoder_front_end
-
     if encoder is None:
         raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
     return encoder_front_end(encoder, MelFrontEnd(**size), layers)
@@ -44,10 +312,6 @@ def front_end(name: str, *, bands: int, frames: int, samples_per_frame: int, sam
     if not where or kind not in ("fairseq", "hf"):
         raise InputError("front end", f"there is no {name!r}",
                          f"choose from {', '.join(FRONT_ENDS)}, fairseq:PATH, hf:NAME_OR_FOLDER")
-    from data_module.speech.learned_features import encoder_front_end, transformers_front_end
-
     if kind == "hf":
         return transformers_front_end(where, MelFrontEnd(**size), layers)
-    from data_module.speech.speech_encoder import load_fairseq
-
     return encoder_front_end(load_fairseq(where), MelFrontEnd(**size), layers, name=name)

@@ -19,7 +19,7 @@ def main() -> None:
     import numpy as np
     import soundfile
 
-    class Straight(soundfile.SoundFile):
+    class ForwardOnlyStream(soundfile.SoundFile):
         """Only ever read forwards: a seek after each piece is slow in MP3."""
 
         def seekable(self) -> bool:
@@ -27,7 +27,7 @@ def main() -> None:
 
     out = sys.stdout.buffer
     try:
-        file = Straight(sys.stdin.buffer)
+        file = ForwardOnlyStream(sys.stdin.buffer)
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         out.write(json.dumps({"error": str(error)}).encode() + b"\n")
         return

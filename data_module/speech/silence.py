@@ -1,5 +1,6 @@
-"""Where nobody speaks: frame levels against a running noise floor.
+"""How loud a recording is, frame by frame: where nobody speaks, and how loud the voice generally is.
 
+Silence is a level against a running noise floor.
 Nothing here looks further than `LOOK_AHEAD` seconds ahead, and nothing needs the loudest part of the recording, so a
 stream gets the same answer as a file.
 """
@@ -32,12 +33,16 @@ SHORTEST_PAUSE = 0.35
 LOOK_AHEAD = SHORTEST_PAUSE + 0.05
 """Seconds of sound after a frame that are needed to be sure of it: a pause, and half a step of the noise floor."""
 
+TYPICAL_LEVEL = -26.0
+"""dBFS: the mean level of the loud frames of speech recorded as it should be (active level about -23)."""
+
 _STEP = 10
 _PERCENTILE = 0.1
 _START, _START_CAP = 1.0, -45.0
 _BLIP = 2
 _NEARLY_ALL = 0.9
 _FAINTEST = -120.0
+_VOICE_PRIOR, _VOICE_MEMORY = 5.0, 30.0  # seconds of speech
 
 
 def frame_levels(samples: Samples, sample_rate: int) -> Array:
@@ -126,3 +131,25 @@ def silent_blocks(speech: Speech, edges: Array) -> NDArray[np.bool_]:
     first = np.clip(np.ceil(np.asarray(edges) / FRAME - 0.5).astype(int), 0, len(quiet))
     count = np.diff(first)
     return (count > 0) & (np.diff(before[first]) >= _NEARLY_ALL * count)
+
+
+def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:
+    """How loud this voice in this recording generally is, in dBFS, for each block [N], as known at the block's end.
+
+    The mean level of the frames louder than the noise, with a slow memory of 30 s of speech that starts at
+    `TYPICAL_LEVEL` with the weight of 5 s. It takes off the gain of a microphone, while the effort of a phrase, which
+    changes every few seconds, stays in the features.
+    """
+    levels = frame_levels(samples, sample_rate)
+    loud = ~silent_frames(samples, sample_rate)
+    total = np.concatenate([[0.0], np.cumsum(np.where(loud, levels, 0.0))])
+    count = np.concatenate([[0], np.cumsum(loud)])
+    last = np.clip(np.round(np.asarray(edges) / FRAME).astype(int), 0, len(levels))
+    sums, seconds = np.diff(total[last]), np.diff(count[last]) * FRAME
+    out = np.empty(len(last) - 1)
+    level, weight = TYPICAL_LEVEL, _VOICE_PRIOR
+    for block, (summed, heard) in enumerate(zip(sums, seconds, strict=True)):
+        level = (level * weight + summed * FRAME) / (weight + heard)
+        weight = min(weight + heard, _VOICE_MEMORY)
+        out[block] = level
+    return out

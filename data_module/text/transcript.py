@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -35,6 +35,9 @@ _UNTIMED = 0.3
 """Seconds for a word without times where nothing bounds it: the mean of spoken English."""
 
 How = Literal["given", "heard", "guessed"]
+
+Text: TypeAlias = "str | os.PathLike[str]"
+"""What is said: a `str` is the words themselves, a path (`pathlib.Path`) names a transcript's file."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,22 @@ def read_transcript(path: str | os.PathLike[str], speech: Speech | None = None) 
     if not (aligner.written_words(transcript.text) if transcript.words is None else _spoken(transcript.words)):
         raise InputError(name, "has no words", "give the text that is spoken")
     return _within(transcript, speech.duration) if speech else transcript
+
+
+def as_transcript(text: Text, speech: Speech) -> Transcript:
+    """The transcript of a recording: of the words themselves (`str`), or of a file (a path).
+
+    `InputError` for words that are none, and for a `str` that is the name of a file.
+    """
+    if not isinstance(text, str):
+        return read_transcript(Path(text), speech)
+    names_file = Path(text[-80:]).suffix.lower() in FORMATS and (len(text.split()) < 2 or os.path.isfile(text))  # noqa: PTH113
+    if names_file:
+        raise InputError(f"text {text!r}", "is the name of a file, where a str is what is said",
+                         "give pathlib.Path(...) for a file")
+    if not any(letter.isalnum() for letter in text):
+        raise InputError("text", "has no words", "give what is said, or leave it out")
+    return Transcript(None, text, "none", "text")
 
 
 def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Timing]:

@@ -41,7 +41,7 @@ from eval.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
-from gesticulator.statistics import representation_of
+from gesticulator.features import representation_of
 
 LEAST, SURE, PRIOR = 5, 3.0, 500.0
 """A word is listed when it stands on a lexeme's blocks this often and this many standard errors too often; the strength

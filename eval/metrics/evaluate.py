@@ -112,7 +112,7 @@ def clip_values(motion: Motion, truth: Motion, beats: MotionBeats, track: OnsetT
     return out
 
 
-def eye_values(motion: Motion, voice: eye.Voice | None, edges: Array | None, space: eye.ReferenceSpace | None
+def eye_values(motion: Motion, voice: eye.VoiceActivity | None, edges: Array | None, space: eye.ReferenceSpace | None
                ) -> Values:
     """Every one of `EYE_METRICS` of a motion, as `eval.metrics.eye.figures` takes it."""
     out = Values()

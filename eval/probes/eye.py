@@ -34,7 +34,7 @@ from eval import baselines
 from eval.clip import real_take
 from eval.eye_table import CORPUS, EyeSample, controls, eye_tables
 from eval.foreign import find_motions, named, read_motion
-from eval.metrics.eye import ReferenceSpace, Voice, hear
+from eval.metrics.eye import ReferenceSpace, VoiceActivity, hear
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
 from eval.score import UNITS
@@ -49,12 +49,12 @@ VOICE = "take"
 
 
 @dataclass(frozen=True)
-class Sound:
+class SpeechClip:
     """A voice that systems gesture for. name: of its files."""
 
     name: str
     speech: Speech
-    heard: Voice
+    heard: VoiceActivity
 
 
 @dataclass
@@ -146,17 +146,17 @@ def _checked(arguments: argparse.Namespace) -> dict[str, str]:
     return systems
 
 
-def _sounds(told: Sequence[Path], take: tuple[Motion, Speech] | None) -> list[Sound]:
+def _sounds(told: Sequence[Path], take: tuple[Motion, Speech] | None) -> list[SpeechClip]:
     """Those that are named, or the take's voice; InputError where there is neither."""
     if not told:
         if take is None:
             raise InputError("probe eye", "has no sound to gesture for", "give --speech, or set GESTICULATOR_DATA")
-        return [Sound(VOICE, take[1], hear(take[1]))]
+        return [SpeechClip(VOICE, take[1], hear(take[1]))]
     found = []
     for file in (file for place in told for file in (sorted(place.iterdir()) if place.is_dir() else [place])):
         if file.suffix.lower() in SOUNDS or file in told:
             speech = load_speech(file)
-            found.append(Sound(file.stem, speech, hear(speech)))
+            found.append(SpeechClip(file.stem, speech, hear(speech)))
     if not found:
         raise InputError(told[0], "holds no sound", f"name {' or '.join(SOUNDS)} files")
     return found
@@ -188,7 +188,7 @@ def _players(arguments: argparse.Namespace, store: Store | None) -> list[Player]
     return players
 
 
-def _played(player: Player, sounds: Sequence[Sound], renderings: int, space: ReferenceSpace | None,
+def _played(player: Player, sounds: Sequence[SpeechClip], renderings: int, space: ReferenceSpace | None,
             write: Path | None) -> EyeSample:
     """Every sound with every seed, and once more with the sound rolled."""
     sample = EyeSample()
@@ -214,7 +214,7 @@ def _corpus(recordings: Sequence[Recording], space: ReferenceSpace | None) -> Ey
     return sample
 
 
-def _read(name: str, place: Path, sounds: Sequence[Sound], space: ReferenceSpace | None) -> EyeSample:
+def _read(name: str, place: Path, sounds: Sequence[SpeechClip], space: ReferenceSpace | None) -> EyeSample:
     """What another system made of the sounds; InputError where a sound has no motion."""
     held, _ = find_motions(place)
     sample = EyeSample()
@@ -246,6 +246,6 @@ def _edges(plan: Path) -> Array | None:
 def _test_voices(players: Sequence[Player], recordings: Sequence[Recording], corpus: EyeSample,
                  space: ReferenceSpace | None, wrong: dict[str, EyeSample]) -> Table:
     """Every system on the voices of the test split, once each, beside the corpus' own motion for them."""
-    sounds = [Sound(recording.info.name, recording.speech, hear(recording.speech)) for recording in recordings]
+    sounds = [SpeechClip(recording.info.name, recording.speech, hear(recording.speech)) for recording in recordings]
     samples = {CORPUS: corpus, **{player.name: _played(player, sounds, 1, space, None) for player in players}}
     return eye_tables(samples, wrong, space, "What the eye sees, on the voices of the test split")[0]

@@ -27,9 +27,9 @@ from eval.context import EvalContext
 from eval.policy import Decisions, accuracy
 from eval.table import Cell, Column, Table
 from gesticulator import bundle as bundles
+from gesticulator.features import representation_of
 from gesticulator.pipeline import FPS, Gesticulator
 from gesticulator.stages.lexicon import lexicon_figures
-from gesticulator.statistics import representation_of
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter
 
@@ -98,7 +98,7 @@ def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor) -> dict[str, N
     """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m]."""
     latents = bundle.block_models.lexicon.latents(motion)
     labels = bundle.lexicon.quantizer.labels(latents)
-    one = int(np.mean([bundle.inventory.frequencies[name] for name in bundle.speakers], axis=0).argmax())
+    one = int(bundle.frequencies.mean(axis=0).argmax())
     codes = {"unquantised": latents, "quantised": bundle.vectors[labels],
              "always the most frequent lexeme": bundle.vectors[torch.full_like(labels, one)]}
     return {name: ((torch.cat([bundle.lexicon.decode(part) for part in own.split(4096)]) - motion) ** 2

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from gesticulator.bundle import Bundle, TextSource, rest_distances
 from gesticulator.config import Config
 from gesticulator.stages.base import Node, Run, Stage, closure
@@ -47,6 +49,7 @@ def assemble(run: Run, provenance: dict[str, Any] | None = None, leave_out: Sequ
     encoder = run.get(ENCODER)
     if encoder is not None:
         parts["encoder"] = encoder
-    return Bundle(run.config, corpus.statistics, labelled.silent, labelled.inventory, tokens.vectors,
-                  rest_distances(tokens, corpus.statistics), parts, provenance or {}, dict(run.figures),
+    frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
+    return Bundle(run.config, corpus.statistics, labelled.silent, frequencies, labelled.inventory.transitions,
+                  tokens.vectors, rest_distances(tokens, corpus.statistics), parts, provenance or {}, dict(run.figures),
                   TextSource.of(run.config, corpus.text_width))

@@ -24,15 +24,22 @@ from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
 from data_module.files import rename
-from data_module.speech.features import Normaliser, reference_level
+from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder, word_frames
 from data_module.types import Array
 from gesticulator.config import Config, digest
+from gesticulator.features import (
+    Normaliser,
+    Statistics,
+    encode,
+    front_end_for,
+    representation_of,
+    three_blocks,
+    word_table,
+)
 from gesticulator.models import Sizes
-from gesticulator.speech_features import encode, front_end_for, three_blocks, word_table
 from gesticulator.stages.base import Node, Run
-from gesticulator.statistics import Statistics, representation_of
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder

@@ -11,12 +11,12 @@ from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import Representation
 from gesticulator.config import Config
+from gesticulator.features import representation_of
 from gesticulator.models import Sizes
 from gesticulator.stages.base import Node, Run
 from gesticulator.stages.corpus import BLOCKS, Corpus, sizes
 from gesticulator.stages.features import CORPUS
 from gesticulator.stages.lexicon import TOKENS, Tokens, token_labels
-from gesticulator.statistics import representation_of
 from lexicon import inventory as inventories
 
 

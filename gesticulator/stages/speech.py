@@ -19,7 +19,7 @@ from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, T
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.config import Config
-from gesticulator.speech_features import three_blocks
+from gesticulator.features import three_blocks
 from gesticulator.stages.base import Figures, Node, Run, Stage
 from gesticulator.stages.corpus import BLOCKS, Corpus, sizes
 from gesticulator.stages.sounds import Crops, folder_digest

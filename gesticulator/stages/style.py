@@ -14,7 +14,7 @@ from gesticulator.stages.generator import GENERATOR
 from gesticulator.stages.labels import LABELS, model_sizes
 from gesticulator.stages.lexicon import LEXICON
 from gesticulator.stages.windows import AT_ONCE, VALIDATED, Windows, sequences
-from interpreters.style import StyleInterpreter
+from interpreters.lstm import StyleInterpreter
 
 _HELD = 10
 """Codes exist for training blocks alone, so every tenth of those recordings is held back for validation."""

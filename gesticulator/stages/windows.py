@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from data_module import controls
 from data_module.errors import InputError
 from gesticulator.config import ControlConfig
+from gesticulator.features import control_rows
 from gesticulator.fit import Batch
 from gesticulator.stages.corpus import Corpus, settled
-from gesticulator.statistics import control_rows
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from data_module.types import Array, Motion
 from eval.metrics.eye import frechet, hands, strokes, trunk, voice
 from eval.metrics.eye.body import CommonBody, common_body
 from eval.metrics.eye.frechet import ReferenceSpace
-from eval.metrics.eye.voice import Voice, hear
+from eval.metrics.eye.voice import VoiceActivity, hear
 
 SHORTEST = 2.0
 """Seconds: shorter motion has no figure."""
@@ -47,7 +47,7 @@ RANGES: dict[str, tuple[float, float]] = {
 what is more in time than a person is not refused for it, so bobbing passes, and is named as a control that does."""
 
 
-def figures(motion: Motion, heard: Voice | None = None, edges: Array | None = None,
+def figures(motion: Motion, heard: VoiceActivity | None = None, edges: Array | None = None,
             space: ReferenceSpace | None = None) -> dict[str, float]:
     """Every figure of a motion of any upper body; NaN where one is not defined.
 
@@ -57,7 +57,7 @@ def figures(motion: Motion, heard: Voice | None = None, edges: Array | None = No
     return of_body(common_body(motion), heard, edges, space)
 
 
-def of_body(body: CommonBody, heard: Voice | None = None, edges: Array | None = None,
+def of_body(body: CommonBody, heard: VoiceActivity | None = None, edges: Array | None = None,
             space: ReferenceSpace | None = None) -> dict[str, float]:
     """The same of a body that is at hand."""
     out = dict.fromkeys(FIGURES, math.nan)
@@ -88,5 +88,5 @@ FIGURES: tuple[str, ...] = (
     "eye_silence_speed", "eye_speech_over_silence", "eye_loudness", "eye_above_1", "eye_above_2", "eye_frechet")
 """Every figure of a clip, in the order of a table."""
 
-__all__ = ["FIGURES", "RANGES", "SHORTEST", "CommonBody", "ReferenceSpace", "Voice", "common_body", "figures",
+__all__ = ["FIGURES", "RANGES", "SHORTEST", "CommonBody", "ReferenceSpace", "VoiceActivity", "common_body", "figures",
            "hear", "of_body", "within"]

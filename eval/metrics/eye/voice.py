@@ -58,7 +58,7 @@ _FLOOR = 1e-12
 
 
 @dataclass(frozen=True)
-class Voice:
+class VoiceActivity:
     """duration: seconds; onsets: of both detectors, seconds; level: [F] dB, and silent: [F], 100 a second."""
 
     duration: float
@@ -67,7 +67,7 @@ class Voice:
     silent: NDArray[np.bool_]
 
 
-def hear(speech: Speech) -> Voice:
+def hear(speech: Speech) -> VoiceActivity:
     """What the figures need of a recording."""
     samples = resample(speech, SAMPLE_RATE).samples.astype(np.float64)
     frequencies, times, spectrum = stft(samples, SAMPLE_RATE, nperseg=512, noverlap=352)
@@ -76,7 +76,7 @@ def hear(speech: Speech) -> Voice:
     whole = len(samples) // hop
     level = 10.0 * np.log10((samples[:whole * hop].reshape(whole, hop) ** 2).mean(axis=1) + _FLOOR)
     onsets = _flux_onsets(frequencies, times, power), _rise_onsets(frequencies, times, power)
-    return Voice(len(samples) / SAMPLE_RATE, onsets, level, _silent(level))
+    return VoiceActivity(len(samples) / SAMPLE_RATE, onsets, level, _silent(level))
 
 
 def _flux_onsets(frequencies: Array, times: Array, power: Array) -> Array:
@@ -164,7 +164,7 @@ def loudness_coupling(level: Array, speed: Array) -> float:
     return math.copysign(r * r, r)
 
 
-def figures(body: CommonBody, voice: Voice) -> dict[str, float]:
+def figures(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
     """Every figure of this chapter."""
     speed = body.hand_speed
     at = (np.arange(len(speed)) / HZ * TRACK_HZ).astype(int)

@@ -1,21 +1,27 @@
-"""What the models hear of speech: blocks, audio features on three-block windows, and word vectors on their frames.
+"""What the models see and hear, as numbers: speech in blocks and features, poses normalised, and both ways back.
 
-The same functions serve training and inference, so both hear the same.
+Training and inference go through the same functions, so both hear the same. `Statistics` is measured once, on the
+training split, and travels in the bundle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from data_module import blocks as block_module
+from data_module import controls
+from data_module.errors import InputError
+from data_module.motion.representation import REPRESENTATIONS, Representation
 from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.features import FrontEnd, reference_level
-from data_module.speech.front_ends import front_end
+from data_module.speech.front_ends import FrontEnd, front_end
+from data_module.speech.silence import reference_level
 from data_module.types import Array, Blocks, Samples, Speech
 from gesticulator.config import Config
 
@@ -23,10 +29,110 @@ if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
     from data_module.text.word_vectors import WordEncoder
 
+CONTROL_WIDTH = 2 * len(controls.FEATURES)
+"""2 F: what is asked of each feature, and whether it is asked."""
+LEAST_MOVEMENT = 1e-6
+"""Normalised units between the bounds of a dimension that moves. One that does not has bounds a rounding error apart
+(1e-27 to 1e-15 were met), one that does has more than 0.1."""
+_LEAST_SPREAD = 1e-4
 _CHUNK = 256
 """Blocks encoded at a time, which bounds the memory for an hour of speech."""
 Features = NDArray[np.float32]
 
+
+@dataclass(frozen=True)
+class Normaliser:
+    """Zero mean and unit spread per dimension, fitted once and kept with the model.
+
+    mean, spread: [D]. A dimension that never moves has spread 1, so it becomes 0 and comes back exactly.
+    """
+
+    mean: Array
+    spread: Array
+
+    @classmethod
+    def fit(cls, values: NDArray[np.floating], mask: NDArray[np.bool_] | None = None) -> Normaliser:
+        """From values [..., D]; `mask` [...] picks the rows that count."""
+        rows = values[mask] if mask is not None else values.reshape(-1, values.shape[-1])
+        if len(rows) == 0:
+            raise ValueError("a normaliser needs a row at least")
+        mean = rows.mean(axis=0, dtype=np.float64)
+        spread = rows.std(axis=0, dtype=np.float64)
+        return cls(mean, np.where(spread > _LEAST_SPREAD, spread, 1.0))
+
+    def apply(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(x - mean) / spread in the type of `values`, [..., D]."""
+        return ((values - self.mean) / self.spread).astype(values.dtype)
+
+    def invert(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+        """The inverse of `apply`."""
+        return (values * self.spread + self.mean).astype(values.dtype)
+
+    def to_dict(self) -> dict[str, Array]:
+        """The arrays to store."""
+        return {"mean": self.mean, "spread": self.spread}
+
+    @classmethod
+    def from_dict(cls, arrays: Mapping[str, Array]) -> Normaliser:
+        """The inverse of `to_dict`; KeyError or ValueError where the arrays are not a normaliser's."""
+        mean, spread = (np.asarray(arrays[name], dtype=np.float64) for name in ("mean", "spread"))
+        if mean.ndim != 1 or mean.shape != spread.shape or not (spread > 0).all():
+            raise ValueError("mean and spread must be [D], spread positive")
+        return cls(mean, spread)
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What turns poses and features into numbers near 1, measured on the training split.
+
+    speakers: names in order. mean_pose: [speakers, D_m] vectors of the representation; rest_pose: [speakers, D_m] the
+    same in silence. deviation: [D_m]. bounds: [2, D_m] the least and the most of the normalised training data, but for
+    one frame in a thousand at either end. low, high: normalisers of the audio features. quiet_low, quiet_high:
+    [3K, d] the normalised features of a settled silence. levels: the features of style that can be asked for.
+    A pose becomes (pose - mean_pose[speaker]) / deviation: without the speaker's own mean every lexeme would be a
+    speaker.
+    """
+
+    speakers: tuple[str, ...]
+    mean_pose: Array
+    rest_pose: Array
+    deviation: Array
+    bounds: Array
+    low: Normaliser
+    high: Normaliser
+    quiet_low: Array | None = None
+    quiet_high: Array | None = None
+    levels: controls.Levels | None = None
+
+    @property
+    def present(self) -> Tensor:
+        """[D_m] 1 where any training motion ever moved, 0 for joints that no source has."""
+        return torch.as_tensor(self.bounds[1] - self.bounds[0] > LEAST_MOVEMENT, dtype=torch.float32)
+
+    def normalise(self, poses: Array, speaker: int) -> Array:
+        """Vectors [..., D_m] to normalised features."""
+        return (poses - self.mean_pose[speaker]) / self.deviation
+
+    def denormalise(self, features: Array, speaker: int) -> Array:
+        """The inverse of `normalise`."""
+        return features * self.deviation + self.mean_pose[speaker]
+
+
+def control_rows(levels: controls.Levels, values: Array, given: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """[..., 2 F] of features in their units [..., F] and which are asked for [..., F]: standardised, 0 where free."""
+    scaled = (values - levels.mean) / levels.spread * given
+    return np.concatenate([scaled, np.broadcast_to(given, scaled.shape)], axis=-1).astype(np.float32)
+
+
+def representation_of(config: Config) -> Representation:
+    """How motion becomes numbers under these settings; InputError for a name that is unknown."""
+    name = config.motion.representation
+    if name not in REPRESENTATIONS:
+        raise InputError("motion.representation", f"is {name!r}", f"choose among {', '.join(REPRESENTATIONS)}")
+    return REPRESENTATIONS[name]
+
+
+# ---------------------------------------------------------------------------------------------------- speech
 
 @dataclass(frozen=True)
 class SpeechFeatures:

@@ -1,4 +1,7 @@
-"""From the bytes of a sound file to samples at its own rate, piece by piece: one decoder for each family of formats.
+"""Sound files: what their headers promise, and from their bytes to samples at their own rate, piece by piece.
+
+Decoders shorten a file silently to what is there, so its header is looked into first: which format it is, and how long
+it should be. Then there is one decoder for each family of formats.
 
 WAV, FLAC, OGG and their like are decoded by libsndfile here; MP3 by libsndfile in a process of its own (`mp3_child`
 tells why); M4A, MP4, WebM and other containers, the sound of a video among them, by FFmpeg through PyAV.
@@ -17,12 +20,15 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
 
 PIECE = 1 << 18
 """Numbers that are decoded at a time, over all channels: 1 MiB."""
@@ -59,6 +65,160 @@ class BrokenSoundError(Exception):
     """The file cannot be decoded to its end; the message says why."""
 
 
+# ---------------------------------------------------------------------------------------------------- headers
+
+# A recorder that writes to a pipe cannot go back to fill in the length; these are what it leaves there.
+_STREAMED = 0x7FFF0000
+_MOST_CHUNKS = 1000
+"""Parts of a WAV before its sound: a dozen are usual, and a million zeros would each be one."""
+_CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
+    (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
+    (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
+    (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
+)
+"""(place, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG."""
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a header says. known: it tells the length; frames: samples per channel, 0 where the decoder's own count is
+    the promise; patch: where a length of 0 stands that has to be read as "to the end"."""
+
+    known: bool
+    frames: int = 0
+    patch: int = 0
+
+
+class Patched(io.RawIOBase):
+    """A binary file read as if the four bytes at `place`, if that is not 0, were 0xFF; no seek in it fails.
+
+    A damaged file sends libsndfile to places before its beginning, and what Python raises there is printed on the
+    terminal, past everybody.
+    """
+
+    def __init__(self, raw: BinaryIO, place: int = 0) -> None:
+        self._raw, self._place = raw, place
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        try:
+            return self._raw.seek(offset, whence)
+        except (OSError, ValueError):
+            return self._raw.tell()
+
+    def tell(self) -> int:
+        return self._raw.tell()
+
+    def readinto(self, target: Buffer) -> int:
+        view = memoryview(target).cast("B")
+        start = self._raw.tell()
+        data = bytearray(self._raw.read(len(view)))
+        if self._place:
+            for place in range(max(start, self._place), min(start + len(data), self._place + 4)):
+                data[place - start] = 0xFF
+        view[:len(data)] = data
+        return len(data)
+
+
+def container_of(head: bytes) -> str:
+    """FFmpeg's name of the format of a video, or of sound in a container, from its first bytes; "" for others."""
+    for place, mark, kind in _CONTAINERS:
+        if head[place:place + len(mark)] == mark:
+            return kind
+    # AAC without a container: the 12 bits that MPEG's frames begin with, then layer 0, which MP3 never has.
+    if len(head) > 1 and head[0] == 0xFF and head[1] & 0xF6 == 0xF0:
+        return "aac"
+    # A transport stream: packets of 188 bytes, each beginning with G.
+    return "mpegts" if head[:1] == b"G" and head[188:189] == b"G" and head[376:377] == b"G" else ""
+
+
+def is_mpeg(head: bytes) -> bool:
+    """Whether a file begins as MP3 does: with an ID3 tag, or with a frame."""
+    return head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0)
+
+
+def promised(raw: BinaryIO, size: int, name: object) -> Promise:
+    """What the header of `size` bytes of sound promises. `InputError` for a file that ends before its promise."""
+    head = raw.read(12)
+    if head[:4] in (b"RIFF", b"RIFX", b"RF64") and head[8:12] == b"WAVE":
+        return _promised_by_riff(raw, size, name, "big" if head[:4] == b"RIFX" else "little")
+    if head[:4] == b"fLaC":
+        # STREAMINFO comes first: 4 bytes of block header, then 36 bits of sample count from its 108th bit.
+        raw.seek(0)
+        block = raw.read(42)
+        count = int.from_bytes(block[21:26], "big") & ((1 << 36) - 1)
+        return Promise(count > 0, count)
+    if head[:4] == b"OggS":
+        return Promise(_ogg_is_closed(raw, size))
+    if is_mpeg(head):
+        return _promised_by_mpeg(raw, head)
+    return Promise(False)
+
+
+def _promised_by_riff(raw: BinaryIO, size: int, name: object, order: Literal["little", "big"]) -> Promise:
+    """Walk the chunks to the sound and compare its length with what is there."""
+    position, long_length = 12, 0
+    for _ in range(_MOST_CHUNKS):
+        if position + 8 > size:
+            break
+        raw.seek(position)
+        chunk = raw.read(8)
+        length = int.from_bytes(chunk[4:], order)
+        if chunk[:4] == b"ds64":
+            raw.seek(position + 16)
+            long_length = int.from_bytes(raw.read(8), "little")
+        if chunk[:4] == b"data":
+            there = size - position - 8
+            if length == 0xFFFFFFFF and long_length:
+                length = long_length
+            elif length == 0 and there > 0:
+                return Promise(False, patch=position + 4)
+            elif length >= _STREAMED and length > there:
+                return Promise(False)
+            if length > there:
+                raise InputError(name, f"is cut short: {there} of the {length} bytes of sound that its header promises",
+                                 "copy it again from its source")
+            return Promise(True)
+        if not chunk[:4].isascii() or not chunk[:4].decode("ascii").isprintable():
+            break
+        position += 8 + length + (length & 1)
+    raise InputError(name, "holds no sound: its header breaks off", "copy it again from its source")
+
+
+def _ogg_is_closed(raw: BinaryIO, size: int) -> bool:
+    """True when the last page is whole and says that it is the last."""
+    tail = min(size, 1 << 17)  # a page is 65,307 bytes at most
+    raw.seek(size - tail)
+    data = raw.read(tail)
+    start = data.rfind(b"OggS")
+    if start < 0 or start + 27 > len(data):
+        return False
+    segments = data[start + 26]
+    table = data[start + 27:start + 27 + segments]
+    return len(table) == segments and start + 27 + segments + sum(table) <= len(data) and bool(data[start + 5] & 4)
+
+
+def _promised_by_mpeg(raw: BinaryIO, head: bytes) -> Promise:
+    """Samples per channel that the encoder's own first frame ("Xing" or "Info") counts, less its padding."""
+    start = 0
+    if head[:3] == b"ID3":
+        start = 10 + sum((byte & 0x7F) << shift for byte, shift in zip(head[6:10], (21, 14, 7, 0), strict=True))
+    raw.seek(start)
+    frame = raw.read(4096)
+    mark = max(frame.find(b"Xing"), frame.find(b"Info"))
+    if mark < 0 or mark > 64 or len(frame) < mark + 12 or not frame[mark + 7] & 1:
+        return Promise(False)
+    version_one = frame[1] >> 3 & 3 == 3
+    frames = int.from_bytes(frame[mark + 8:mark + 12], "big")
+    # Encoder delay and padding, and the decoder's own delay, are trimmed from the ends: allow for all of them.
+    return Promise(True, max(1, frames - 4) * (1152 if version_one else 576))
+
+
 # ---------------------------------------------------------------------------------------------------- libsndfile
 
 @contextlib.contextmanager
@@ -66,14 +226,14 @@ def sndfile(raw: BinaryIO) -> Iterator[Sound]:
     """Whatever libsndfile reads."""
     import soundfile
 
-    class Straight(soundfile.SoundFile):
+    class ForwardOnlyFile(soundfile.SoundFile):
         """Only ever read forwards: where the length is open, a seek after each piece fails."""
 
         def seekable(self) -> bool:
             return False
 
     try:
-        file = Straight(raw)
+        file = ForwardOnlyFile(raw)
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NoSoundError from error
     with file:
