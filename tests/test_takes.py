@@ -13,7 +13,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.performer import takes
 from data_module.performer.chaining import chain, seam_ratio
 from data_module.performer.inertialisation import quintic_offset
-from data_module.performer.takes import FPS, HIPS, SKULL, SPINE, Library, Range, Take
+from data_module.performer.takes import FPS, HIPS, SKULL, SPINE, Library, MotionRange
 from data_module.types import Array
 
 LEFT_ARM, RIGHT_ARM = CHARACTER.index("LeftArm"), CHARACTER.index("RightArm")
@@ -44,7 +44,7 @@ def moving(seconds: float, seed: int, size: float = 0.8) -> Array:
 
 
 def library(count: int = 6, group: str = "conversation") -> Library:
-    own = tuple(Take(f"take_{k}", "ann", group, "none", moving(8.0, k)) for k in range(count))
+    own = tuple(RealTake(f"take_{k}", "ann", group, "none", moving(8.0, k)) for k in range(count))
     return Library(own, _hanging(), np.zeros((8, 3)))
 
 
@@ -68,7 +68,7 @@ def test_soft_limit(length: float, becomes: float) -> None:
 
 def test_a_calmed_pantomime_stays_within_its_limits() -> None:
     lib = library(1)
-    wild = Take("wild", "ann", "story", "none", 6.0 * moving(4.0, 1))
+    wild = RealTake("wild", "ann", "story", "none", 6.0 * moving(4.0, 1))
     out = takes.calmed(lib, wild, 0.5, 1.0)
     for joints, degrees in ((HIPS, 6.0), (SPINE, 18.0), (SKULL, 34.0)):
         bend = np.degrees(np.linalg.norm(out[:, list(joints)].sum(axis=1), axis=-1))
@@ -82,14 +82,15 @@ def test_idling_and_hands_too_high_are_cut_out() -> None:
     lib = library(1)
     logs = moving(12.0, 5)
     logs[240:480] = logs[240]
-    still = Take("still", "ann", "conversation", "none", logs)
-    parts = takes.stretches(lib, still, Range(0.9, 1.0))
+    still = RealTake("still", "ann", "conversation", "none", logs)
+    parts = takes.stretches(lib, still, MotionRange(0.9, 1.0))
     assert len(parts) == 2
     kept = sum(map(len, parts)) / FPS
     assert 8.5 < kept < 10.0, "4 s of idling, half a second kept at either end"
-    high = Take("high", "ann", "conversation", "none", logs.copy())
+    high = RealTake("high", "ann", "conversation", "none", logs.copy())
     high.logs[540:660, LEFT_ARM] = [0.0, 0.0, 2.6]
-    places = takes.facing_positions(lib.rotations(np.concatenate(takes.stretches(lib, high, Range(0.45, 1.0)))))
+    low = takes.stretches(lib, high, MotionRange(0.45, 1.0))
+    places = takes.facing_positions(lib.rotations(np.concatenate(low)))
     assert places[:, list(takes.WRISTS), 1].max() < 0.45 + 0.16 + 0.1
 
 
@@ -104,8 +105,8 @@ def test_depth_in_the_torso() -> None:
 
 
 def test_splits_by_take_hold_whoever_else_is_there() -> None:
-    many = [Take(f"cmu_138_{k}", "a", "story", "", np.zeros((0, 16, 3))) for k in range(40)]
-    few = [Take(f"cmu_80_{k}", "b", "lesson", "", np.zeros((0, 16, 3))) for k in range(2)]
+    many = [RealTake(f"cmu_138_{k}", "a", "story", "", np.zeros((0, 16, 3))) for k in range(40)]
+    few = [RealTake(f"cmu_80_{k}", "b", "lesson", "", np.zeros((0, 16, 3))) for k in range(2)]
     splits = takes.split_of_takes([*many, *few])
     assert [list(splits.values()).count(s) for s in ("train", "val", "test")] == [30, 4, 8]
     assert takes.split_of_takes(many) == {name: split for name, split in splits.items() if "138" in name}
@@ -180,7 +181,7 @@ def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
         assert places[wrist, 1] < 0.06 and 0.1 < side * places[wrist, 0] < 0.4, "the rest pose hangs"
     # Slow turning is gone, and hands stay in range.
     for take in talks[:12]:
-        for logs in takes.stretches(lib, take, Range(0.5, 1.0)):
+        for logs in takes.stretches(lib, take, MotionRange(0.5, 1.0)):
             q = lib.rotations(logs)
             yaw = rotation.yaw_of(q[:, 0])
             assert np.degrees(2.0 * np.arctan2(np.abs(yaw[:, 2]), np.abs(yaw[:, 0]))).max() < 15.0

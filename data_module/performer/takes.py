@@ -80,7 +80,7 @@ _GRAZE = 0.01
 
 
 @dataclass(frozen=True)
-class Take:
+class RealTake:
     """A real take on the 16-joint character at 60 fps.
 
     name: the file's stem; person: who moved; group: a key of `GROUPS`, or "idling"; licence: of the recording.
@@ -105,11 +105,11 @@ class Library:
     rest: [16, 4] the pose with hanging arms that the logs are against; centre: [8, 3] mean logs of the arms' joints.
     """
 
-    takes: tuple[Take, ...]
+    takes: tuple[RealTake, ...]
     rest: Array
     centre: Array
 
-    def talks(self) -> tuple[Take, ...]:
+    def talks(self) -> tuple[RealTake, ...]:
         """The takes in which somebody gestures."""
         return tuple(take for take in self.takes if take.group in GROUPS)
 
@@ -120,7 +120,7 @@ class Library:
 
 
 @dataclass(frozen=True)
-class Range:
+class MotionRange:
     """How large a speaker moves: hands under `height` (metres over the hips) nearly always; trunk times `trunk`."""
 
     height: float
@@ -132,7 +132,7 @@ def load_takes(folder: str | Path) -> Library:
     return library_of([(take, _rotations(file)) for take, file in list_takes(folder)])
 
 
-def list_takes(folder: str | Path) -> list[tuple[Take, Path]]:
+def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
     """The takes that `manifest.csv` names and that are used, without their motion, and their files."""
     manifest = Path(folder) / "manifest.csv"
     if not manifest.is_file():
@@ -142,12 +142,12 @@ def list_takes(folder: str | Path) -> list[tuple[Take, Path]]:
     lacking = {"file", "person", "licence"} - set(rows[0] if rows else ())
     if lacking:
         raise InputError(manifest, f"lacks columns {', '.join(sorted(lacking))}", "take the manifest of the clips")
-    listed: list[tuple[Take, Path]] = []
+    listed: list[tuple[RealTake, Path]] = []
     for row in rows:
         stem = Path(row["file"]).stem
         group = group_of(stem)
         if group and stem not in _TWINS:
-            take = Take(stem, row["person"], group, row["licence"], np.zeros((0, 16, 3)))
+            take = RealTake(stem, row["person"], group, row["licence"], np.zeros((0, 16, 3)))
             listed.append((take, Path(folder) / row["file"]))
     if not any(any(part in take.name for part in _HANGING) for take, _ in listed):
         raise InputError(manifest, "names no take of somebody standing", "take the manifest of the clips")
@@ -162,7 +162,7 @@ def group_of(stem: str) -> str:
     return "idling" if any(part in stem for part in IDLING) else ""
 
 
-def library_of(read: Sequence[tuple[Take, Array]]) -> Library:
+def library_of(read: Sequence[tuple[RealTake, Array]]) -> Library:
     """A library of takes with their rotations [T, 16, 4]; hanging is the mean pose of those that stand and wait."""
     standing = [q[::10] for take, q in read if any(part in take.name for part in _HANGING)] or [q for _, q in read]
     rest = _mean_rotation(np.concatenate(standing))
@@ -198,7 +198,7 @@ def _mean_rotation(rotations: Array) -> Array:
     return np.linalg.eigh(outer)[1][..., -1]
 
 
-def split_of_takes(takes: Iterable[Take]) -> dict[str, Split]:
+def split_of_takes(takes: Iterable[RealTake]) -> dict[str, Split]:
     """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are kept, the same every time.
 
     Whatever is made of a take stays on its side, so that no motion of the test split was ever trained on.
@@ -226,7 +226,7 @@ def soft_limit(vectors: Array, limit: float) -> Array:
     return vectors * limit * np.tanh(length / limit) / np.maximum(length, 1e-9)
 
 
-def calmed(library: Library, take: Take, gain: float, trunk: float) -> Array:
+def calmed(library: Library, take: RealTake, gain: float, trunk: float) -> Array:
     """Logs [T, 16, 3] of a take with the shoulders' excursion times `gain`, and the trunk's within its limits."""
     out = take.logs.copy()
     for joints, degrees, own, axes in _LIMITS:
@@ -239,7 +239,7 @@ def calmed(library: Library, take: Take, gain: float, trunk: float) -> Array:
     return out
 
 
-def stretches(library: Library, take: Take, limits: Range) -> list[Array]:
+def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Array]:
     """The usable stretches [T, 16, 3] of a take: hands in range and outside the torso, no long idling in them."""
     for gain in _GAINS:
         logs = calmed(library, take, gain, limits.trunk)

@@ -20,8 +20,8 @@ from data_module.performer.takes import (
     SPINE,
     WRISTS,
     Library,
-    Range,
-    Take,
+    MotionRange,
+    RealTake,
     facing_positions,
     mirrored,
     stretches,
@@ -61,10 +61,10 @@ class MadeTalk:
     takes: tuple[str, ...]
 
 
-def talk_for_motion(name: str, library: Library, takes: Sequence[Take], group: str, pool: Pool, seconds: float,
+def talk_for_motion(name: str, library: Library, takes: Sequence[RealTake], group: str, pool: Pool, seconds: float,
                     rng: np.random.Generator) -> MadeTalk:
     """A talk of `seconds` by somebody of `group`, from the given takes alone, and speech for it from `pool`."""
-    limits = Range(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
+    limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
     slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
     named = _drawn(library, takes, group, limits, rng)
     mixed, flip = rng.random() < 1.0 / 3.0, rng.random() < 0.5
@@ -97,7 +97,7 @@ def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,
     return best[1:]
 
 
-def _drawn(library: Library, takes: Sequence[Take], group: str, limits: Range,
+def _drawn(library: Library, takes: Sequence[RealTake], group: str, limits: MotionRange,
            rng: np.random.Generator) -> list[tuple[str, Array]]:
     """(take, stretch) of takes of the group, in a random order, filled up with other takes."""
     order = [takes[k] for k in rng.permutation(len(takes))]

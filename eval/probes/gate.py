@@ -138,7 +138,7 @@ def judge(system: Gesticulator, recording: Recording, made: Performance) -> tupl
     """
     bundle, info, blocks = system.bundle, recording.info, made.blocks
     active = ~np.isin(encode_motion(bundle, recording.motion, blocks, info.speaker).labels, bundle.silent)
-    who = bundle.speakers[system.speaker_index(info.speaker if info.speaker in bundle.speakers else None)]
+    who = system.speaker_index(info.speaker if info.speaker in bundle.speakers else None)
     habit = 1.0 - float(bundle.frequencies[who][bundle.silent].sum())
     return GateScores(info.group or info.name, active, {
         GATE: np.asarray(made.gate), LOUDNESS: loudness(recording.speech, blocks.edges),
