@@ -13,7 +13,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.performer import takes
 from data_module.performer.chaining import chain, seam_ratio
 from data_module.performer.inertialisation import quintic_offset
-from data_module.performer.takes import FPS, HIPS, SKULL, SPINE, Library, MotionRange
+from data_module.performer.takes import FPS, HIPS, SKULL, SPINE, Library, MotionRange, RealTake
 from data_module.types import Array
 
 LEFT_ARM, RIGHT_ARM = CHARACTER.index("LeftArm"), CHARACTER.index("RightArm")
