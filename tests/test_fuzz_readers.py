@@ -42,7 +42,9 @@ from data_module.motion import skeletons, smartbody
 from data_module.motion.bvh import bvh_text, read_bvh, write_bvh
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
+from data_module.performer.borrowed import load_borrowed
 from data_module.performer.strokes import load_strokes, read_manifest
+from data_module.performer.takes import load_takes
 from data_module.speech.audio import load_speech
 from data_module.speech.speech_encoder import load_fairseq
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fingerprint, _sha256
@@ -280,6 +282,25 @@ def _read_strokes(file: Path) -> object:
     return read_manifest(file.parent), load_strokes(file.parent)
 
 
+def _clips(mutated: str) -> Callable[[Path], Path]:
+    """Clips of free motion: somebody who talks, somebody who stands, and a stroke that is lent to others."""
+    def write(folder: Path) -> Path:
+        _strokes("manifest.csv")(folder)
+        rows = ["file,person,licence,emphasis"]
+        for name, side in (("cmu_18_08", "Left"), ("m_idle_neutral_01", "Right"), ("pn_me", "Right"),
+                           ("pn_you", "Left")):
+            (folder / f"{name}.bvh").write_bytes((folder / f"ann_{side}.bvh").read_bytes())
+            rows.append(f"{name}.bvh,{'pn' if name.startswith('pn') else 'ann'},none,{35 / 30}")
+        (folder / "manifest.csv").write_text("\n".join([*rows, ""]))
+        return folder / mutated
+
+    return write
+
+
+def _read_clips(file: Path) -> object:
+    return load_takes(file.parent), load_borrowed(file.parent)
+
+
 def _pairs(folder: Path) -> Path:
     motion = skeletons.from_vector(np.zeros((30, 48)), 20.0)
     write_bvh(folder / "a.bvh", motion)
@@ -377,6 +398,9 @@ READERS: dict[str, Case] = {
                               _with_hashes(_with_member(f"{name}.npy")))
        for name in ("rotations", "fps", "joints", "word_text", "strokes_beat", "strokes_held_out")},
     "strokes, manifest": Case(_strokes("manifest.csv"), _read_strokes, ("read_manifest", "load_strokes", "read_table")),
+    "clips, manifest": Case(_clips("manifest.csv"), _read_clips, ("read_clips", "load_takes", "load_borrowed"),
+                            examples=0.5),
+    "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, ("load_takes",), examples=0.5),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes, ("load_strokes",)),
     **{f"labels, {kind}": Case(_written("labels", text), label_files.read_recordings,
                                    ("read_labels", "read_recordings")) for kind, text in LABELS.items()},

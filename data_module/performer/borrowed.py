@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from data_module.performer.strokes import PerformerBody, Stroke, StrokeSet, held_out_keys, load_speaker
+from data_module.errors import InputError
+from data_module.performer.clips import read_clips
+from data_module.performer.strokes import PerformerBody, Stroke, StrokeSet, held_out_keys, speaker_strokes
 
 LENDER = "pn"
 _LEXEMES: dict[str, tuple[str, ...]] = {
@@ -28,15 +29,15 @@ def lexemes_of_clip(stem: str) -> tuple[str, ...]:
 
 
 def load_borrowed(folder: str | Path) -> tuple[PerformerBody, tuple[Stroke, ...]]:
-    """The lender's body and strokes from the folder that holds `manifest.csv` and her clips."""
-    with (Path(folder) / "manifest.csv").open(encoding="utf-8", newline="") as lines:
-        rows = [row for row in csv.DictReader(lines) if row["person"] == LENDER]
+    """The lender's body and strokes from the folder of her clips and their manifest; `InputError` for another."""
+    rows = [row for _, row in read_clips(folder, {"file", "person", "emphasis"}) if row["person"] == LENDER]
     chosen = [{"file": row["file"], "speaker": LENDER, "posture": "", "hand": "", "emphasis": row["emphasis"] or "1.0",
                "lexeme": lexemes_of_clip(Path(row["file"]).stem)[0]}
               for row in rows if lexemes_of_clip(Path(row["file"]).stem)]
     if not chosen:
-        raise ValueError(f"no stroke of {LENDER}")
-    figure, strokes = load_speaker(Path(folder), LENDER, chosen)
+        raise InputError(Path(folder) / "manifest.csv", f"names no stroke of {LENDER}",
+                         "take the manifest that came with the clips")
+    figure, strokes = speaker_strokes(Path(folder), LENDER, chosen)
     kept = held_out_keys((LENDER, stroke.base) for stroke in strokes)
     return figure, tuple(replace(stroke, held_out=(LENDER, stroke.base) in kept) for stroke in strokes)
 

@@ -12,16 +12,16 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.errors import InputError, shown
-from data_module.files import read_table
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
+from data_module.performer.clips import read_clips
 from data_module.types import Array, Motion, Skeleton
 
 LEFT, RIGHT = 0, 1
@@ -46,8 +46,6 @@ _NO_STROKE = frozenset({
 _NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_Idle01_BeatFistMidLf02",
                          "connor_IdleStand01_NegateRightMidBt01"})
 _COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
-_LONGEST = 600.0
-"""Seconds of a clip; those published last twenty at most."""
 _MIN_REACH = 0.05
 """Metres that a hand must leave its place by, to be a stroke and no fidget."""
 _FINE_FPS = 120.0
@@ -305,7 +303,7 @@ def load_strokes(folder: str | Path) -> StrokeSet:
     strokes: list[Stroke] = []
     figures: dict[str, PerformerBody] = {}
     for speaker in sorted({row["speaker"] for row in rows}):
-        figure, own = load_speaker(Path(folder), speaker, [row for row in rows if row["speaker"] == speaker])
+        figure, own = speaker_strokes(Path(folder), speaker, [row for row in rows if row["speaker"] == speaker])
         figures[speaker] = figure
         strokes += own
     kept = held_out_keys((_PERSON.get(s.speaker, s.speaker), _clip_key(s)) for s in strokes)
@@ -318,39 +316,14 @@ def read_manifest(folder: str | Path) -> list[dict[str, str]]:
 
     InputError with the line for a short row, a clip outside of the folder, or an emphasis that is no time.
     """
-    manifest, advice = Path(folder) / "manifest.csv", "take the manifest that came with the clips"
-    if not manifest.is_file():
-        raise InputError(manifest, "does not exist", "give the folder that holds manifest.csv")
-    rows = read_table(manifest, advice)
-    lacking = sorted(_COLUMNS - set(rows[0][1] if rows else ()))
-    if lacking:
-        raise InputError(manifest, f"lacks columns {', '.join(lacking)}", advice)
-    return [_checked(f"{manifest}, line {line}", row, advice) for line, row in rows]
-
-
-def _checked(where: str, told: Mapping[str, str | None], advice: str) -> dict[str, str]:
-    """A row of the manifest when it can be used."""
-    row = {name: cell for name, cell in told.items() if isinstance(cell, str)}
-    if not set(row) >= _COLUMNS:
-        raise InputError(where, "has too few columns", advice)
-    file = PurePosixPath(row["file"].replace("\\", "/"))
-    if file.is_absolute() or ".." in file.parts or not file.name or ":" in file.parts[0] \
-            or not str(file).isprintable():
-        raise InputError(where, f"names {shown(row['file'])!r}, no file of this folder", advice)
-    try:
-        emphasis = float(row["emphasis"] or "nan")
-    except ValueError:
-        emphasis = -1.0
-    if row["emphasis"] and not 0 <= emphasis <= _LONGEST:
-        raise InputError(where, f"has {shown(row['emphasis'])!r} for the seconds of its emphasis", advice)
-    return row
+    return [row for _, row in read_clips(folder, _COLUMNS)]
 
 
 def _clip_key(stroke: Stroke) -> str:
     return stroke.base.removeprefix(stroke.speaker + "_")
 
 
-def load_speaker(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[PerformerBody, list[Stroke]]:
+def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[PerformerBody, list[Stroke]]:
     """The body of a speaker and the strokes of her clips (rows of the manifest), each with its mirror image."""
     motions = [read_bvh(folder / row["file"], unit=1.0) for row in rows]
     skeleton = motions[0].skeleton

@@ -7,7 +7,6 @@ happens. What is left are stretches that `chaining` joins to talks.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -23,6 +22,7 @@ from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.bvh import read_bvh
 from data_module.motion.motion_beats import ACTING, acting_speed
 from data_module.motion.skeletons import CHARACTER
+from data_module.performer.clips import read_clips
 from data_module.performer.strokes import arm_joints
 from data_module.store import Split
 from data_module.types import Array
@@ -134,23 +134,16 @@ def load_takes(folder: str | Path) -> Library:
 
 def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
     """The takes that `manifest.csv` names and that are used, without their motion, and their files."""
-    manifest = Path(folder) / "manifest.csv"
-    if not manifest.is_file():
-        raise InputError(manifest, "does not exist", "give the folder that holds manifest.csv")
-    with manifest.open(encoding="utf-8", newline="") as lines:
-        rows = list(csv.DictReader(lines))
-    lacking = {"file", "person", "licence"} - set(rows[0] if rows else ())
-    if lacking:
-        raise InputError(manifest, f"lacks columns {', '.join(sorted(lacking))}", "take the manifest of the clips")
     listed: list[tuple[RealTake, Path]] = []
-    for row in rows:
+    for _, row in read_clips(folder, {"file", "person", "licence"}):
         stem = Path(row["file"]).stem
         group = group_of(stem)
         if group and stem not in _TWINS:
             take = RealTake(stem, row["person"], group, row["licence"], np.zeros((0, 16, 3)))
             listed.append((take, Path(folder) / row["file"]))
     if not any(any(part in take.name for part in _HANGING) for take, _ in listed):
-        raise InputError(manifest, "names no take of somebody standing", "take the manifest of the clips")
+        raise InputError(Path(folder) / "manifest.csv", "names no take of somebody standing",
+                         "take the manifest that came with the clips")
     return listed
 
 

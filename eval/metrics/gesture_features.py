@@ -170,6 +170,8 @@ def published(folder: str | Path) -> Features:
     the folder is refused. InputError for a file that is missing or is something else.
     """
     weights = Path(folder) / f"{PUBLISHED}.safetensors"
+    if not weights.is_file():
+        raise InputError(weights, "does not exist", "name the folder of the Human3.6M gesture encoder")
     try:
         told = json.loads(weights.with_suffix(".json").read_text(encoding="utf-8"))
         frames, fps, width = int(told["frames"]), float(told["fps"]), int(told["dim"])
