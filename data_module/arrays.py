@@ -14,7 +14,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -66,6 +66,23 @@ def read_npz(path: str | os.PathLike[str], names: Collection[str] | None = None,
             return _members(stream, names)
         except (*_BROKEN, OSError) as error:  # OSError: a place in the file before its beginning
             raise InputError(path, f"is not an .npz of plain arrays ({_reason(error)})", advice) from None
+
+
+def read_numbers(path: str | os.PathLike[str], names: Sequence[str], advice: str = "save it again"
+                 ) -> list[NDArray[np.float64]]:
+    """The arrays `names` of an .npz file in double precision.
+
+    InputError as of `read_npz`, and for one that is not there, holds no real numbers, or any that are not finite.
+    """
+    held = read_npz(path, names, advice)
+    if lacking := [name for name in names if name not in held]:
+        raise InputError(path, f"lacks {', '.join(lacking)}", advice)
+    numbers = []
+    for name in names:
+        if held[name].dtype.kind not in "fiu" or not np.isfinite(values := as_floats(held[name])).all():
+            raise InputError(path, f"holds something other than finite numbers in {name}", advice)
+        numbers.append(values)
+    return numbers
 
 
 def as_floats(array: NDArray[Any]) -> NDArray[np.float64]:

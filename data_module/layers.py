@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-import torch
 from torch import Tensor, nn
 
 SLOPE = 0.2
@@ -78,8 +77,3 @@ def masked_mean(values: Tensor, mask: Tensor | None) -> Tensor:
         return values.mean()
     weights = mask.to(values.dtype).expand_as(values)
     return (values * weights).sum() / weights.sum().clamp_min(1.0)
-
-
-def finite(loss: dict[str, Tensor]) -> bool:
-    """True when every term is a number."""
-    return all(bool(torch.isfinite(term)) for term in loss.values())

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,13 +30,6 @@ Batch = dict[str, Tensor]
 MakeBatch = Callable[[np.random.Generator], Batch]
 Losses = Callable[[Batch, float], dict[str, Tensor]]
 Validate = Callable[[], dict[str, float]]
-
-
-class Trained(Protocol):
-    """What `fit` asks of a model besides being a module."""
-
-    @property
-    def weights(self) -> dict[str, float]: ...
 
 
 def rate_factor(settings: FitSettings, step: int) -> float:

@@ -155,7 +155,7 @@ def test_wrong_input_is_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.
     wrong = ((["eye"], "no sound"), (["eye", "--speech", str(sound), "--renderings", "0"], "renderings"),
              (["eye", "--speech", str(sound), "--test-voices"], "needs a store"),
              (["eye", "--speech", str(sound), "--system", "ours=x"], "column of its own"),
-             (["eye", "--speech", str(sound), "--reference", str(sound)], "no reference"))
+             (["eye", "--speech", str(sound), "--reference", str(sound)], "give eye_reference.npz"))
     for arguments, told in wrong:
         with pytest.raises(SystemExit) as caught:
             PROBE.main("gesticulator probe", arguments)

@@ -52,6 +52,8 @@ from data_module.text.transcript import FORMATS, read_transcript
 from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
 from eval import foreign, label_files
+from eval.metrics.eye import ReferenceSpace
+from eval.metrics.gesture_features import reference_windows
 
 resource = pytest.importorskip("resource", reason="what a process has taken is POSIX's to tell")
 
@@ -153,6 +155,21 @@ def _with_member(name: str) -> Callable[[Path, bytes], object]:
                 archive.writestr(member, data if member == name else old)
 
     return pack
+
+
+_SPACE: dict[str, tuple[int, ...]] = {"mean": (40,), "sd": (40,), "axes": (10, 40), "own_mean": (10,),
+                                      "own_root": (10, 10)}
+_WINDOWS: dict[str, tuple[int, ...]] = {"windows_a": (2, 34, 27), "windows_b": (2, 34, 27)}
+
+
+def _arrays(shapes: dict[str, tuple[int, ...]]) -> Callable[[Path], Path]:
+    """An archive of positive numbers in these shapes."""
+    def write(folder: Path) -> Path:
+        rng = np.random.default_rng(3)
+        np.savez(folder / "a.npz", **{name: rng.uniform(0.5, 1.0, shape) for name, shape in shapes.items()})
+        return folder / "a.npz"
+
+    return write
 
 
 def _skeleton_text() -> str:
@@ -383,6 +400,12 @@ READERS: dict[str, Case] = {
     **{f"smplx, {name}": Case(_smplx, lambda file: (skeletons.to_character(read_smplx(file)), read_npz(file)),
                               ("read_smplx", "read_npz"), _member(f"{name}.npy"), _with_member(f"{name}.npy"))
        for name in _SMPLX},
+    **{f"{kind}, {name}": Case(_arrays(shapes), read, ("read_numbers", "read_npz"), _member(f"{name}.npy"),
+                               _with_member(f"{name}.npy"), examples=0.5)
+       for kind, shapes, read in (("eye's space", _SPACE, ReferenceSpace.load),
+                                  ("FGD windows", _WINDOWS, reference_windows))
+       for name in tuple(shapes)[:2]},
+    "eye's space, the archive": Case(_arrays(_SPACE), ReferenceSpace.load, ("read_numbers",), examples=0.5),
     "smartbody, skeleton": Case(_smartbody("a.sk"), _read_smartbody, ("read_sk",)),
     "smartbody, motion": Case(_smartbody("a.skm"), _read_smartbody, ("read_skm",)),
     **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH),

@@ -30,6 +30,7 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
+from data_module.arrays import read_numbers
 from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
 from data_module.layers import SLOPE, freeze
@@ -192,17 +193,26 @@ def published(folder: str | Path) -> Features:
 
 
 def reference_windows(path: str | Path) -> tuple[Array, Array]:
-    """The two sets of windows [64, 34, 27] of the reference file, in our axes."""
-    with np.load(path, allow_pickle=False) as stored:
-        first, second = (stored[key] * np.tile(PUBLISHED_AXES, len(TED_BONES)) for key in ("windows_a", "windows_b"))
+    """The two sets of windows [64, 34, 27] of the reference file, in our axes; InputError where it is another file."""
+    advice = "fetch it again"
+    windows = read_numbers(path, ("windows_a", "windows_b"), advice)
+    if any(part.ndim != 3 or part.shape[-1] != DIRECTIONS for part in windows):
+        raise InputError(path, f"holds no windows of {DIRECTIONS} numbers a frame", advice)
+    first, second = (part * np.tile(PUBLISHED_AXES, len(TED_BONES)) for part in windows)
     return first, second
 
 
 def reference_error(network: Features, path: str | Path) -> float:
     """Largest difference from the reference features, as a share of their standard deviation."""
-    with np.load(path, allow_pickle=False) as stored:
-        wanted = np.concatenate([stored["features_a"], stored["features_b"]])
-    got = network.features(np.concatenate(reference_windows(path)))
+    advice = "fetch it again"
+    windows, features = reference_windows(path), read_numbers(path, ("features_a", "features_b"), advice)
+    if any(part.shape[1] != network.frames for part in windows):
+        raise InputError(path, f"holds no windows of {network.frames} frames", advice)
+    got = network.features(np.concatenate(windows))
+    if any(part.ndim != 2 for part in features) or sum(map(len, features)) != len(got) or any(
+            part.shape[1] != got.shape[1] for part in features):
+        raise InputError(path, "holds other features than its windows have", advice)
+    wanted = np.concatenate(features)
     return float((np.abs(got - wanted) / wanted.std(axis=0)).max())
 
 

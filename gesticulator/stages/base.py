@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
@@ -126,10 +125,6 @@ class Run:
         if key is not None:
             self._keys[node.name] = key
 
-    def provide_key(self, node: Node[Any], key: str) -> None:
-        """Let `key` stand for a node in the keys of all that need it, whose value is provided later."""
-        self._keys[node.name] = key
-
     def key(self, node: Node[Any]) -> str:
         """Hash of everything that shapes a node: the data, its settings, what it needs, and for a stage its seed."""
         if node.name in self._keys:
@@ -225,8 +220,3 @@ def closure(stages: Sequence[Stage[Any]], config: Config) -> Iterator[Stage[Any]
 
     for stage in stages:
         yield from visit(stage)
-
-
-def validation_seed(stage: str, place: int) -> np.random.Generator:
-    """The random numbers of a validation batch: alike in every run, whatever its seed."""
-    return np.random.default_rng([int(digest(stage)[:8], 16), place])

@@ -29,12 +29,12 @@ from __future__ import annotations
 
 import math
 import os
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from data_module.arrays import read_numbers
 from data_module.errors import InputError
 from data_module.types import Array
 from eval.metrics.eye.body import CommonBody
@@ -103,17 +103,10 @@ class ReferenceSpace:
     def load(cls, path: str | os.PathLike[str]) -> ReferenceSpace:
         """Read a file of statistics (.npz: mean, sd, axes, own_mean, own_root); InputError where it is none."""
         wanted = ("mean", "sd", "axes", "own_mean", "own_root")
-        try:
-            with np.load(Path(path), allow_pickle=False) as content:
-                mean, sd, axes, own, root = (np.asarray(content[name], dtype=np.float64) for name in wanted)
-        except FileNotFoundError:
-            raise InputError(path, "does not exist", "check the path") from None
-        except (KeyError, ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile):
-            raise InputError(path, f"is no reference of the eye's space (it lacks {', '.join(wanted)})",
-                             f"give {REFERENCE}") from None
-        k = len(axes)
+        mean, sd, axes, own, root = read_numbers(path, wanted, f"give {REFERENCE}")
+        k = len(axes) if axes.ndim else 0
         if (mean.shape, sd.shape, axes.shape, own.shape, root.shape) != ((WIDTH,), (WIDTH,), (k, WIDTH), (k,), (k, k)) \
-                or not all(np.isfinite(part).all() for part in (mean, sd, axes, own, root)) or (sd <= 0).any():
+                or (sd <= 0).any():
             raise InputError(path, "holds statistics of another shape", f"give {REFERENCE}")
         return cls(mean, sd, axes, Moments(own, root @ root.T))
 
