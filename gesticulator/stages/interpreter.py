@@ -40,7 +40,8 @@ def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInte
             count += float(valid.sum())
         return {"accuracy": right / count, "nll": nll / count}
 
-    task = fitting.Task(lambda rng: as_labels(windows.sample(rng, run.schedule(stage).batch)), validate=validate)
+    task = fitting.Task(lambda rng: as_labels(windows.sample(rng, run.schedule(stage).batch)), validate=validate,
+                        watch="nll")
     return run.fit(stage, model, task, folder)
 
 
