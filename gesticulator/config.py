@@ -62,6 +62,11 @@ class FitSettings:
     """Largest gradient norm; 0 leaves gradients alone."""
     weight_decay: Share = 0.0
     """Of AdamW; 0 is Adam."""
+    validations: Count = 10
+    """How often the stage is validated along the way, the end included."""
+    patience: Natural = 0
+    """Validations in a row without a better figure after which training stops; the weights of the best one are kept.
+    0 trains to the end and keeps the last. For stages that have a figure to watch: interpreters, style and gate."""
 
 
 @dataclass(frozen=True)

@@ -115,11 +115,11 @@ def interpreter_text(sizes: Sizes) -> LstmInterpreter:
 
 
 def _lexeme_interpreter(sizes: Sizes, reads: bool) -> LstmInterpreter:
-    from interpreters.lstm import LstmInterpreter
+    from interpreters.lstm import InterpreterWidths, LstmInterpreter
 
     config = sizes.config.interpreter
-    return LstmInterpreter(config if reads else config.without_text(), sizes.frames, sizes.high, sizes.lexemes,
-                           sizes.speakers, sizes.text, CONTROL_WIDTH)
+    return LstmInterpreter(config if reads else config.without_text(), sizes.lexemes, InterpreterWidths(
+        sizes.frames, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH, sizes.motion))
 
 
 def style(sizes: Sizes) -> StyleInterpreter:

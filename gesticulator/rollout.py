@@ -109,7 +109,7 @@ class Rollout:
         made = RolloutResult.empty(count, len(vectors), past.shape[1:], style.code_width)
         resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
         for i in range(count):
-            features = self._features(encoded, i, asked)
+            features = self._features(encoded, i, asked, past[0])
             closed = self.activity == 0
             if gate is not None and gate_state is not None:
                 made.gate[i], gate_state = gate.step(gate_state, features)
@@ -149,12 +149,14 @@ class Rollout:
     def _tensor(self, values: NDArray) -> Tensor:
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
 
-    def _features(self, encoded: SpeechFeatures, i: int, asked: NDArray[np.float32] | None) -> BlockFeatures:
-        s = self.bundle.statistics
+    def _features(self, encoded: SpeechFeatures, i: int, asked: NDArray[np.float32] | None,
+                  past: Tensor | None = None) -> BlockFeatures:
+        s, seconds = self.bundle.statistics, encoded.blocks.durations
         return BlockFeatures(self._tensor(s.low.apply(encoded.low[i])), self._tensor(s.high.apply(encoded.high[i])),
                              bool(encoded.blocks.silent[i]),
                              None if encoded.text is None else self._tensor(encoded.text[i]),
-                             None if asked is None else self._tensor(asked[i]))
+                             None if asked is None else self._tensor(asked[i]), past,
+                             (float(seconds[max(i - 1, 0)]), float(seconds[i])))
 
 
 class CodecRollout(Rollout):

@@ -12,7 +12,7 @@ from gesticulator.bundle import FILES
 from interpreters import INTERPRETERS
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.cql import QConfig, QNetwork
-from interpreters.lstm import LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
+from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
 
 FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL = 5, 4, 6, 3, 3, 6
@@ -21,7 +21,7 @@ FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL = 5, 4, 6, 3, 3, 6
 def lstm(**changes: object) -> LstmInterpreter:
     torch.manual_seed(0)
     config = LstmConfig(**{"audio_features": 8, "width": 16, "dropout": 0.0, **changes})  # type: ignore[arg-type]
-    return LstmInterpreter(config, FRAMES, AUDIO, torch.randn(SIZE, 7), 2, TEXT, CONTROL)
+    return LstmInterpreter(config, torch.randn(SIZE, 7), InterpreterWidths(FRAMES, AUDIO, 2, TEXT, CONTROL))
 
 
 def statistical(**changes: object) -> StatisticalInterpreter:

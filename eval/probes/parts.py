@@ -29,6 +29,7 @@ from gesticulator import config as configs
 from gesticulator.stages import CORPUS, INTERPRETER, LEXICON, TOKENS, Corpus, Run
 from gesticulator.stages.corpus import weights_hash
 from interpreters.lstm import LstmInterpreter
+from interpreters.pose import pose_of
 
 Scores = dict[str, NDArray[np.float64]]
 COLUMNS = {"accuracy": Column("accuracy", "%", 1), "sampled": Column("sampled", "%", 1),
@@ -87,8 +88,9 @@ def teacher_forced(model: LstmInterpreter, corpus: Corpus, labels: Lexemes, reco
             source = blocks if words_of is None else corpus.blocks_of(words_of[place])
             text = corpus.text(np.resize(source, len(blocks))[1:])[None]
         speaker = torch.nn.functional.one_hot(torch.tensor([int(corpus.speaker_of[recording])]), model.speakers)
+        pose = pose_of(*corpus.before(blocks[1:]))[None] if model.config.pose_features else None
         logits, _ = model.scores(wanted[:, :-1], corpus.high[torch.as_tensor(blocks[1:])].float()[None],
-                                 speaker.float(), None, text)
+                                 speaker.float(), None, text, pose=pose)
         right = wanted[:, 1:]
         accuracy.append(100 * float((logits.argmax(-1) == right).float().mean()))
         chances = torch.softmax(logits / temperature, -1).gather(-1, right[..., None])

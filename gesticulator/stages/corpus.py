@@ -92,6 +92,16 @@ class Corpus:
             raise ValueError("this corpus was prepared without text")
         return self.words[self.word_at[torch.as_tensor(blocks)].long()].float()
 
+    def before(self, blocks: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
+        """Of each block [n], the block before as it was performed [n, K, D_m] (a recording's first pose, held, before
+        its first block), and the seconds of the block before and of its own [n, 2]."""
+        earlier = np.maximum(blocks - 1, 0)
+        begins = (blocks == 0) | (self.recording[earlier] != self.recording[blocks])
+        held = self.first[torch.as_tensor(self.recording[blocks])][:, None].expand(-1, self.motion.shape[1], -1)
+        motion = torch.where(torch.as_tensor(begins)[:, None, None], held, self.motion[torch.as_tensor(earlier)])
+        seconds = np.stack([self.durations[np.where(begins, blocks, earlier)], self.durations[blocks]], axis=-1)
+        return motion, torch.as_tensor(seconds, dtype=torch.float32)
+
     @property
     def text_width(self) -> int:
         """d_t + 1, 0 without text."""

@@ -39,7 +39,8 @@ def _train(run: Run, model: StyleInterpreter, folder: Path, stage: Stage[StyleIn
         error = sum(float(model.losses(b)["code"]) for b in batches) / len(batches)
         return {"code_error": error, "code_variance": float(table[1:].var(0).mean())}
 
-    task = fitting.Task(lambda rng: with_codes(windows.sample(rng, run.schedule(stage).batch)), validate=validate)
+    task = fitting.Task(lambda rng: with_codes(windows.sample(rng, run.schedule(stage).batch)), validate=validate,
+                        watch="code_error")
     return run.fit(stage, model, task, folder)
 
 

@@ -145,6 +145,7 @@ class Windows:
             "motion": motion, "audio": low, "audio_low": low, "block": stacked["motion"],
             "audio_high": low if corpus.high is corpus.low else corpus.high[stacked["audio"]].float(),
             "lexeme_index": stacked["lexeme"], "style": stacked["style"], "valid": stacked["valid"],
+            "duration": torch.as_tensor(corpus.durations[stacked["audio"].numpy()], dtype=torch.float32),
             "mask": corpus.mask[recordings],
             "speaker": torch.nn.functional.one_hot(speaker, len(corpus.statistics.speakers)).float(),
         }
