@@ -6,7 +6,7 @@ a Gumbel-quantised code, an LSTM. Three things differ from `generator.model`:
 - Pose, velocity and acceleration before a block go past the bottleneck, because a code of a few classes cannot say
   where a hand is.
 - The LSTM runs over blocks and gives a context h; the head draws all of a block's coefficients y
-  (`data_module.motion.movement`) at once. With u = asinh(2 y / sd) / sd_u, whose tails are light, it learns
+  (`data_module.motion.movement`) at once. With u = asinh(b y / sd) / sd_u, whose tails are light, it learns
   v(u_t, t, h) = u - e on u_t = (1 - t) e + t u, where e is Gaussian noise and t uniform. Drawing follows du/dt = v from
   noise to u by Heun's method. A regression would draw the mean of all that may follow, which hardly moves.
 - Audio and lexeme are left out in part of the training, so that drawing can go beyond what either asks for
@@ -19,7 +19,7 @@ what keeps a long performance on course.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -34,8 +34,8 @@ NearestLexeme = Callable[[Tensor], Tensor]
 """Coefficients [B, n] to the lexemes [B] nearest to them."""
 CIRCUMSTANCES = 8
 """Numbers that tell a block's place in speech: see `circumstances`."""
-_BEND = 2.0
-"""Of asinh: a coefficient of half a deviation stays as it is, one of ten is drawn in to three."""
+_MOST = 8.0
+"""Of asinh: beyond any coefficient that was met."""
 _FREQUENCIES = 8
 _TEMPO = 0.3
 """Seconds of a usual block."""
@@ -75,19 +75,6 @@ class FlowInputs:
     def past(self) -> Pasts:
         """What the blocks are told from."""
         return Pasts(self.before[..., -PAST:, :], self.ratio)
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """How a block is drawn. audio, lexeme: guidance, 0 for none; temperature: deviation of the noise that drawing
-    starts from; steps: of Heun's method; candidates: how many are drawn at once, of which the first that shows the
-    lexeme is kept."""
-
-    audio: float = 1.5
-    lexeme: float = 0.5
-    temperature: float = 0.95
-    steps: int = 5
-    candidates: int = 4
 
 
 class FlowHead(nn.Module):
@@ -164,19 +151,19 @@ class FlowGenerator(nn.Module):
     # --------------------------------------------------------------------------------------------- coefficients
 
     def squeeze(self, coefficients: Tensor) -> Tensor:
-        """y [..., n] to u = asinh(2 y / sd) / sd_u."""
-        return torch.asinh(_BEND * coefficients / self.basis.scale) / self.deviation
+        """y [..., n] to u = asinh(b y / sd) / sd_u."""
+        return torch.asinh(self.config.bend * coefficients / self.basis.scale) / self.deviation
 
     def stretch(self, squeezed: Tensor) -> Tensor:
         """The inverse of `squeeze`, held within what was ever done."""
-        y = torch.sinh((squeezed * self.deviation).clamp(-6.0, 6.0)) / _BEND * self.basis.scale
+        y = torch.sinh((squeezed * self.deviation).clamp(-_MOST, _MOST)) / self.config.bend * self.basis.scale
         return torch.maximum(torch.minimum(y, self.basis.limits[1]), self.basis.limits[0])
 
     @torch.no_grad()
     def adopt(self, basis: MovementBasis, coefficients: Tensor) -> None:
         """Take over a fitted basis; coefficients: [N, n] of the training blocks."""
         self.basis.load_state_dict(basis.state_dict())
-        bent = torch.asinh(_BEND * coefficients / self.basis.scale)
+        bent = torch.asinh(self.config.bend * coefficients / self.basis.scale)
         self.deviation.copy_(bent.std(0, correction=0).clamp_min(1e-3))
 
     # -------------------------------------------------------------------------------------------------- context
@@ -205,14 +192,18 @@ class FlowGenerator(nn.Module):
 
     # ------------------------------------------------------------------------------------------------- training
 
-    def losses(self, batch: dict[str, Tensor], progress: float, nearest: NearestLexeme) -> dict[str, Tensor]:
+    def losses(self, batch: dict[str, Tensor], progress: float, nearest: NearestLexeme,
+               left_out: tuple[float, float, float] | None = None) -> dict[str, Tensor]:
         """The flow matching loss |v - (u - e)|^2 on windows of N blocks after a seed block.
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], ratio [B, N + 1], circumstances [B, N + 1, 8],
         speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] where it is heard. nearest: the
         lexicon's arg min over coefficients; a shifted past changes what a block adds to it, and so its lexeme.
+        left_out: chances that a window hears nothing, that it is told no lexeme, and that a block is not told what the
+        one before added; those of the settings where None.
         """
         c, motion = self.config, batch["motion"]
+        deaf, unnamed, untold = left_out or (c.audio_dropout, c.lexeme_dropout, c.added_dropout)
         before, true = self._shifted(motion[:, :-1]), motion[:, 1:]
         ratio = batch["ratio"][:, 1:]
         past = Pasts(before[..., -PAST:, :], ratio)
@@ -222,13 +213,13 @@ class FlowGenerator(nn.Module):
         u = self.squeeze(y)
         added = torch.cat([torch.zeros_like(u[:, :1]), u[:, :-1]], 1)
         share = torch.rand(*u.shape[:2], 1, device=u.device)
-        added = torch.where(share < c.added_dropout, torch.zeros_like(added), added)
+        added = torch.where(share < untold, torch.zeros_like(added), added)
         lexeme = nearest(y.flatten(0, 1)).unflatten(0, y.shape[:2])
         some = torch.rand(2, len(motion), device=u.device)
-        lexeme = torch.where((some[0] < c.lexeme_dropout)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
+        lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
         given = FlowInputs(batch["audio"][:, 1:], lexeme, before, ratio, batch["circumstances"][:, 1:],
                            batch["speaker"], batch["control"][:, 1:] if self.control_width else None,
-                           some[1] < c.audio_dropout)
+                           some[1] < deaf)
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
         weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]
@@ -262,24 +253,25 @@ class FlowGenerator(nn.Module):
     # -------------------------------------------------------------------------------------------------- drawing
 
     @torch.no_grad()
-    def draw(self, context: Tensor, noise: Tensor, how: Drawing) -> Tensor:
-        """Coefficients [M, n] from noise [M, n]; context: [3, C] of the block as it is, without audio, and without
-        lexeme (rows that `how` does not guide by are not read)."""
-        gains = [(1, how.audio), (2, how.lexeme)]
-        rows = [0, *(row for row, gain in gains if gain)]
-        conditions = [layer[:, None].expand(-1, len(noise), -1) for layer in self.head.conditions(context[rows])]
-        mix = torch.tensor([1.0 + how.audio + how.lexeme, *(-gain for _, gain in gains if gain)],
-                           dtype=noise.dtype, device=noise.device)[:, None, None]
+    def draw(self, contexts: Tensor, gains: Sequence[float], noise: Tensor, steps: int) -> Tensor:
+        """Coefficients [M, n] from noise [M, n], in so many steps of Heun's method.
+
+        contexts: [1 + G, C] of the block as it is, and with one thing left out each; gains: [G] how far to go from
+        those (classifier-free guidance).
+        """
+        conditions = [layer[:, None].expand(-1, len(noise), -1) for layer in self.head.conditions(contexts)]
+        mix = noise.new_tensor([1.0 + sum(gains), *(-gain for gain in gains)])[:, None, None]
 
         def v(u: Tensor, time: float) -> Tensor:
-            wide = u.expand(len(rows), -1, -1)
+            wide = u.expand(len(contexts), -1, -1)
             return (self.head(wide, torch.full_like(wide[..., :1], time), conditions) * mix).sum(0)
 
-        u, step = noise * how.temperature, 1.0 / how.steps
-        for i in range(how.steps):
+        u, step = noise, 1.0 / steps
+        for i in range(steps):
             first = v(u, i * step)
             ahead = u + step * first
-            u = ahead if i == how.steps - 1 else u + step * (first + v(ahead, (i + 1) * step)) / 2
+            # The field is not defined past its end, so the last step is Euler's.
+            u = ahead if i == steps - 1 else u + step * (first + v(ahead, (i + 1) * step)) / 2
         return self.stretch(u)
 
 

@@ -116,8 +116,15 @@ class GeneratorConfig:
     """Largest deviation of the noise on the pose before a block, in deviations of each number."""
     velocity_noise: NotNegative = 0.1
     """Largest deviation of the noise on the velocity before a block, as a share of it."""
+    bend: Positive = 2.0
+    """b of asinh(b y / sd): below 1 / b deviations a coefficient is told as it is, above by its logarithm."""
     draws: Count = 2
     """Times and noises that the loss is averaged over for each block."""
+
+    @property
+    def styled(self) -> bool:
+        """Whether it takes a style code for every block."""
+        return self.head == "regression" and self.style_width > 0
 
 
 @dataclass(frozen=True)

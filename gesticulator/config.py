@@ -179,6 +179,18 @@ class SelectionConfig:
     guidance: Annotated[float, SettingRange(0.0, 100.0)] = 5.0
     """How far what is asked of the style is followed: 1 takes what the models make of it, more goes on in the direction
     from what they would do unasked to what they do asked (they were taught both)."""
+    audio_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 1.5
+    """Of the flow head: how far to go on in the direction from what it would draw unheard to what it draws; 0 draws
+    what it draws."""
+    lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
+    """The same for the lexeme."""
+    noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.95
+    """Of the flow head: deviation of the noise that drawing starts from; below 1 is calmer."""
+    flow_steps: Annotated[int, SettingRange(1, 100)] = 4
+    """Of Heun's method, from noise to a block."""
+    candidates: Annotated[int, SettingRange(1, 64)] = 4
+    """Blocks that the flow head draws at once, of which the first that shows the lexeme is kept; else the one that
+    comes nearest to showing it."""
     activity: Share = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never."""
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gesticulator.bundle import Bundle
+from gesticulator.drawing import Keys, drawer_for
 from gesticulator.features import SpeechFeatures
 from gesticulator.performance import BEST
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
@@ -28,11 +29,18 @@ _BLOCKS_BEFORE_REST = 2
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a lexeme is chosen from scores: see `interpreters.select`. top: 0 for all; seed: of the random numbers."""
+    """How a lexeme is chosen from scores: see `interpreters.select`. top: 0 for all; seed: of the random numbers;
+    variation: another manner of drawing the same lexemes."""
 
     temperature: float
     top: int
     seed: int
+    variation: int = 0
+
+    @property
+    def keys(self) -> Keys:
+        """Of the noise that blocks are drawn from."""
+        return Keys(self.seed, self.variation)
 
 
 @dataclass(frozen=True)
@@ -94,19 +102,16 @@ class Rollout:
             ) -> RolloutResult:
         """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
         b, count = self.bundle, len(encoded.blocks)
-        generator, style = b.generator_and_style(encoded.text is not None)
         gate = b.gate if self.activity < 1 else None
-        vectors = b.vectors
         previous = b.rest_lexeme(self.speaker)
         rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.frames, -1)
-        state = free_state = generator.first_state(rest[None], vectors[[previous]])
+        drawer = drawer_for(b, encoded, self.speaker, previous, self.sampling.keys)
         inner = free = self.interpreter.start(self.speaker, previous)
-        style_state = style.start(self.speaker)
         gate_state = None if gate is None else gate.start(self.speaker)
         guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
         low, high = self._tensor(b.statistics.bounds)
-        made = RolloutResult.empty(count, len(vectors), past.shape[1:], style.code_width)
+        made = RolloutResult.empty(count, len(b.vectors), past.shape[1:], b.code_width)
         resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
         for i in range(count):
             features = self._features(encoded, i, asked, past[0])
@@ -124,13 +129,7 @@ class Rollout:
             if closed and self.quiet_low is not None:
                 # A block on which nothing is to be done is one on which nothing is said.
                 features = replace(features, low=self.quiet_low, silent=True)
-            code, style_state = style.step(style_state, features, previous)
-            audio, lexeme = generator.encode_audio(features.low[None]), vectors[[previous]]
-            control = None if features.control is None else features.control[None]
-            block, state, _ = generator.step(past, audio, lexeme, code, state, control=control)
-            if asked is not None:
-                unled, free_state, _ = generator.step(past, audio, lexeme, code, free_state)
-                block = unled + guidance * (block - unled)
+            block, code = drawer.block(i, features, previous, past)
             resting = resting + 1 if quiet else 0
             if resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
                 block = approach_rest(past[:, -1:], block, rest_decay)

@@ -1,9 +1,9 @@
 """The lexicon of movements: a lexeme names what a block does from where the body stands, not where it stands.
 
-Blocks are told by `data_module.motion.movement`: coefficients y of what they add to their past. A lexeme is the nearest
-of S codewords over the coefficients of all parts of the body, each part weighing as much as another, as an arm moves
-ten times as far as a torso. Below it, residual codebooks of each part (`LexiconConfig.levels`) tell the rest. The
-codebooks are k-means.
+Blocks are told by `data_module.motion.movement`: coefficients y of what they add to their past. A latent is y with
+every part of the body brought to the same variance, as an arm moves ten times as far as a torso, and a lexeme is the
+nearest of S codewords to it. Below the lexeme, residual codebooks of each part (`LexiconConfig.levels`) tell the rest.
+The codebooks are k-means.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class MovementLexicon(nn.Module):
             for level, size in enumerate(config.levels):
                 self.register_buffer(f"level_{part}_{level}", torch.zeros(size, width))
         self.register_buffer("vectors", torch.zeros(config.size, self.basis.width))
-        self.register_buffer("weight", torch.ones(self.basis.width))  # of a coefficient in the distance
+        self.register_buffer("weight", torch.ones(self.basis.width))  # of a coefficient in the latent
         self.register_buffer("examples", torch.zeros(config.size, PAST, self.basis.motion_width))
 
     @property
@@ -47,8 +47,8 @@ class MovementLexicon(nn.Module):
         return len(self.vectors)
 
     def distances(self, coefficients: Tensor) -> Tensor:
-        """Squared distances [B, S] of coefficients [B, n] from the lexemes, every part weighing the same."""
-        own, codes = coefficients * self.weight, self.vectors * self.weight
+        """Squared distances [B, S] of the latents of coefficients [B, n] from the lexemes."""
+        own, codes = coefficients * self.weight, self.vectors
         return (own.pow(2).sum(-1, keepdim=True) - 2 * own @ codes.T + codes.pow(2).sum(-1)).clamp_min(0)
 
     def nearest(self, coefficients: Tensor) -> Tensor:
@@ -69,17 +69,28 @@ class MovementLexicon(nn.Module):
     @torch.no_grad()
     def quantised(self, coefficients: Tensor, levels: int | None = None) -> Tensor:
         """Coefficients [B, n] as the codes tell them: the lexeme and `levels` residual levels, all where None."""
-        out = self.vectors[self.nearest(coefficients)].clone()
+        out = self.added(self.nearest(coefficients))
         for part, at in enumerate(self.basis.slices()):
             for level in range(len(self.config.levels) if levels is None else levels):
                 book = self.get_buffer(f"level_{part}_{level}")
                 out[:, at] += book[torch.cdist(coefficients[:, at] - out[:, at], book).argmin(-1)]
         return out
 
-    def decode(self, lexemes: Tensor) -> Tensor:
-        """[B, K, D_m] what lexemes [B] look like: each from the past of the training block nearest to it."""
-        examples = self.examples[lexemes]
-        return self.basis.compose(self.vectors[lexemes], Pasts(examples, torch.ones_like(examples[:, 0, 0])))
+    def added(self, lexemes: Tensor) -> Tensor:
+        """Coefficients [B, n] of lexemes [B]."""
+        return self.vectors[lexemes] / self.weight
+
+    @torch.no_grad()
+    def shown(self) -> Tensor:
+        """[S, K, D_m] what each lexeme looks like, from the past of the training block nearest to it."""
+        every = torch.arange(self.size, device=self.vectors.device)
+        return self.basis.compose(self.added(every), Pasts(self.examples, torch.ones_like(self.examples[:, 0, 0])))
+
+    @torch.no_grad()
+    def still_distances(self, pose: Tensor) -> Tensor:
+        """[S] squared distances of the lexemes from standing still in a pose [D_m]."""
+        past = Pasts(pose.expand(1, PAST, -1), pose.new_ones(1))
+        return self.distances(self.basis.coefficients(pose.expand(1, self.frames, -1), past))[0]
 
     @torch.no_grad()
     def fit(self, motion: Tensor, past: Pasts, mask: Tensor, seed: int) -> None:
@@ -89,8 +100,8 @@ class MovementLexicon(nn.Module):
             self.weight[at] = 1.0 / self.basis.scale[at].pow(2).sum().sqrt()
         weight = self.weight.double().numpy()
         points = coefficients.double().numpy()
-        self.vectors.copy_(torch.as_tensor(_means(points * weight, self.size, seed) / weight))
-        rest = coefficients - self.vectors[self.nearest(coefficients)]
+        self.vectors.copy_(torch.as_tensor(_means(points * weight, self.size, seed)))
+        rest = coefficients - self.added(self.nearest(coefficients))
         for part, at in enumerate(self.basis.slices()):
             for level, size in enumerate(self.config.levels):
                 book = torch.as_tensor(_means(rest[:, at].double().numpy(), size, seed + 1 + level)).float()

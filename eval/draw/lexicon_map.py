@@ -180,7 +180,7 @@ def _stretch(motion: Motion, start: float, end: float) -> Motion:
 @torch.no_grad()
 def decoded(bundle: Bundle) -> list[Motion]:
     """Each lexeme through the decoder, on the mean pose of all performers: K frames of normalised time."""
-    blocks = bundle.lexicon.decode(bundle.lexicon.vectors).double().numpy()
+    blocks = bundle.lexicon.shown().double().numpy()
     poses = blocks * bundle.statistics.deviation + bundle.statistics.mean_pose.mean(axis=0)
     representation = representation_of(bundle.config)
     return [representation.motion(own, bundle.config.rhythm.fps) for own in poses]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import zipfile
@@ -24,10 +25,12 @@ from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
 from data_module.files import rename
+from data_module.motion.movement import Pasts, joined, pasts_of
 from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder, word_frames
 from data_module.types import Array
+from generator.flow import circumstances
 from gesticulator.config import Config, digest
 from gesticulator.features import (
     Normaliser,
@@ -91,6 +94,20 @@ class Corpus:
         if self.word_at is None or self.words is None:
             raise ValueError("this corpus was prepared without text")
         return self.words[self.word_at[torch.as_tensor(blocks)].long()].float()
+
+    @functools.cached_property
+    def pasts(self) -> Pasts:
+        """What every block is told from, [N, 3, D_m]."""
+        rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
+        return joined(pasts_of(self.motion[own], torch.as_tensor(self.durations)[own], first)
+                      for own, first in zip(rows, self.first, strict=True))
+
+    @functools.cached_property
+    def circumstances(self) -> Tensor:
+        """[N, 8] every block's place in speech (`generator.flow.circumstances`)."""
+        rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
+        return torch.cat([circumstances(torch.as_tensor(self.durations)[own], torch.as_tensor(self.silent)[own])
+                          for own in rows])
 
     def before(self, blocks: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
         """Of each block [n], the block before as it was performed [n, K, D_m] (a recording's first pose, held, before
