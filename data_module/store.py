@@ -77,12 +77,16 @@ class RecordingInfo:
 
 @dataclass(frozen=True)
 class Recording:
-    """Speech (with its words, where known) and motion that start together and last equally long."""
+    """Speech (with its words, where known) and motion that start together and last equally long.
+
+    stands: whoever moves stands in one place, so that a store may plant her feet.
+    """
 
     info: RecordingInfo
     speech: Speech
     motion: Motion
     truth: Truth | None = None
+    stands: bool = False
 
 
 class Store:
