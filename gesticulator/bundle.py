@@ -31,7 +31,8 @@ from torch import Tensor, nn
 from data_module.controls import Levels
 from data_module.errors import InputError
 from data_module.layers import freeze
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.skeletons import CHARACTER, CHARACTERS
+from data_module.types import Skeleton
 from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
 from gesticulator.features import Normaliser, Statistics, representation_of
@@ -344,11 +345,12 @@ def _two_levels(bundle: Bundle) -> bool:
 
 def write_index(folder: Path, index: dict[str, Any]) -> None:
     """Write `bundle.json` with the hashes of all files that are there."""
+    skeleton = _skeleton_of(index["config"])
     index = {"format": FORMAT,
              "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
                          "python": platform.python_version()},
-             "skeleton": {"names": list(CHARACTER.names), "parents": list(CHARACTER.parents),
-                          "offsets": CHARACTER.offsets.tolist()},
+             "skeleton": {"names": list(skeleton.names), "parents": list(skeleton.parents),
+                          "offsets": skeleton.offsets.tolist()},
              **index, "files": {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
                                 for file in sorted(folder.iterdir()) if file.name != INDEX}}
     (folder / INDEX).write_text(json.dumps(index, indent=1, sort_keys=True) + "\n", encoding="utf-8")
@@ -439,9 +441,16 @@ def read_index(path: str | Path) -> dict[str, Any]:
     if wrong:
         raise InputError(file, f"holds something else than it should under {', '.join(wrong)}",
                          "copy the bundle again")
-    if index["skeleton"].get("names") != list(CHARACTER.names):
+    if index["skeleton"].get("names") != list(_skeleton_of(index["config"]).names):
         raise InputError(file, "was trained on another skeleton", "train it again")
     return index
+
+
+def _skeleton_of(config: Mapping[str, Any]) -> Skeleton:
+    """The character that settings as they stand in a file draw: older ones do not say, and mean the papers' joints."""
+    motion = config.get("motion")
+    joints = motion.get("joints") if isinstance(motion, Mapping) else None
+    return CHARACTERS[joints] if type(joints) is int and joints in CHARACTERS else CHARACTER
 
 
 def _strings(values: Any) -> bool:

@@ -113,7 +113,9 @@ class MotionConfig:
     least_deviation: Positive = 0.05
     """Radians (or metres): a dimension that varies less is scaled by this instead, so stillness is not blown up."""
     representation: Annotated[str, SettingChoice(("rotations", "positions"))] = "rotations"
-    """"rotations": exponential maps of 16 joints; "positions": ten joints in space, as TED has them."""
+    """"rotations": exponential maps of the joints; "positions": ten joints in space, as TED has them."""
+    joints: Annotated[int, SettingChoice((16, 46))] = 16
+    """Of "rotations": the papers' upper body of 16 joints, or 46 with those of the fingers."""
     smoothing: Annotated[float, SettingRange(0.0, 10.0)] = 0.05
     """Seconds, the standard deviation of the Gaussian over the finished motion: one frame at 20 fps, cut off at two
     frames either side (kernel size 5, RG 7.1.2)."""

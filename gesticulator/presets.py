@@ -92,7 +92,7 @@ def default() -> Config:
         front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=128),
         text=TextConfig(encoder="minilm"),  # 384-d word vectors for BERT's 768
         # The trunk's small turns count less (0.1 radians for 0.05), so that lexemes tell arms apart.
-        motion=MotionConfig(least_deviation=0.1),
+        motion=MotionConfig(least_deviation=0.1, joints=46),
         lexicon=LexiconConfig(size=100, widths=(32, 64, 96, 128)),  # 100 lexemes, as TED has
         # The best lexeme of each block, from sound alone, is always one of a few: a rule that gestures by chance cannot
         # be predicted block by block, only its manner can.

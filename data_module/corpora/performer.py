@@ -173,7 +173,7 @@ class Performer:
         truth = Truth(played.strokes, spoken.syllables, spoken.phrases)
         info = replace(item.info, language=spoken.language,
                        sources=tuple(sorted({stroke.clip.removesuffix("-mirrored") for stroke in played.strokes})))
-        return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth)
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth, stands=True)
 
     def _made_for_motion(self, item: Item) -> Recording:
         from data_module.performer.talks import talk_for_motion
@@ -186,7 +186,7 @@ class Performer:
         spoken = talk.made.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
         truth = Truth((), spoken.syllables, spoken.phrases)
-        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, truth)
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, truth, stands=True)
 
     def notes(self) -> Sequence[str]:
         strokes = self._strokes.strokes

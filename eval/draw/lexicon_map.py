@@ -193,7 +193,7 @@ def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], progres
     """Everything counted, and the latents [N, D] and labels [N] of all blocks."""
     counts, latents, labels = Survey(bundle.config.lexicon.size), [], []
     for info in tqdm(infos, desc="recordings", disable=not progress):
-        recording = store.load(info.name)
+        recording = store.load(info.name, bundle.config.motion.joints)
         blocks = cut(recording.speech, bundle.config.rhythm)
         read = encode_motion(bundle, recording.motion, blocks, info.speaker)
         nearest = bundle.lexicon.vectors[torch.as_tensor(read.labels)]

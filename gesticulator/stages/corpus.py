@@ -132,7 +132,7 @@ class Corpus:
 
 def _cut_one(store_path: str, name: str, config: Config, target: str) -> str:
     torch.set_num_threads(1)
-    recording = Store.open(store_path).load(name)
+    recording = Store.open(store_path).load(name, config.motion.joints)
     speech, motion = recording.speech, recording.motion
     representation = representation_of(config)
     blocks = block_module.cut(speech, config.rhythm)
@@ -201,7 +201,7 @@ def _run(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int) ->
 
 def cut(store: Store, config: Config, folder: Path, *, workers: int = 1, progress: bool = True) -> tuple[Path, ...]:
     """The blocks of every recording, one file each, in a folder named by the hash of what shapes them."""
-    key = digest(store.fingerprint, config.rhythm, config.motion.representation,
+    key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
                          config.control.window, config.text.bridge)
     cache = folder / f"blocks-{key}"
     cache.mkdir(parents=True, exist_ok=True)

@@ -27,7 +27,7 @@ BlockLexicon = Lexicon | MovementLexicon
 Tokens = BlockLexicon | RacerCodec
 """What names the gesture of a block: the lexicon of blocks at the beat, or RACER's own codec at a fixed rate."""
 
-_MOTION = ("motion.representation", "motion.least_deviation")
+_MOTION = ("motion.representation", "motion.joints", "motion.least_deviation")
 """What shapes the motion of the corpus."""
 _TOGETHER = 4096
 """Blocks that are decoded in one go: bounds the memory."""
