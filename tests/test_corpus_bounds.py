@@ -19,7 +19,7 @@ from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot,
 from data_module.types import Array, Motion, Speech
 from eval import baselines, corpus_bounds, style_from_sound
 from eval.commands import PROBE
-from eval.corpus_bounds import BOUNDS, FREEZE, MEAN, SEAM, MeasuredTalk, BoundVerdict
+from eval.corpus_bounds import BOUNDS, FREEZE, MEAN, SEAM, BoundVerdict, MeasuredTalk
 from eval.metrics.eye import common_body
 from eval.probes import corpus
 from eval.style_from_sound import StyledWindows

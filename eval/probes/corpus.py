@@ -22,7 +22,7 @@ from data_module.store import Recording, RecordingInfo, Store
 from data_module.truth import REST
 from data_module.types import Array
 from eval import corpus_bounds, planned_strokes, style_from_sound
-from eval.corpus_bounds import POOLED, STYLE_BOUNDS, MeasuredTalk, BoundVerdict
+from eval.corpus_bounds import POOLED, STYLE_BOUNDS, BoundVerdict, MeasuredTalk
 from eval.metrics.eye import common_body
 from eval.planned_strokes import TOLERANCE
 from eval.stats import Interval, mean_interval
