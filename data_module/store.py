@@ -29,7 +29,7 @@ from data_module.files import read_text, rename, write_bytes, write_text
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
-from data_module.truth import TABLES, PlayedStroke, Truth, record
+from data_module.truth import LATER, TABLES, PlayedStroke, Truth, record
 from data_module.types import Motion, Speech, Word
 
 FORMAT = 3
@@ -364,7 +364,8 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
         truth = None
         if f"strokes_{fields(PlayedStroke)[0].name}" in arrays:
             truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in fields(kind)])
-                             for name, kind in TABLES.items()})
+                             for name, kind in TABLES.items()
+                             if name not in LATER or f"{name}_{fields(kind)[0].name}" in arrays})
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(file, "is not a recording of a store", "build the store again") from None
     # An hour is the limit for what users bring; what a store keeps was accepted when it was built.
