@@ -133,6 +133,13 @@ def silent_blocks(speech: Speech, edges: Array) -> NDArray[np.bool_]:
     return (count > 0) & (np.diff(before[first]) >= _NEARLY_ALL * count)
 
 
+def quiet_at(speech: Speech, times: Array) -> NDArray[np.bool_]:
+    """Whether each of `times` [...] (seconds, the end of what is meant) lies in a pause; past the end all is silent."""
+    quiet = np.append(pauses(silent_frames(speech.samples, speech.sample_rate)), True)
+    # A time on the border of two frames belongs to the one that it ends.
+    return quiet[np.clip(np.ceil(np.asarray(times) / FRAME - 1e-6).astype(int) - 1, 0, len(quiet) - 1)]
+
+
 def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:
     """How loud this voice in this recording generally is, in dBFS, for each block [N], as known at the block's end.
 
