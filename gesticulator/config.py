@@ -178,7 +178,8 @@ class SelectionConfig:
     """How far what is asked of the style is followed: 1 takes what the models make of it, more goes on in the direction
     from what they would do unasked to what they do asked (they were taught both)."""
     activity: Share = 1.0
-    """How readily the gate lets a block gesture: 1 always, 0 never."""
+    """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of the time of
+    speech that is gestured."""
 
 
 @dataclass(frozen=True)

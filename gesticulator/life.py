@@ -29,7 +29,6 @@ from data_module.types import Array
 HEAD = ("Neck", "Neck1", "Head")
 """The joints that turn the face without moving a hand."""
 SIDES = ("Right", "Left")
-ARM = ("Shoulder", "Arm", "ForeArm", "Hand")
 
 _BREATHS = 0.25
 """Hertz: 15 a minute, a standing adult's."""
@@ -147,7 +146,7 @@ _GAZE = ShiftStyle(every=2.9, jitter=0.35, tau=0.09, spread=(6.0, 2.5), least=0.
 _WEIGHT = ShiftStyle(every=6.5, jitter=0.35, tau=0.45, spread=(1.0, 0.7, 1.0), least=1.0, most=2.5)
 """Degrees of the hips' roll, pitch and yaw, from one leg to the other."""
 
-_SHIFTED = {"Neck": 1.0, "Neck1": 0.5, "Spine3": 0.25, "Spine2": 0.3, "Spine1": 0.3}
+_SHIFTED = {"Neck": 1.3, "Neck1": 0.6, "Spine3": 0.2, "Spine2": 0.25, "Spine1": 0.25}
 """Degrees of a unit of the head's small shifts: the upper back goes with it."""
 _LOOKED = {"Neck": 0.35, "Neck1": 0.2, "Head": 0.45}
 """Shares of a gaze shift."""
@@ -180,13 +179,12 @@ class Idle:
 
     def _finger_bends(self, rest: Array) -> list[tuple[int, int, Array]]:
         """For each finger's joint: its side, its index and the axis it is bent about at rest."""
-        plain = {*HEAD, "Hips", "Spine", "Spine1", "Spine2", "Spine3", *(side + part for side in SIDES for part in ARM)}
         found = []
         for name, index in self.joints.items():
             length = float(np.linalg.norm(rest[index]))
-            side = next((number for number, side in enumerate(SIDES) if name.startswith(side)), None)
-            if name not in plain and side is not None and length > 1e-6:
-                found.append((side, index, rest[index] / length))
+            for number, side in enumerate(SIDES):
+                if name.startswith(side + "Hand") and name != side + "Hand" and length > 1e-6:
+                    found.append((number, index, rest[index] / length))
         return found
 
     def __call__(self, times: Array) -> Array:

@@ -8,7 +8,7 @@ Three questions, each answered from the past and from what is known of the next 
    first that the gate thinks likeliest.
 3. What does the body do? `Rest`: it stops smoothly, holds for `HOLD` seconds as people keep their hands up in short
    pauses, then sinks into the resting pose slowly; when it wakes, what the generator draws is joined with the place and
-   the speed that were shown. `Idle` life is laid over it, faintly also in speech.
+   the speed that were shown. `Idle` life is laid over it; in speech faintly, and wholly where the head would stand.
 
 The stop from pose x with velocity v takes T seconds along the cubic that ends at x + v T / 3 with velocity 0, so that
 the speed falls as v (1 - t / T)^2.
@@ -54,6 +54,8 @@ _LEAST_FADE = 0.2
 """Seconds in which a join can be made; where a block has less left, the body wakes with the next."""
 _FAINT = 0.25
 """Share of the idle life that is left in speech, where the generator moves the body."""
+_HEAD_STANDS, _HEAD_MOVES = 0.015, 0.045
+"""m/s of the generated head up to which there is all of the life, and from which on the faint share alone."""
 _GAIN_TAU = 0.25
 """Seconds in which life grows and fades."""
 _ALWAYS = -1e3
@@ -358,6 +360,8 @@ class Rest:
                        for columns, way in zip((self._head, self._body), ways, strict=True)]
         self._idle = Idle(seed, names, rest_pose.reshape(-1, 3))
         self._scale = statistics.present.numpy() / statistics.deviation
+        self._head_moves = _head_moves(statistics, representation, speaker)
+        self._shown = rest
         self._gains = [_Gain(), _Gain()]
         self._pauses, self._phrases = Pauses(), Phrases(activity, seed)
         self._rests: list[Flags] = []
@@ -385,6 +389,22 @@ class Rest:
         times = self._span.times
         life = self._idle(times).reshape(block.shape) * self._scale
         seconds = self._span.duration / len(times)
+        steps = np.diff(block, axis=0, prepend=self._shown[None])
+        speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
+        stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
         for (columns, _), rests, gain in zip(self._parts, self._rests, self._gains, strict=True):
-            life[:, columns] *= np.array([[gain.follow(1.0 if still else _FAINT, seconds)] for still in rests])
+            wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, rests)
+            life[:, columns] *= np.array([[gain.follow(float(one), seconds)] for one in wanted])
+        self._shown = block[-1].astype(np.float64)
         return block + life
+
+
+def _head_moves(statistics: Statistics, representation: Representation, speaker: int) -> Array:
+    """[D_m, 3] metres that the head moves by for a unit of each feature, at the resting pose."""
+    tiny = 1e-3
+    rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
+    turned = np.concatenate([rest[None], rest + tiny * np.eye(len(rest))])
+    motion = representation.motion(statistics.denormalise(turned, speaker), 1.0)
+    at = positions_of(motion)[:, motion.skeleton.index("Head")]
+    moves: Array = (at[1:] - at[:1]) / tiny
+    return moves

@@ -97,7 +97,7 @@ def test_a_chest_breathes_fifteen_times_a_minute() -> None:
 
 
 def test_fingers_bend_along_their_own_bend_and_other_joints_are_found_by_name() -> None:
-    names = (*CHARACTER.names, "LeftIndex1", "RightIndex1", "LeftIndex2")
+    names = (*CHARACTER.names, "LeftHandIndex1", "RightHandIndex1", "LeftHandIndex2")
     bent = np.concatenate([HANGING, [[0.0, 0.0, -0.5], [0.0, 0.3, 0.4], [0.0, 0.0, 0.0]]])
     life = Idle(1, names, bent)(MINUTE)
     np.testing.assert_array_equal(life[:, :16], Idle(1, CHARACTER.names, HANGING)(MINUTE))
