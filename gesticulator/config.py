@@ -138,6 +138,9 @@ class SilenceConfig:
     goes; the small swings that the generator would repeat in every block of a rest are left out. 0 leaves them in."""
     lexemes: Annotated[tuple[int, ...], SettingRange(0, 65535)] = ()
     """The silent lexemes by hand; empty finds them."""
+    rest: Annotated[str, SettingChoice(("decay", "life"))] = "decay"
+    """At inference: "decay", what `rest_decay` says and a gate that opens block by block; "life", rest is decided at
+    the first frame of a real pause and phrase by phrase, and the body that rests lives (`gesticulator.rest`)."""
 
 
 NOT_TRAINED = FitSettings(steps=0, batch=1)
@@ -194,7 +197,8 @@ class SelectionConfig:
     """Blocks that the flow head draws at once, of which the first that shows the lexeme is kept; else the one that
     comes nearest to showing it."""
     activity: Share = 1.0
-    """How readily the gate lets a block gesture: 1 always, 0 never."""
+    """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of the time of
+    speech that is gestured."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +239,9 @@ class Config:
         check(self)
         if not self.lexicon.widths:
             raise InputError("lexicon.widths", "is empty", "give the channels of one convolution at least")
+        if self.silence.rest == "life" and self.motion.representation != "rotations":
+            raise InputError("silence.rest=life", "turns joints",
+                             "use motion.representation=rotations, or silence.rest=decay")
         if self.tokens == "racer" and (self.rhythm.beats.rule != "even" or self.rhythm.frames != FRAMES):
             raise InputError("tokens=racer", "needs blocks of eight frames at a fixed rate",
                              "start from --preset racer-native, racer-trinity or racer-chinese")

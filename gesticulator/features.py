@@ -21,7 +21,7 @@ from data_module.errors import InputError
 from data_module.motion.representation import REPRESENTATIONS, Representation, representation
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.front_ends import FrontEnd, front_end
-from data_module.speech.silence import reference_level
+from data_module.speech.silence import quiet_at, reference_level
 from data_module.types import Array, Blocks, Samples, Speech
 from gesticulator.config import Config
 
@@ -139,12 +139,13 @@ class SpeechFeatures:
     """blocks: N of them. low, high: [N, 3K, d + 1] features of the block before, the block and the block after; the
     last column is the logarithm of each block's duration over the longest allowed (time-scaling hides the tempo).
     text: [N, 3K, d_t + 1] word vectors on the same windows, the last column the flag of the empty word; None in the
-    audio-only path."""
+    audio-only path. quiet: [N, K] whether each frame lies in a pause; None where only whole blocks are known to."""
 
     blocks: Blocks
     low: Features
     high: Features
     text: Features | None = None
+    quiet: NDArray[np.bool_] | None = None
 
 
 def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:
@@ -218,7 +219,8 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
 
         table = word_table(words.encode(speech.words), words.width)
         text = table[three_blocks(word_frames(speech.words, blocks, config.text.bridge) + 1, np.zeros(()))]
-    return SpeechFeatures(blocks, low, high, text)
+    quiet = quiet_at(speech, blocks.knot_times).reshape(len(blocks), -1)
+    return SpeechFeatures(blocks, low, high, text, quiet)
 
 
 def word_table(vectors: NDArray[np.floating], width: int) -> Features:

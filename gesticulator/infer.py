@@ -72,7 +72,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     style.add_argument("--hand-speed", metavar="VALUE", help="mean speed of the hands, metres per second")
     style.add_argument("--hand-radius", metavar="VALUE", help="mean distance of the hands from the body's axis, metres")
     style.add_argument("--activity", type=number("activity"), metavar="0..1",
-                       help="how readily to gesture at all; 0 is stillness, 1 never holds back")
+                       help="how much of the time of speech to gesture in; 0 is stillness, 1 never holds back")
     style.add_argument("--interpreter", choices=INTERPRETERS, help="what chooses the lexemes: " + ", ".join(
         f"{name} ({entry.about})" for name, entry in INTERPRETERS.items()))
     style.add_argument("--temperature", type=number("temperature"), metavar="T",

@@ -104,7 +104,8 @@ class InferenceOptions:
     temperature: float | None = None
     """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
     activity: float | None = None
-    """How readily to gesture at all, 0 (stillness) to 1 (the gate never closes)."""
+    """How much of the time of speech to gesture in, 0 (stillness) to 1 (all of it); bundles that know no rest by
+    phrases (silence.rest=decay) take it as the threshold of their gate."""
     fps: float = FPS
     """Frames per second of the motion, 1 to 1000."""
     gain: float = 0.0

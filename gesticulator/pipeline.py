@@ -188,7 +188,8 @@ class Gesticulator:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
 
     def _check_activity(self, activity: float) -> None:
-        if 0 < activity < 1 and "gate" not in self.bundle.parts:
+        # Where phrases rest (silence.rest=life) a gate only ranks them.
+        if 0 < activity < 1 and "gate" not in self.bundle.parts and self.bundle.config.silence.rest == "decay":
             raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
 
     def controls(self, options: InferenceOptions) -> Controls:

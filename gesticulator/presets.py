@@ -28,6 +28,7 @@ from gesticulator.config import (
     RewardConfig,
     Schedules,
     SelectionConfig,
+    SilenceConfig,
     StyleConfig,
     TextConfig,
 )
@@ -97,6 +98,7 @@ def default() -> Config:
         # The best lexeme of each block, from sound alone, is always one of a few: a rule that gestures by chance cannot
         # be predicted block by block, only its manner can.
         selection=SelectionConfig(temperature=0.7),
+        silence=SilenceConfig(rest="life"),
         generator=GeneratorConfig(
             motion_features=48, audio_features=32, audio_bottleneck=48, hidden=192, groups=16, classes=32,
             lstm_width=192,

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from gesticulator.bundle import Bundle
 from gesticulator.drawing import Keys, drawer_for
-from gesticulator.features import SpeechFeatures
+from gesticulator.features import SpeechFeatures, representation_of
 from gesticulator.performance import BEST
+from gesticulator.rest import Rest, span_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 
 if TYPE_CHECKING:
@@ -112,6 +113,8 @@ class Rollout:
         guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
         low, high = self._tensor(b.statistics.bounds)
         made = RolloutResult.empty(count, len(b.vectors), past.shape[1:], b.code_width)
+        life = None if b.config.silence.rest == "decay" else Rest(
+            b.statistics, representation_of(b.config), self.speaker, self.activity, self.sampling.seed)
         resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
         for i in range(count):
             features = self._features(encoded, i, asked, past[0])
@@ -119,6 +122,8 @@ class Rollout:
             if gate is not None and gate_state is not None:
                 made.gate[i], gate_state = gate.step(gate_state, features)
                 closed = not gate.opened(float(made.gate[i]), self.activity)
+            if life is not None:
+                closed = life.hear(span_of(encoded, i), float(made.gate[i]))
             # Style guidance: beyond what the models do when asked, away from what they do unasked.
             scores, inner = self.interpreter.step(inner, features, previous)
             if asked is not None:
@@ -126,16 +131,20 @@ class Rollout:
                 scores = unasked + guidance * (scores - unasked)
             quiet = closed or (features.silent and b.config.silence.mask)
             previous = self._select(scores, b.silent if quiet else None)
-            if closed and self.quiet_low is not None:
+            if closed and life is None and self.quiet_low is not None:
                 # A block on which nothing is to be done is one on which nothing is said.
                 features = replace(features, low=self.quiet_low, silent=True)
             block, code = drawer.block(i, features, previous, past)
             resting = resting + 1 if quiet else 0
-            if resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
+            if life is None and resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
                 block = approach_rest(past[:, -1:], block, rest_decay)
             # What it was never shown it must not feed itself: one odd pose would lead to the next.
             past = torch.clamp(block, low, high)
-            made.motion[i], made.lexemes[i], made.codes[i] = past[0].cpu().numpy(), previous, code[0].cpu().numpy()
+            if life is not None:
+                past = self._tensor(life.step(past[0].cpu().numpy()))[None]
+            drawn = past[0].cpu().numpy()
+            made.motion[i] = drawn if life is None else life.alive(drawn)
+            made.lexemes[i], made.codes[i] = previous, code[0].cpu().numpy()
             made.keep_best(i, scores)
             if on_block is not None:
                 on_block(i + 1, count)

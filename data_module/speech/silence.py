@@ -39,6 +39,7 @@ TYPICAL_LEVEL = -26.0
 _STEP = 10
 _PERCENTILE = 0.1
 _START, _START_CAP = 1.0, -45.0
+_STEADY = 2.0  # decibels between the loudest and the faintest 0.1 s; white noise of a second has 0.5
 _BLIP = 2
 _NEARLY_ALL = 0.9
 _FAINTEST = -120.0
@@ -131,6 +132,30 @@ def silent_blocks(speech: Speech, edges: Array) -> NDArray[np.bool_]:
     first = np.clip(np.ceil(np.asarray(edges) / FRAME - 0.5).astype(int), 0, len(quiet))
     count = np.diff(first)
     return (count > 0) & (np.diff(before[first]) >= _NEARLY_ALL * count)
+
+
+def quiet_at(speech: Speech, times: Array) -> NDArray[np.bool_]:
+    """Whether each of `times` [...] (seconds, the end of what is meant) lies in a pause; past the end all is silent.
+
+    A recording that begins with steady noise is silent from its start: the noise floor is not believed in the first
+    second, but a voice is not steady.
+    """
+    silent = silent_frames(speech.samples, speech.sample_rate) | _steady_start(speech)
+    quiet = np.append(pauses(silent), True)
+    # A time on the border of two frames belongs to the one that it ends.
+    return quiet[np.clip(np.ceil(np.asarray(times) / FRAME - 1e-6).astype(int) - 1, 0, len(quiet) - 1)]
+
+
+def _steady_start(speech: Speech) -> NDArray[np.bool_]:
+    """True for frames [F] of the first second up to which, and `SHORTEST_PAUSE` on, the level has not varied more than
+    noise does."""
+    levels = frame_levels(speech.samples, speech.sample_rate)
+    means = _step_means(levels)
+    ahead = round(SHORTEST_PAUSE / (FRAME * _STEP))
+    varied = np.maximum.accumulate(means) - np.minimum.accumulate(means)
+    known = varied[np.minimum(np.arange(len(means)) + ahead, len(means) - 1)]
+    steady = (known < _STEADY) & (np.arange(len(means)) * _STEP * FRAME < _START)
+    return np.repeat(steady, _STEP)[:len(levels)]
 
 
 def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:

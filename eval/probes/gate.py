@@ -101,8 +101,9 @@ def loudness(speech: Speech, edges: Array) -> Array:
 
 @dataclass(frozen=True)
 class GatedMotion:
-    """One performance. gesturing: [N] the lexeme is not silent; closed: [N] the gate shut the block; speed: [T - 1]
-    mean of both hands between frames, m/s; block: [T - 1] the block that each lies in."""
+    """One performance. gesturing: [N] the lexeme is not silent; closed: [N] the gate shut the block, or, where whole
+    phrases rest (silence.rest=life), the block was left at rest; speed: [T - 1] mean of both hands between frames, m/s;
+    block: [T - 1] the block that each lies in."""
 
     gesturing: Flags
     closed: Flags
@@ -127,7 +128,8 @@ def play(system: Gesticulator, recording: Recording, activity: float) -> tuple[P
     made = system(recording.speech, speaker=who, activity=activity)
     closed = np.full(len(made.lexemes), activity <= 0)
     if 0 < activity < 1 and made.gate is not None:
-        closed = made.gate < 1 - activity
+        by_phrase = system.bundle.config.silence.rest == "life"
+        closed = np.isin(made.lexemes, system.bundle.silent) if by_phrase else made.gate < 1 - activity
     return made, gated(made.motion, made.blocks.edges, ~np.isin(made.lexemes, system.bundle.silent), closed)
 
 

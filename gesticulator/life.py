@@ -1,0 +1,231 @@
+"""Idle life: what a body does that does nothing. It breathes, shifts its weight, looks about; no hand is quite still.
+
+A layer over the finished poses, in radians on the exponential maps, that depends on the seed and the second alone: a
+stream and a file get the same, whatever draws the gestures, and a block that is drawn twice breathes alike. What draws
+the next block is shown the poses without it, so it never learns to add life to life.
+
+Four kinds of movement, all smooth and none periodic:
+
+- noise: sum over n of g_n B((t - t_n) / step), B the cubic B-spline and g_n a normal number, a low-pass of white noise
+  with nothing above about 0.5 / step hertz: sway and the drift of the arms.
+- breathing: a sine of about 0.25 Hz whose phase wanders with noise.
+- shifts: from one posture to the next, at irregular times, along 1 - (1 + a + a^2 / 2) exp(-a), a = (t - t_n) / tau:
+  a quick start and a slow settling, as the eye leads the head. Small ones of the head and upper back follow each other
+  within a second, so that the head never stands; gaze and weight shift every few seconds.
+- hands that open and close a little along their own bend, where there are fingers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.types import Array
+
+HEAD = ("Neck", "Neck1", "Head")
+"""The joints that turn the face without moving a hand."""
+SIDES = ("Right", "Left")
+
+_BREATHS = 0.25
+"""Hertz: 15 a minute, a standing adult's."""
+_BREATH_WANDERS, _BREATH_STEP = 0.1, 5.0
+"""Of a breath, each 5 s: no two last alike."""
+_SPLINE_SPREAD = math.sqrt(151.0 / 315.0)
+"""Standard deviation, over time, of B-spline noise made of standard normal numbers."""
+_SETTLED = 16.0
+"""Time constants after which a shift is over: exp(-16) of it is a hundred thousandth of a degree."""
+_TRIES = 8
+
+_ALL_BITS = 0xFFFFFFFFFFFFFFFF
+_STEP_OF_BITS = np.uint64(0x9E3779B97F4A7C15)
+
+
+def mixed(seed: int, channel: int, numbers: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """64 well mixed bits for each number [...] of a channel (splitmix64, Steele et al. 2014): the same everywhere."""
+    with np.errstate(over="ignore"):
+        key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * np.uint64(channel + 1))
+        return _scrambled(key + _STEP_OF_BITS * np.asarray(numbers).astype(np.uint64))
+
+
+def _scrambled(z: NDArray[np.uint64] | np.uint64) -> NDArray[np.uint64]:
+    with np.errstate(over="ignore"):
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        return np.asarray(z ^ (z >> np.uint64(31)))
+
+
+def uniform(seed: int, channel: int, numbers: NDArray[np.int64]) -> Array:
+    """Numbers in (0, 1) for each of `numbers` [...]."""
+    return ((mixed(seed, channel, numbers) >> np.uint64(11)).astype(np.float64) + 0.5) / 2.0**53
+
+
+def normal(seed: int, channel: int, numbers: NDArray[np.int64]) -> Array:
+    """Standard normal numbers for each of `numbers` [...] (Box and Muller)."""
+    doubled = 2 * np.asarray(numbers, dtype=np.int64)
+    one, two = uniform(seed, channel, doubled), uniform(seed, channel, doubled + 1)
+    drawn: Array = np.sqrt(-2.0 * np.log(one)) * np.cos(2.0 * np.pi * two)
+    return drawn
+
+
+def noise(seed: int, channel: int, times: Array, step: float) -> Array:
+    """Smooth noise of standard deviation 1 at `times` [T] seconds, a normal number every `step` seconds: [T]."""
+    where = np.asarray(times, dtype=np.float64) / step
+    first = np.floor(where).astype(np.int64)
+    u = where - first
+    weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6.0
+    values = normal(seed, channel, first[None] + np.arange(-1, 3)[:, None])
+    return (weights * values).sum(axis=0) / _SPLINE_SPREAD
+
+
+@dataclass(frozen=True)
+class ShiftStyle:
+    """How something shifts. every: seconds between shifts; jitter: the share of it by which they come early or late, up
+    to 0.5; tau: the time constant, seconds; spread: [D] standard deviation of the postures in each dimension; least,
+    most: how far two in a row lie apart, in these spreads."""
+
+    every: float
+    jitter: float
+    tau: float
+    spread: tuple[float, ...]
+    least: float
+    most: float
+
+
+@dataclass
+class Shifts:
+    """Postures [D] one after the other from the zero at time 0; at any time, in any order of asking."""
+
+    seed: int
+    channel: int
+    style: ShiftStyle
+    _postures: list[Array] = field(default_factory=list)
+
+    def at(self, times: Array) -> Array:
+        """[T, D] for times [T] in seconds, which may not be negative."""
+        s = self.style
+        times = np.asarray(times, dtype=np.float64)
+        last = max(0, math.floor(times.max() / s.every + s.jitter)) + 1
+        self._extend(last)
+        reach = math.ceil(_SETTLED * s.tau / s.every + 1)
+        first = max(0, math.floor(times.min() / s.every) - reach)
+        numbers = np.arange(first, last + 1)
+        begins = (numbers + s.jitter * (2.0 * uniform(self.seed, self.channel, numbers) - 1.0)) * s.every
+        a = np.maximum(times[:, None] - begins, 0.0) / s.tau
+        done = 1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a)
+        postures = np.array(self._postures[first:last + 1])
+        before = self._postures[first - 1] if first > 0 else np.zeros(len(s.spread))
+        steps = np.diff(postures, axis=0, prepend=before[None])
+        moved: Array = before + done @ steps
+        return moved
+
+    def _extend(self, last: int) -> None:
+        """The chain of postures, to number `last`: each is drawn from the same spread, neither too near the one before
+        nor too far."""
+        s, width = self.style, len(self.style.spread)
+        while len(self._postures) <= last:
+            n = len(self._postures)
+            before = self._postures[-1] if n else np.zeros(width)
+            tries = normal(self.seed, self.channel + 1, (n * _TRIES + np.arange(_TRIES))[:, None] * width
+                           + np.arange(width)) * s.spread
+            tries[-1] = -before  # far from most places
+            apart = np.linalg.norm((tries - before) / s.spread, axis=1)
+            fits = np.flatnonzero((apart >= s.least) & (apart <= s.most))
+            chosen = tries[fits[0] if len(fits) else int(np.argmin(np.abs(apart - s.least)))]
+            length = max(float(np.linalg.norm((chosen - before) / s.spread)), 1e-9)
+            self._postures.append(before + (chosen - before) * min(max(1.0, s.least / length), s.most / length))
+
+
+_HEAD_SHIFT = ShiftStyle(every=0.66, jitter=0.18, tau=0.085, spread=(1.5, 1.5), least=1.2, most=2.2)
+"""Of a unit of pitch and of roll, see `_SHIFTED`: a head that is not looked at moves so about once a second."""
+_GAZE = ShiftStyle(every=2.9, jitter=0.35, tau=0.09, spread=(6.0, 2.5), least=0.8, most=2.5)
+"""Degrees of yaw and of pitch."""
+_WEIGHT = ShiftStyle(every=6.5, jitter=0.35, tau=0.45, spread=(1.0, 0.7, 1.0), least=1.0, most=2.5)
+"""Degrees of the hips' roll, pitch and yaw, from one leg to the other."""
+
+_SHIFTED = {"Neck": 1.3, "Neck1": 0.6, "Spine3": 0.2, "Spine2": 0.25, "Spine1": 0.25}
+"""Degrees of a unit of the head's small shifts: the upper back goes with it."""
+_LOOKED = {"Neck": 0.35, "Neck1": 0.2, "Head": 0.45}
+"""Shares of a gaze shift."""
+_INHALED = {("Spine1", 0): -0.2, ("Spine2", 0): -0.4, ("Neck", 0): 0.35, ("LeftShoulder", 2): 1.0,
+            ("RightShoulder", 2): -1.0}
+"""Degrees at the height of a breath, by joint and axis: the chest opens, the shoulders rise, the face stays."""
+_SWAYED = {("Hips", 2): (1.0, 0), ("Spine", 2): (-0.5, 0), ("Hips", 0): (1.0, 1), ("Spine", 0): (-0.5, 1),
+           ("Spine1", 1): (0.8, 2)}
+"""By joint and axis: the share of a weight shift (and of the sway), and which of its dimensions."""
+_SWAY, _SWAY_STEP = 0.35, 1.5
+"""Degrees and seconds of the noise that is added to the weight shifts."""
+_DRIFT = {"Arm": (0.4, 1.3), "ForeArm": (0.6, 1.1), "Hand": (0.8, 0.9)}
+"""Degrees and seconds of the noise on each axis of the arms' joints."""
+_CURL, _CURL_STEP = 2.0, 1.6
+"""Degrees and seconds of the noise by which a hand opens and closes."""
+_SHIFT_CHANNEL, _GAZE_CHANNEL, _WEIGHT_CHANNEL, _BREATH_CHANNEL, _FIRST_FREE = 0, 2, 4, 6, 8
+
+
+class Idle:
+    """Idle life of a body with these joints, as a function of time."""
+
+    def __init__(self, seed: int, joints: Sequence[str], rest: Array) -> None:
+        """seed: any whole number; joints: names; rest: [J, 3] the resting pose, exponential maps (which way fingers
+        bend)."""
+        self.seed, self.joints = seed, {name: index for index, name in enumerate(joints)}
+        self._shifts = Shifts(seed, _SHIFT_CHANNEL, _HEAD_SHIFT)
+        self._gaze = Shifts(seed, _GAZE_CHANNEL, _GAZE)
+        self._weight = Shifts(seed, _WEIGHT_CHANNEL, _WEIGHT)
+        self._bends = self._finger_bends(rest)
+
+    def _finger_bends(self, rest: Array) -> list[tuple[int, int, Array]]:
+        """For each finger's joint: its side, its index and the axis it is bent about at rest."""
+        found = []
+        for name, index in self.joints.items():
+            length = float(np.linalg.norm(rest[index]))
+            for number, side in enumerate(SIDES):
+                if name.startswith(side + "Hand") and name != side + "Hand" and length > 1e-6:
+                    found.append((number, index, rest[index] / length))
+        return found
+
+    def __call__(self, times: Array) -> Array:
+        """[T, J, 3] radians to add to the exponential maps at `times` [T], seconds from 0."""
+        times = np.asarray(times, dtype=np.float64)
+        out = np.zeros((len(times), len(self.joints), 3))
+        channel = _FIRST_FREE
+        shift, gaze = self._shifts.at(times), self._gaze.at(times)
+        for name, degrees in _SHIFTED.items():
+            self._add(out, name, 0, degrees * shift[:, 0])
+            self._add(out, name, 2, degrees * shift[:, 1])
+        for name, share in _LOOKED.items():
+            self._add(out, name, 1, share * gaze[:, 0])
+            self._add(out, name, 0, share * gaze[:, 1])
+        breath = self._breath(times)
+        for (name, axis), degrees in _INHALED.items():
+            self._add(out, name, axis, degrees * breath)
+        sway = self._weight.at(times)
+        for dimension in range(sway.shape[1]):
+            sway[:, dimension] += _SWAY * noise(self.seed, channel + dimension, times, _SWAY_STEP)
+        channel += sway.shape[1]
+        for (name, axis), (share, dimension) in _SWAYED.items():
+            self._add(out, name, axis, share * sway[:, dimension])
+        for side in SIDES:
+            for part, (degrees, step) in _DRIFT.items():
+                for axis in range(3):
+                    self._add(out, side + part, axis, degrees * noise(self.seed, channel, times, step))
+                    channel += 1
+        curls = [_CURL * noise(self.seed, channel + number, times, _CURL_STEP) for number in range(len(SIDES))]
+        for number, index, axis3 in self._bends:
+            out[:, index] += curls[number][:, None] * axis3
+        return np.radians(out)
+
+    def _add(self, out: Array, name: str, axis: int, degrees: Array) -> None:
+        index = self.joints.get(name)
+        if index is not None:
+            out[:, index, axis] += degrees
+
+    def _breath(self, times: Array) -> Array:
+        """-1 to 1, [T]; breathing out takes longer than breathing in."""
+        wander = _BREATH_WANDERS * noise(self.seed, _BREATH_CHANNEL, times, _BREATH_STEP)
+        phase = 2.0 * np.pi * (_BREATHS * times + wander + float(uniform(self.seed, _BREATH_CHANNEL + 1,
+                                                                         np.zeros(1, np.int64))[0]))
+        return np.sin(phase + 0.4 * np.sin(phase))
