@@ -40,6 +40,7 @@ from eval.metrics.eye.frechet import REFERENCE
 from eval.probes.motion import movements, rest, seen, steering
 from eval.probes.motion.clauses import Clause, clause_table, summary
 from eval.probes.motion.renderings import (
+    PROGRAM,
     TAKE,
     AcceptanceVoice,
     BundleSystem,
@@ -165,8 +166,8 @@ def _opened(arguments: argparse.Namespace) -> tuple[Acceptance, Path | None]:
 
 
 def _key(own: Acceptance) -> str:
-    """Of what the figures are of."""
-    told = [own.ours.key, program_key(), [voice.key for voice in own.voices], own.renderings,
+    """Of what the figures are of, and of what measures them."""
+    told = [own.ours.key, program_key((*PROGRAM, "eval")), [voice.key for voice in own.voices], own.renderings,
             [system.name for system in own.others]]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
 

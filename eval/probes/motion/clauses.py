@@ -30,7 +30,7 @@ class Bound:
 
     def holds(self, value: float) -> bool:
         """Whether a value keeps it; NaN keeps nothing."""
-        return self.low <= value <= self.high and not (self.below and value == self.high)
+        return bool(self.low <= value <= self.high and not (self.below and value == self.high))
 
     def text(self, digits: int) -> str:
         """For a reader; nothing where nothing is asked."""
@@ -114,11 +114,9 @@ def scaled(value: Interval, by: float) -> Interval:
 
 
 def summary(clauses: Sequence[Clause]) -> str:
-    """How many hold, and which do not."""
+    """How many hold of those that are judged."""
     asked = [clause for clause in clauses if clause.holds is not None]
-    broken = [clause.name for clause in asked if not clause.holds]
-    kept = f"{len(asked) - len(broken)} of {len(asked)} clauses hold"
-    return f"{kept}; broken: {'; '.join(broken)}." if broken else f"{kept}."
+    return f"{sum(bool(clause.holds) for clause in asked)} of {len(asked)} clauses hold."
 
 
 def clause_table(title: str, clauses: Sequence[Clause], notes: Sequence[str] = (),

@@ -48,7 +48,7 @@ SECONDS = 60.0
 """Of each test recording: a minute, over which drift is asked for."""
 SHORTEST = 20.0
 """Seconds: shorter recordings have no repetition and hardly a stroke to speak of; they are left out."""
-_PROGRAM = ("data_module", "lexicon", "interpreters", "generator", "gesticulator")
+PROGRAM = ("data_module", "lexicon", "interpreters", "generator", "gesticulator")
 
 
 @dataclass(frozen=True)
@@ -129,10 +129,10 @@ Pair = tuple[Rendering, Rendering | None]
 
 
 @cache
-def program_key() -> str:
-    """Of every line that makes motion."""
+def program_key(packages: tuple[str, ...] = PROGRAM) -> str:
+    """Of every line of these packages; all that make motion when not told."""
     told = hashlib.sha256()
-    for package in _PROGRAM:
+    for package in packages:
         spec = importlib.util.find_spec(package)
         for place in () if spec is None else spec.submodule_search_locations or ():
             for file in sorted(Path(place).rglob("*.py")):

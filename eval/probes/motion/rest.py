@@ -7,7 +7,7 @@ where nothing else is said; a real pause is one of a second or more, found as th
 - Settled: speed from half a second into a pause on, up to 2.5 s. At rest: from 2.5 s on, over that in speech.
 - Life: the longest freeze of the head; the share of frames in which a hand does not move at all.
 - Waking: the peaks of acceleration and speed around the ends of long pauses, beside those of the corpus' seconds.
-- Twitches: runs in which the faster hand exceeds 0.3 m/s for less than 0.15 s, a minute.
+- Twitches: runs in which a hand exceeds 0.3 m/s (smoothed over 50 ms) for less than 0.15 s, a minute.
 - Activity: share of the time in speech in which the lexeme is not a silent one, and in which a hand moves.
 
 What fools it: a motion that is frozen throughout rests well; `seen` and the share of time in gesture refuse it.
@@ -74,14 +74,15 @@ Flags = NDArray[np.bool_]
 
 def noise(seconds: float, level: float, rate: int, seed: int = 0) -> Array:
     """White noise at a level in dBFS (a full-scale square wave is 0)."""
-    return np.random.default_rng(seed).normal(0.0, 10.0 ** (level / 20.0), round(seconds * rate))
+    return 10.0 ** (level / 20.0) * np.random.default_rng(seed).normal(size=round(seconds * rate))
 
 
 def pauses_in(speech: Speech, shortest: float = REAL_PAUSE) -> Array:
     """[n, 2] seconds of pauses of `shortest` or longer, as the system finds them."""
     quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8))).reshape(-1, 2) * FRAME
-    return ends[ends[:, 1] - ends[:, 0] >= shortest]
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8))).reshape(-1, 2)
+    spans = (ends * FRAME).astype(np.float64)
+    return spans[spans[:, 1] - spans[:, 0] >= shortest]
 
 
 def with_pauses(speech: Speech, lengths: Sequence[float] = LENGTHS) -> Speech:
@@ -185,11 +186,12 @@ def seconds_of(motion: Motion) -> Array:
     return peaks(body, [(float(at), at + 1.0) for at in range(int(body.duration) - 1)])
 
 
-def twitches(fastest: Array) -> float:
-    """Runs over 0.3 m/s of less than 0.15 s, a minute, of the faster hand's speed [T] at 60 Hz."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], fastest > hands.MOVES, [False]]).astype(np.int8)))
-    short = (ends[1::2] - ends[::2]) < TWITCH * HZ
-    return float(60.0 * short.sum() / (len(fastest) / HZ))
+def twitches(body: CommonBody) -> float:
+    """Runs over 0.3 m/s of less than 0.15 s, a minute, of both hands' smoothed speeds."""
+    fast = trunk.smoothed_speed(body.hands) > hands.MOVES
+    turns = np.diff(np.pad(fast, ((1, 1), (0, 0))).astype(np.int8), axis=0).T
+    short = sum(int((np.flatnonzero(own < 0) - np.flatnonzero(own > 0) < TWITCH * HZ).sum()) for own in turns)
+    return 60.0 * short / body.duration
 
 
 def exact_rest(body: CommonBody) -> float:
@@ -260,7 +262,7 @@ def quiet_clauses(name: str, rested: Sequence[Rested]) -> list[Clause]:
 
 def faint_clause(low: Sequence[Rested], clean: Sequence[Rested]) -> Clause:
     """A faint voice in noise makes no more twitches than the same voice as it was."""
-    there, here = ([twitches(own.fastest) for own in each] for each in (low, clean))
+    there, here = ([twitches(own.body) for own in each] for each in (low, clean))
     usual = _mean(np.array(here))
     return Clause.judged("twitches a minute, voice at -46 dB in noise", stats.mean_interval(there),
                          at_most(TWITCHES * max(usual, 1.0)), digits=1,

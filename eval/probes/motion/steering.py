@@ -88,7 +88,7 @@ def other_words(speech: Speech, others: Sequence[Word]) -> Speech:
 def words_clause(changed: Sequence[float]) -> Clause:
     """Shares of blocks with another lexeme, of each voice."""
     return Clause.judged("blocks with another lexeme under other words, share", stats.mean_interval(changed),
-                         Bound(low=np.nextafter(OTHER_WORDS, 1.0)), reason="same sound, times and seed")
+                         Bound(low=math.nextafter(OTHER_WORDS, 1.0)), reason="same sound, times and seed")
 
 
 # ------------------------------------------------------------------------------------------------------------- group
