@@ -27,6 +27,7 @@ from eval.baselines import ReplayInterpreter
 from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.rows.row import EPISODE
+from eval.teacher import teacher_logits
 from gesticulator import bundle as bundles
 from gesticulator.features import SpeechFeatures
 from gesticulator.pipeline import Gesticulator
@@ -35,7 +36,6 @@ from gesticulator.stages.q_network import features_of, takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmInterpreter
-from interpreters.pose import pose_of
 
 Lexemes = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -205,12 +205,9 @@ def greedy(rewards: Rewards, decisions: Decisions, take: Demonstration, teacher:
 @torch.inference_mode()
 def behaviour(model: LstmInterpreter, decisions: Decisions, take: Demonstration, lexemes: Lexemes) -> Array:
     """[M - 1] pi_beta: what the lstm, among those allowed, gives each of `lexemes` [M] after the ones before it."""
-    audio = decisions.corpus.high[torch.as_tensor(take.blocks[1:])].float()[None]
-    speaker = torch.nn.functional.one_hot(torch.tensor([take.speaker]), model.speakers).float()
-    pose = pose_of(*decisions.corpus.before(take.blocks[1:]))[None] if model.config.pose_features else None
-    logits, _ = model.scores(torch.as_tensor(lexemes[:-1])[None], audio, speaker, pose=pose)
+    logits = teacher_logits(model, decisions.corpus, take.blocks, lexemes)
     blocked = torch.as_tensor(~decisions.allowed(take)[1:])
-    share = logits[0].double().masked_fill(blocked, -torch.inf).softmax(dim=-1).numpy()
+    share = logits.double().masked_fill(blocked, -torch.inf).softmax(dim=-1).numpy()
     return taken(share, lexemes[1:])
 
 

@@ -21,7 +21,7 @@ _NO_POSE = "this interpreter sees the body; give it the block before"
 
 @dataclass(frozen=True)
 class LstmState:
-    """The decoder's state (with a short memory, the rows [1, n, K, W] of the blocks that it holds) and the speaker."""
+    """The decoder's state (with a short memory, the rows [1, m, n, W] of the blocks that it holds) and the speaker."""
 
     hidden: Hidden | None
     speaker: Tensor
@@ -69,22 +69,30 @@ class LstmInterpreter(nn.Module):
             from interpreters.text_head import TextHead
 
             self.text_head = TextHead(text_width, config.text_head, config.text_bottleneck or text_width,
-                                      lexemes.shape[1], speakers, len(lexemes), config.text_head_dropout)
+                                      config.lexeme_features or lexemes.shape[1], speakers, len(lexemes),
+                                      config.text_head_dropout)
         self.held = False
         """All but the text head is held as it is."""
         self.control_width = widths.control if config.use_control else 0
-        width = config.audio_features + lexemes.shape[1] + (speakers if config.use_speaker else 0)
-        width += config.text_features + self.control_width + config.pose_features
+        self.by_block = config.reads_by == "block"
+        self.learned = nn.Embedding(len(lexemes), config.lexeme_features) if config.lexeme_features else None
+        rows = frames if self.by_block else 1
+        self.words_at = rows * config.audio_features + (config.lexeme_features or lexemes.shape[1])
+        """Where among what is read the words begin."""
+        self.words_width = rows * config.text_features
+        width = self.words_at + self.words_width + rows * self.control_width + config.pose_features
+        width += speakers if config.use_speaker else 0
         self.dropout = nn.Dropout(config.dropout)
-        self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
-        self.classify = nn.Linear(config.width, len(lexemes))
+        self.enter = nn.Linear(width, config.width) if self.by_block else None
+        self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, config.layers, batch_first=True)
+        self.classify = nn.Linear((2 if self.by_block else 1) * config.width, len(lexemes))
 
     @torch.no_grad()
     def init_from_audio_only(self, audio_only: LstmInterpreter) -> None:
         """Take over the weights of an audio-only interpreter of the same sizes; the words then begin without a say.
 
-        With a text head the rest is then held as it is. Else the columns of the first LSTM layer that read the words
-        start at zero, so both give the same scores at first.
+        With a text head the rest is then held as it is. Else the columns of the first layer that read the words start
+        at zero, so both give the same scores at first.
         """
         if self.text_head is not None:
             self.load_state_dict(audio_only.state_dict(), strict=False)
@@ -93,15 +101,17 @@ class LstmInterpreter(nn.Module):
             # What is held as it is need not be kept from memorising, nor be taught to bear its own mistakes.
             self.held, self.dropout.p = True, 0.0
             return
-        own = self.state_dict()
+        own, reads = self.state_dict(), "enter.weight" if self.by_block else "lstm.weight_ih_l0"
         for name, value in audio_only.state_dict().items():
-            if name != "lstm.weight_ih_l0":
+            if name != reads:
                 own[name].copy_(value)
-        before = self.config.audio_features + self.lexemes.shape[1]
-        width = self.config.text_features
-        first = dict(audio_only.lstm.named_parameters())["weight_ih_l0"]
-        own["lstm.weight_ih_l0"].copy_(torch.cat(
-            [first[:, :before], first.new_zeros(len(first), width), first[:, before:]], dim=1))
+        before, first = self.words_at, audio_only.state_dict()[reads]
+        own[reads].copy_(torch.cat(
+            [first[:, :before], first.new_zeros(len(first), self.words_width), first[:, before:]], dim=1))
+
+    def _vectors(self, lexemes: Tensor) -> Tensor:
+        """[..., D] what lexemes [...] are told by."""
+        return self.lexemes[lexemes] if self.learned is None else self.learned(lexemes)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -127,33 +137,38 @@ class LstmInterpreter(nn.Module):
         heard: Tensor = self.classify(self.dropout(last))
         if self.text_head is not None:
             assert text is not None
-            heard = heard + self.text_head(text, self.lexemes[previous], speaker)
+            heard = heard + self.text_head(text, self._vectors(previous), speaker)
         return heard
 
     def rows(self, previous: Tensor, audio: Tensor, speaker: Tensor, text: Tensor | None, control: Tensor | None,
              pose: Tensor | None) -> Tensor:
-        """[B, N, K, W] what the LSTM reads, of what `scores` is given. ValueError where it lacks words or a pose."""
+        """[B, N, n, W] the n rows a block that the LSTM reads, of what `scores` is given: K, or one where it reads by
+        block. ValueError where it lacks words or a pose."""
         if self.config.reads and text is None:
             raise ValueError(_NO_TEXT)
-        blocks = previous.shape[1]
-        parts = [self.encode_audio(audio), repeat_frames(self.lexemes[previous], self.frames)]
+        parts = [self.encode_audio(audio), self._vectors(previous)]  # rows of frames, or a vector for the block
         if self.encode_text is not None:
             parts.append(self.encode_text(text))
         if self.control_width:
             free = audio.new_zeros(*audio.shape[:2], self.frames, self.control_width)
             parts.append(free if control is None else control)
         if self.config.use_speaker:
-            parts.append(speaker[:, None, None].expand(-1, blocks, self.frames, -1))
+            parts.append(speaker[:, None].expand(-1, previous.shape[1], -1))
         if self.encode_pose is not None:
             if pose is None:
                 raise ValueError(_NO_POSE)
-            parts.append(repeat_frames(functional.gelu(self.encode_pose(pose)), self.frames))
-        return self.dropout(torch.cat(parts, dim=-1))
+            parts.append(functional.gelu(self.encode_pose(pose)))
+        if self.enter is not None:
+            told = torch.cat([part.flatten(2) for part in parts], dim=-1)
+            return self.dropout(functional.gelu(self.enter(self.dropout(told))))[:, :, None]
+        return self.dropout(torch.cat([part if part.dim() == 4 else repeat_frames(part, self.frames)
+                                       for part in parts], dim=-1))
 
     def _read(self, rows: Tensor, hidden: Hidden | None = None) -> tuple[Tensor, Hidden]:
-        """Rows [B, N, K, W] to what is classified, [B, N, width], and the state after them."""
+        """Rows [B, N, n, W] to what is classified, [B, N, width] (twice that by block), and the state after them."""
         out, hidden = self.lstm(rows.flatten(1, 2), hidden)
-        return out.unflatten(1, rows.shape[1:3])[:, :, -1], hidden
+        last = out.unflatten(1, rows.shape[1:3])[:, :, -1]
+        return torch.cat([last, rows[:, :, -1]], dim=-1) if self.by_block else last, hidden
 
     def _recent(self, rows: Tensor) -> tuple[Tensor, None]:
         """As `_read`, block i from the rows of the last `memory` blocks alone."""

@@ -77,6 +77,11 @@ class LstmConfig:
     memory: Natural = 0
     """Blocks that a score is made of, this one included, from a state of zero: as windows of training are. 0 (the
     paper) carries the state on for ever, further than it was ever taught."""
+    reads_by: Annotated[str, SettingChoice(("frame", "block"))] = "frame"
+    """What a step of the LSTM is: a frame of a block (the paper), all K of them before the block is scored; or a block,
+    through a layer of its own, which costs a K-th and is scored from the LSTM and that layer together."""
+    lexeme_features: WidthOrNone = 0
+    """Width of a vector that is learned for each lexeme; 0 (the paper) takes the codebook's."""
     history_dropout: Share = 0.0
     """Chance in training that a previous lexeme is any one instead: who leans on the lexeme before says it again."""
 

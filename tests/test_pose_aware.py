@@ -86,10 +86,11 @@ def test_the_paper_is_blind_to_the_body() -> None:
     assert not torch.equal(whole(seer, batch), whole(seer, {**batch, "duration": batch["duration"].flip(1)}))
 
 
+@pytest.mark.parametrize("by", ["frame", "block"])
 @pytest.mark.parametrize("pose", [4, 0])
-def test_a_rule_of_the_hands_is_learned_by_who_sees_them(pose: int) -> None:
+def test_a_rule_of_the_hands_is_learned_by_who_sees_them(pose: int, by: str) -> None:
     """Which of two lexemes comes next hangs on the direction of the hand alone: 1 bit, 0.693 nats."""
-    student = model(pose_features=pose)
+    student = model(pose_features=pose, reads_by=by)
     optimiser = torch.optim.Adam(student.parameters(), 1e-2)
     torch.manual_seed(7)
 
@@ -111,17 +112,19 @@ def test_a_rule_of_the_hands_is_learned_by_who_sees_them(pose: int) -> None:
 
 # ---------------------------------------------------------------------------------------------------------- the memory
 
+@pytest.mark.parametrize("by", ["frame", "block"])
 @pytest.mark.parametrize("memory", [0, 1, 3, 8])
-def test_it_streams_as_it_is_trained(memory: int) -> None:
-    interpreter, batch = model(pose_features=4, memory=memory).eval(), heard(7)
+def test_it_streams_as_it_is_trained(memory: int, by: str) -> None:
+    interpreter, batch = model(pose_features=4, memory=memory, reads_by=by, lexeme_features=5).eval(), heard(7)
     scores, state = whole(interpreter, batch)[0], interpreter.start(0, int(batch["lexeme"][0, 0]))
     for i in range(1, 8):
         own, state = interpreter.step(state, block(batch, i), int(batch["lexeme"][0, i - 1]))
         np.testing.assert_allclose(own, scores[i - 1].numpy(), atol=1e-5)
 
 
-def test_a_score_is_that_of_a_fresh_window_of_as_many_blocks() -> None:
-    interpreter, batch = model(pose_features=4, memory=3).eval(), heard(7)
+@pytest.mark.parametrize("by", ["frame", "block"])
+def test_a_score_is_that_of_a_fresh_window_of_as_many_blocks(by: str) -> None:
+    interpreter, batch = model(pose_features=4, memory=3, reads_by=by).eval(), heard(7)
     scores = whole(interpreter, batch)
     for end in range(1, 8):
         begin = max(0, end - 3)

@@ -14,6 +14,7 @@ PROBES: dict[str, Plugin] = {
     "quality": Plugin("eval.probes.quality", "how good is a bundle on the test split, beside baselines?"),
     "policies": Plugin("eval.probes.policies", "which interpreter chooses best, judged as policies?"),
     "parts": Plugin("eval.probes.parts", "what did words and the learned speech levels buy?"),
+    "evidence": Plugin("eval.probes.evidence", "do sound, words and the body tell the interpreter anything?"),
     "corpus": Plugin("eval.probes.corpus", "is a built data set good enough to learn from?"),
     "beat-labels": Plugin("eval.probes.beat_labels", "are the beats that are found those that people marked by hand?"),
     "languages": Plugin("eval.probes.languages", "does one language's model gesture in time with another?"),
