@@ -3,7 +3,8 @@
 Theory: ridge regression from what a listener has (loudness, its contrast, the spectrum's shape against it, how often
 vowels begin, how much and how long there is silence) to the style that was asked for in the middle of 8 s, and to
 log(hand speed + 2 cm/s) over them. Each recording is told by a fit on all others, so its text was never heard; the
-penalty is chosen on the others alone. R2 is 1 less the squared error over the squared distance from the mean of the others, over all windows.
+penalty is chosen on the others alone. R2 is 1 less the squared error over the squared distance from the mean of the
+others, over all windows.
 
 - by sound alone: nothing else is known. This is what an acceptance may claim.
 - voice known: the fit also knows which voice it is, so it may learn how that voice sounds in general.
