@@ -32,7 +32,7 @@ from gesticulator.life import HEAD, SIDES, Idle, uniform
 
 Flags = NDArray[np.bool_]
 
-REAL = 0.45
+REAL = 0.55
 """Seconds of silence that make a pause; a shorter one is a breath, in which gestures go on."""
 SEEN = 0.3
 """Seconds of silence that are enough where it goes on as far as is known."""
@@ -55,6 +55,8 @@ _RETRACTS = 0.42
 """Seconds in which a hand that is on its way to rest arrives there, or stops as near as it may."""
 _REACH = 0.66
 """Of speed x time: as far goes a hand whose speed falls as 1 - (t / T)^2, without getting faster first."""
+_FARTHEST = 0.2
+"""Metres that such a hand still goes."""
 _TOWARDS = 0.3, 0.8
 """Cosines between a hand's velocity and its way to rest: below the first it is not coming down, above the second it
 is."""
@@ -62,7 +64,7 @@ _LEAST_FADE = 0.2
 """Seconds in which a join can be made; where a block has less left, the body wakes with the next."""
 _FAINT = 0.25
 """Share of the idle life that is left in speech, where the generator moves the body."""
-_HEAD_STANDS, _HEAD_MOVES = 0.015, 0.045
+_HEAD_STANDS, _HEAD_MOVES = 0.025, 0.06
 """m/s of the generated head up to which there is all of the life, and from which on the faint share alone."""
 _GAIN_TAU = 0.25
 """Seconds in which life grows and fades."""
@@ -311,7 +313,8 @@ class _Way:
         for side, columns in enumerate(self._hands_of.arms):
             cosine = float(moves[side] @ ahead[side]) / max(float(speeds[side] * ways[side]), 1e-9)
             comes = min(max((cosine - _TOWARDS[0]) / (_TOWARDS[1] - _TOWARDS[0]), 0.0), 1.0)
-            near = min(_REACH * speeds[side] * _RETRACTS / max(float(ways[side]), 1e-9), 1.0)
+            goes = min(_REACH * float(speeds[side]) * _RETRACTS, _FARTHEST)
+            near = min(goes / max(float(ways[side]), 1e-9), 1.0)
             there = pose[columns] + near * (rest[columns] - pose[columns])
             stopped[columns] += comes * (there - stopped[columns])
             seconds[columns] += comes * (_RETRACTS - seconds[columns])
