@@ -130,7 +130,7 @@ def windows_of(stretched: Samples) -> Samples:
 
 
 def normalise_motion(motion: Motion, blocks: Blocks, representation: Representation = ROTATIONS) -> Array:
-    """Motion of the 16-joint character at the frames of the blocks, [N, K, D_m] in this representation.
+    """Motion of the character at the frames of the blocks, [N, K, D_m] in this representation.
 
     Yaw and translation of the root are removed and the motion is sampled at `Blocks.knot_times`. Rotations are
     interpolated on the sphere and unrolled over time, from the pose at time 0 on (`first_pose`); positions along

@@ -54,6 +54,8 @@ class _Workshop:
         from data_module import corpora, intervals
         from data_module.corpora.folder import write_recording
         from data_module.motion import skeletons
+        from data_module.motion.relaxed_hands import with_relaxed_hands
+        from data_module.motion.standing_legs import with_standing_legs
 
         if self.reader is None:
             self.reader = corpora.open_corpus(self.corpus, self.source, self.options)
@@ -61,7 +63,10 @@ class _Workshop:
             warnings.simplefilter("always", UserWarning)
             try:
                 recording = corpora.load(self.reader, item)
-                character = skeletons.to_character(recording.motion)
+                character = with_relaxed_hands(skeletons.to_character(recording.motion,
+                                                                      skeleton=skeletons.WHOLE_BODY))
+                if recording.stands:
+                    character = with_standing_legs(character)
             except corpora.DroppedError as reason:
                 return Outcome(item.info.name, dropped=str(reason))
             except InputError as error:

@@ -42,15 +42,15 @@ class SettingRange:
 
 @dataclass(frozen=True)
 class SettingChoice:
-    """One of some words."""
+    """One of some words, or of some numbers."""
 
-    words: tuple[str, ...]
+    words: tuple[str | int, ...]
 
-    def __contains__(self, value: str) -> bool:
+    def __contains__(self, value: str | int) -> bool:
         return value in self.words
 
     def __str__(self) -> str:
-        return f"one of {', '.join(self.words)}"
+        return f"one of {', '.join(map(str, self.words))}"
 
 
 _MOST_STEPS = 10**9

@@ -1,7 +1,8 @@
 """A store: motion, speech and words on one clock, not yet cut into blocks.
 
 A store is a folder. `store.json` says what is in it, `recordings/NAME.flac` is the sound and `recordings/NAME.npz` the
-motion on the 16-joint character at the corpus's own frame rate, the words and, for a scripted performance, the truth.
+motion on the character (fingers and legs too) at the corpus's own frame rate, the words and, for a scripted
+performance, the truth.
 It appears whole or not at all: it grows as `OUT.partial`, keeps its finished recordings when the work is stopped, and
 is renamed at the end.
 """
@@ -26,12 +27,14 @@ from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError, shown
 from data_module.files import read_text, rename, write_bytes, write_text
 from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTER, JOINTS
+from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
-from data_module.truth import TABLES, PlayedStroke, Truth, record
+from data_module.truth import LATER, TABLES, PlayedStroke, Truth, record
 from data_module.types import Motion, Speech, Word
 
-FORMAT = 2
+FORMAT = 3
+"""2 kept 16 joints only and does not say which were filled in; it is still read."""
+_READ = (2, FORMAT)
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 _LISTING, _FOLDER, _BEGUN = "store.json", "recordings", "begun.json"
@@ -44,6 +47,7 @@ class RecordingInfo:
     """What a store tells about a recording without opening it.
 
     speaker: who gestures (the performer); voice: who speaks; language: ISO 639-1; absent: joints the source lacks;
+    filled: joints that it lacks whose motion was made up (`Motion.filled`);
     group: recordings of one group share their sound or their text, so an interval over them counts it once. part: of a
     corpus that was made in parts; sources: the recordings of others that it was made from.
     """
@@ -60,6 +64,7 @@ class RecordingInfo:
     group: str = ""
     part: str = ""
     sources: tuple[str, ...] = ()
+    filled: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -72,12 +77,16 @@ class RecordingInfo:
 
 @dataclass(frozen=True)
 class Recording:
-    """Speech (with its words, where known) and motion that start together and last equally long."""
+    """Speech (with its words, where known) and motion that start together and last equally long.
+
+    stands: whoever moves stands in one place, so that a store may plant her feet.
+    """
 
     info: RecordingInfo
     speech: Speech
     motion: Motion
     truth: Truth | None = None
+    stands: bool = False
 
 
 class Store:
@@ -108,7 +117,7 @@ class Store:
             number = content["format"]
         except (ValueError, TypeError, KeyError, RecursionError):
             raise InputError(listing, "is not the listing of a store", "build it again") from None
-        if number != FORMAT:
+        if number not in _READ or isinstance(number, bool):
             raise InputError(folder, f"is a store of format {shown(number)}, and this version reads format {FORMAT}",
                              "build it again")
         try:
@@ -135,8 +144,11 @@ class Store:
         """The recordings of one split."""
         return tuple(info for info in self.recordings if info.split == split)
 
-    def load(self, name: str) -> Recording:
-        """Read one recording: its motion on the 16-joint character at the corpus's own rate."""
+    def load(self, name: str, joints: int = len(JOINTS)) -> Recording:
+        """Read one recording: its motion on the character at the corpus's own rate.
+
+        joints: in which of its sizes (`skeletons.CHARACTERS`); those that the store lacks are at rest and `absent`.
+        """
         for info in self.recordings:
             if info.name == name:
                 break
@@ -146,7 +158,8 @@ class Store:
         for file, wanted in zip((sound, arrays), self._hashes[name], strict=True):
             if _sha256(file) != wanted:
                 raise InputError(file, "is not the file that its store was made with", "build it again")
-        return _read(info, sound, arrays)
+        recording = _read(info, sound, arrays)
+        return replace(recording, motion=resized(recording.motion, CHARACTERS[joints]))
 
 
 class StoreWriter:
@@ -189,14 +202,14 @@ class StoreWriter:
             return False
 
     def add(self, recording: Recording, character: Motion | None = None) -> None:
-        """Write one recording with its motion, or `character` in its place, on the 16-joint character.
+        """Write one recording with its motion, or `character` in its place, on the character in any of its sizes.
 
         The motion must last as long as the speech, to a frame.
         """
         recording = recording if character is None else replace(recording, motion=character)
         motion, info = recording.motion, recording.info
-        if not motion.skeleton.same_joints(CHARACTER):
-            raise ValueError(f"{info.name}: a store keeps motion on the 16-joint character")
+        if not any(motion.skeleton.same_joints(ours) for ours in CHARACTERS.values()):
+            raise ValueError(f"{info.name}: a store keeps motion on the character")
         if abs(motion.duration - recording.speech.duration) > 1.0 / motion.fps:
             raise ValueError(f"{info.name}: {motion.duration:.3f} s of motion for "
                              f"{recording.speech.duration:.3f} s of speech")
@@ -204,7 +217,8 @@ class StoreWriter:
         write_flac(sound, recording.speech)
         write_bytes(arrays, _pack(_arrays(recording)))
         entry = asdict(info) | {"seconds": round(recording.speech.duration, 6), "frames": len(motion),
-                                "fps": motion.fps, "absent": list(motion.absent), "sources": list(info.sources),
+                                "fps": motion.fps, "absent": list(motion.absent), "filled": list(motion.filled),
+                                "sources": list(info.sources),
                                 "sha256": {"flac": _sha256(sound), "npz": _sha256(arrays)}}
         write_text(self._entry(info.name), json.dumps(entry))
 
@@ -273,12 +287,14 @@ def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 def _info(entry: Mapping[str, Any]) -> RecordingInfo:
     """An entry of the listing; ValueError, TypeError or KeyError when it is none."""
-    known = {field.name: entry[field.name] for field in fields(RecordingInfo)}
+    known = {"filled": []} | {field.name: entry[field.name] for field in fields(RecordingInfo)
+                              if field.name in entry or field.name != "filled"}
     for name in ("name", "split", "speaker", "voice", "language", "group", "part"):
         _typed(known[name], str)
     if not all(0 <= float(_typed(known[name], int | float)) < np.inf for name in ("seconds", "frames", "fps")):
         raise ValueError("a number is none")
-    lists = {key: tuple(_typed(name, str) for name in _typed(known[key], list)) for key in ("absent", "sources")}
+    lists = {key: tuple(_typed(name, str) for name in _typed(known[key], list))
+             for key in ("absent", "sources", "filled")}
     return RecordingInfo(**known | lists)
 
 
@@ -322,7 +338,8 @@ def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {
         "rotations": motion.rotations.astype(np.float32),
         "root_positions": motion.root_positions.astype(np.float32),
-        "fps": np.array(motion.fps), "joints": np.array(JOINTS), "absent": np.array(motion.absent, dtype=str),
+        "fps": np.array(motion.fps), "joints": np.array(motion.skeleton.names),
+        "absent": np.array(motion.absent, dtype=str), "filled": np.array(motion.filled, dtype=str),
     }
     if speech.words is not None:
         arrays |= _columns("word", speech.words, _WORDS)
@@ -336,16 +353,19 @@ def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
 def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
     arrays = read_npz(file, advice="build the store again")
     try:
-        if arrays["joints"].tolist() != list(JOINTS):
+        skeleton = CHARACTERS[len(arrays["joints"])]
+        if arrays["joints"].tolist() != list(skeleton.names):
             raise ValueError("other joints")
-        motion = Motion(CHARACTER, rotation.normalise(as_floats(arrays["rotations"])),
+        motion = Motion(skeleton, rotation.normalise(as_floats(arrays["rotations"])),
                         as_floats(arrays["root_positions"]), float(arrays["fps"].item()),
-                        tuple(_typed(name, str) for name in arrays["absent"].tolist()))
+                        *(tuple(_typed(name, str) for name in arrays[which].tolist()) if which in arrays else ()
+                          for which in ("absent", "filled")))
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
         truth = None
         if f"strokes_{fields(PlayedStroke)[0].name}" in arrays:
             truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in fields(kind)])
-                             for name, kind in TABLES.items()})
+                             for name, kind in TABLES.items()
+                             if name not in LATER or f"{name}_{fields(kind)[0].name}" in arrays})
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(file, "is not a recording of a store", "build the store again") from None
     # An hour is the limit for what users bring; what a store keeps was accepted when it was built.

@@ -63,13 +63,40 @@ class PlayedStroke:
     held_out: bool
 
 
+JOIN, REST = "join", "rest"
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A place in the motion, seconds.
+
+    what: `JOIN`, where two stretches of real motion were joined (start is end), or `REST`, a pause in which the arms
+    are meant to be still.
+    """
+
+    what: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class StyleKnot:
+    """The style at a time, seconds; straight on between knots. 0 is neutral, 1 is much."""
+
+    time: float
+    amplitude: float
+    tempo: float
+
+
 @dataclass(frozen=True)
 class Truth:
-    """The strokes, syllables and phrases of one recording, each in order of time."""
+    """The strokes, syllables, phrases, marks and style of one recording, each in order of time."""
 
     strokes: tuple[PlayedStroke, ...] = ()
     syllables: tuple[Syllable, ...] = ()
     phrases: tuple[Phrase, ...] = ()
+    marks: tuple[Mark, ...] = ()
+    style: tuple[StyleKnot, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As lists of objects; the inverse is `from_json`."""
@@ -78,11 +105,15 @@ class Truth:
     @classmethod
     def from_json(cls, tables: Mapping[str, Any]) -> Truth:
         """The inverse of `to_json`. KeyError, TypeError or ValueError where it is none."""
-        return cls(**{name: tuple(record(kind, row) for row in tables[name]) for name, kind in TABLES.items()})
+        return cls(**{name: tuple(record(kind, row) for row in tables[name]) for name, kind in TABLES.items()
+                      if name in tables or name not in LATER})
 
 
-TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phrases": Phrase}
+TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phrases": Phrase, "marks": Mark,
+                           "style": StyleKnot}
 """Field of `Truth` -> type of its records."""
+LATER = ("marks", "style")
+"""Tables that corpora made before them lack."""
 
 
 def record(kind: type[_Record], row: Mapping[str, Any]) -> _Record:

@@ -78,6 +78,7 @@ class Motion:
     rotations: [T, J, 4] local rotations, unit quaternions, w first.
     root_positions: [T, 3] metres.
     absent: names of joints that the source lacks; they hold the identity and are masked from losses and metrics.
+    filled: names of joints that the source lacks too, whose motion was made up to go with the others.
     """
 
     skeleton: Skeleton
@@ -85,6 +86,7 @@ class Motion:
     root_positions: Array
     fps: float
     absent: tuple[str, ...] = ()
+    filled: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         frames = len(self.rotations)

@@ -108,6 +108,7 @@ def measure(motion: Motion, speech: Speech, edges: Array | None = None, onsets: 
     edges: [B + 1] block edges in seconds, for the speed across the seams. onsets: those of the speech, where they are
     known already.
     """
+    motion = skeletons.upper_body(motion)
     positions = positions_of(skeletons.facing(motion))
     hands = positions[:, [motion.skeleton.index(name) for name in HANDS]]
     speed = derivative(hands, motion.fps, 1)

@@ -85,7 +85,8 @@ class EvalContext:
 
     def recordings(self, split: str = "test") -> list[Recording]:
         """The same with sound and motion."""
-        return [self.store.load(self.corpus.names[number]) for number in self.numbers(split)]
+        joints = self.bundle.config.motion.joints
+        return [self.store.load(self.corpus.names[number], joints) for number in self.numbers(split)]
 
     def described(self) -> dict[str, Any]:
         """What figures are of, for the facts of a table."""

@@ -60,12 +60,18 @@ class EncodedMotion:
 
 def normalised_blocks(config: Config, statistics: Statistics, motion: Motion, blocks: Blocks, speaker: str = ""
                       ) -> Tensor:
-    """[N, K, D_m] a motion in given blocks, in the features of a lexicon; see the module for unknown performers."""
-    poses = block_module.normalise_motion(motion, blocks, representation_of(config))
+    """[N, K, D_m] a motion in given blocks, in the features of a lexicon; see the module for unknown performers.
+
+    Joints of the lexicon that the motion has not at all (fingers) are where they are on average.
+    """
+    representation = representation_of(config)
+    poses = block_module.normalise_motion(motion, blocks, representation)
     if speaker in statistics.speakers:
         features = statistics.normalise(poses, statistics.speakers.index(speaker))
     else:
         features = (poses - poses.mean(axis=(0, 1))) / statistics.deviation
+    if config.motion.representation == "rotations":
+        features = features * (np.arange(features.shape[-1]) < 3 * len(motion.skeleton))
     return torch.as_tensor(features, dtype=torch.float32)
 
 

@@ -27,11 +27,12 @@ from eval.baselines import ReplayInterpreter
 from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.rows.row import EPISODE
+from eval.teacher import teacher_logits
 from gesticulator import bundle as bundles
 from gesticulator.features import SpeechFeatures
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages import Corpus
-from gesticulator.stages.q_network import takes_of
+from gesticulator.stages.q_network import features_of, takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmInterpreter
@@ -125,10 +126,9 @@ class Decisions:
         return allowed_lexemes(take.silent & self.masked, self.silent, self.size)
 
     def features(self, block: int, text: bool = False) -> BlockFeatures:
-        """What an interpreter hears, and reads, of a block of the corpus."""
+        """What an interpreter hears, sees and reads of a block of the corpus (see `features_of`)."""
         words = self.corpus.text(np.array([block]))[0] if text else None
-        return BlockFeatures(self.corpus.low[block].float(), self.corpus.high[block].float(),
-                             bool(self.corpus.silent[block]), words)
+        return replace(features_of(self.corpus)(block), text=words)
 
 
 @dataclass(frozen=True)
@@ -205,11 +205,9 @@ def greedy(rewards: Rewards, decisions: Decisions, take: Demonstration, teacher:
 @torch.inference_mode()
 def behaviour(model: LstmInterpreter, decisions: Decisions, take: Demonstration, lexemes: Lexemes) -> Array:
     """[M - 1] pi_beta: what the lstm, among those allowed, gives each of `lexemes` [M] after the ones before it."""
-    audio = decisions.corpus.high[torch.as_tensor(take.blocks[1:])].float()[None]
-    speaker = torch.nn.functional.one_hot(torch.tensor([take.speaker]), model.speakers).float()
-    logits, _ = model.scores(torch.as_tensor(lexemes[:-1])[None], audio, speaker)
+    logits = teacher_logits(model, decisions.corpus, take.blocks, lexemes)
     blocked = torch.as_tensor(~decisions.allowed(take)[1:])
-    share = logits[0].double().masked_fill(blocked, -torch.inf).softmax(dim=-1).numpy()
+    share = logits.double().masked_fill(blocked, -torch.inf).softmax(dim=-1).numpy()
     return taken(share, lexemes[1:])
 
 

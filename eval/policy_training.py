@@ -37,7 +37,6 @@ from gesticulator.pipeline import Gesticulator
 from gesticulator.stages import CORPUS, ENCODER, Corpus, Run
 from gesticulator.stages import base as stages
 from gesticulator.stages.corpus import weights_hash
-from gesticulator.stages.lexicon import decoded_lexemes
 from gesticulator.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.stages.reward import reward_table, taught_reward
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
@@ -171,7 +170,7 @@ def rewarded(context: RacerContext, config: Config) -> tuple[Episodes, Rewards]:
     if config.episodes.reward == "contrastive":
         return episodes, context.taught(config)
     lexicon = context.bundle.block_models.lexicon
-    table = rescaled(distance_rewards(decoded_lexemes(lexicon), context.corpus.motion), episodes)
+    table = rescaled(distance_rewards(lexicon.shown(), context.corpus.motion), episodes)
     with_distance = [replace(e, reward=table.numpy()[e.blocks, e.actions].astype(np.float32))
                      for e in episodes.episodes]
     return Episodes(with_distance, cloned=episodes.cloned, stretch=episodes.stretch), TabledReward(table)

@@ -188,7 +188,7 @@ class AblationContext:
 
     def loaded(self, number: int) -> Recording:
         """A recording with its sound and motion."""
-        return self.store.load(self.corpus.names[number])
+        return self.store.load(self.corpus.names[number], self.first.config.motion.joints)
 
     def encoded(self, system: Gesticulator, recording: Recording) -> SpeechFeatures:
         """A recording's speech as a system hears it; kept for the preset's own way and for the last other one."""

@@ -11,7 +11,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
-from data_module.settings import Depth, NotNegative, Positive, SettingChoice, SettingRange, Share, Width, WidthOrNone
+from data_module.settings import (
+    Count,
+    Depth,
+    NotNegative,
+    Positive,
+    SettingChoice,
+    SettingRange,
+    Share,
+    Width,
+    WidthOrNone,
+)
 
 if TYPE_CHECKING:
     from generator.losses import Encoder
@@ -24,6 +34,9 @@ State = tuple[Tensor, Tensor]
 class GeneratorConfig:
     """Sizes and weights of the generator; the defaults are the paper's where it gives them."""
 
+    head: Annotated[str, SettingChoice(("regression", "flow"))] = "regression"
+    """"regression": the motion itself (RG 5.2, `generator.model`); "flow": what a block adds to its past is drawn from
+    a distribution (`generator.flow`), which needs the lexicon of movements."""
     motion_features: Width = 128
     """d_m~, width of E_M."""
     audio_features: WidthOrNone = 128
@@ -80,6 +93,38 @@ class GeneratorConfig:
     """Share of the batch's blocks that each permutation takes."""
     style_rate: Positive = 1e-2
     """Learning rate of the style codes: each gets one gradient per epoch, so the common rate would leave them put."""
+    # The rest is read by the flow head alone.
+    blocks: Count = 28
+    """Blocks of a training window: about nine seconds, for what comes and goes over a phrase."""
+    context: Width = 256
+    """Units of the LSTM over blocks, and width of what the head is told."""
+    lexeme_width: Width = 64
+    """Of a lexeme's embedding, and of what is heard of a block, past the bottleneck."""
+    flow_width: Width = 384
+    """Units of the head."""
+    flow_layers: Depth = 3
+    """Residual blocks of the head."""
+    dropout: Annotated[float, SettingRange(0.0, 0.95)] = 0.2
+    """In training, share of the context's units that are left out."""
+    audio_dropout: Share = 0.15
+    """Share of training windows that hear nothing, for guidance."""
+    lexeme_dropout: Share = 0.15
+    """Share of training windows that are told no lexeme, for guidance."""
+    added_dropout: Share = 0.15
+    """Share of blocks that are not told what the block before added: leaning on it makes loops."""
+    past_noise: NotNegative = 0.25
+    """Largest deviation of the noise on the pose before a block, in deviations of each number."""
+    velocity_noise: NotNegative = 0.1
+    """Largest deviation of the noise on the velocity before a block, as a share of it."""
+    bend: Positive = 2.0
+    """b of asinh(b y / sd): below 1 / b deviations a coefficient is told as it is, above by its logarithm."""
+    draws: Count = 2
+    """Times and noises that the loss is averaged over for each block."""
+
+    @property
+    def styled(self) -> bool:
+        """Whether it takes a style code for every block."""
+        return self.head == "regression" and self.style_width > 0
 
 
 @dataclass(frozen=True)
@@ -87,7 +132,7 @@ class GeneratorWidths:
     """What shapes a generator besides its settings.
 
     frames: K; motion: D_m; audio: d + 1; lexeme: D_s; control: 2 F of a control's rows, read only where the settings
-    ask for it.
+    ask for it; lexemes: S and speakers: P, which the flow head alone reads.
     """
 
     frames: int
@@ -95,6 +140,8 @@ class GeneratorWidths:
     audio: int
     lexeme: int
     control: int = 0
+    lexemes: int = 0
+    speakers: int = 0
 
 
 @dataclass(frozen=True)

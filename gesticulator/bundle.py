@@ -31,15 +31,17 @@ from torch import Tensor, nn
 from data_module.controls import Levels
 from data_module.errors import InputError
 from data_module.layers import freeze
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.skeletons import CHARACTER, CHARACTERS
+from data_module.types import Skeleton
 from gesticulator import __version__
 from gesticulator.config import Config, from_dict, to_dict
 from gesticulator.features import Normaliser, Statistics, representation_of
-from gesticulator.models import BUILDERS, Sizes, codebook_shape, shapes
+from gesticulator.models import BUILDERS, Sizes, codebook_name, codebook_shape, shapes
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
+    from generator.flow import FlowGenerator
     from generator.model import Generator
     from interpreters.base import LexemeInterpreter
     from interpreters.cql import QNetwork
@@ -48,7 +50,11 @@ if TYPE_CHECKING:
     from interpreters.reward import RewardModel
     from interpreters.statistical import StatisticalInterpreter
     from lexicon.autoencoder import Lexicon
+    from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
+
+    BlockLexicon = Lexicon | MovementLexicon
+    Tokens = Lexicon | MovementLexicon | RacerCodec
 
 FORMAT = 4
 """Format 3 knew other names of settings and tensors and no resting distances (see `gesticulator.upgrade`)."""
@@ -65,8 +71,6 @@ _NO_BLOCKS = "holds RACER's own codec, without lexicon, generator and style"
 _TIED = "lexicon_hash"
 _STATISTICS = "statistics"
 _ENDING = ".safetensors"
-_LONG = 65
-"""Codes of a stillness whose middle no longer sees where it begins and ends."""
 _LARGEST_INDEX = 16 * 2**20
 """Bytes: a list of files, settings and figures is a thousand times smaller."""
 _HEADER = 2**20
@@ -93,10 +97,10 @@ class TextSource:
 class BlockModels:
     """What a bundle of blocks at the beat cannot do without."""
 
-    lexicon: Lexicon
-    generator: Generator
+    lexicon: BlockLexicon
+    generator: Generator | FlowGenerator
     interpreter: LstmInterpreter
-    style: StyleInterpreter
+    style: StyleInterpreter | None
 
 
 @dataclass(frozen=True)
@@ -129,14 +133,14 @@ class Bundle:
 
     # The parts, by attribute: those that every bundle of blocks has, and those that may be absent.
     @property
-    def lexicon(self) -> Lexicon | RacerCodec:
+    def lexicon(self) -> Tokens:
         """What names gestures."""
-        return cast("Lexicon | RacerCodec", self.parts["lexicon"])
+        return cast("Tokens", self.parts["lexicon"])
 
     @property
-    def generator(self) -> Generator | None:
+    def generator(self) -> Generator | FlowGenerator | None:
         """What draws blocks at the beat; None in a bundle of RACER's own."""
-        return cast("Generator | None", self._part("generator"))
+        return cast("Generator | FlowGenerator | None", self._part("generator"))
 
     @property
     def interpreter(self) -> LstmInterpreter | None:
@@ -150,7 +154,7 @@ class Bundle:
 
     @property
     def style(self) -> StyleInterpreter | None:
-        """The style interpreter that hears alone."""
+        """The style interpreter that hears alone; None where the generator takes no style codes."""
         return cast("StyleInterpreter | None", self._part("style"))
 
     @property
@@ -190,16 +194,14 @@ class Bundle:
     @property
     def block_models(self) -> BlockModels:
         """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's own."""
-        if self.config.tokens == "racer" or not (self.generator and self.interpreter and self.style):
+        if self.config.tokens == "racer" or not (self.generator and self.interpreter):
             raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
-        return BlockModels(cast("Lexicon", self.lexicon), self.generator, self.interpreter, self.style)
+        return BlockModels(cast("BlockLexicon", self.lexicon), self.generator, self.interpreter, self.style)
 
-    def generator_and_style(self, text: bool) -> tuple[Generator, StyleInterpreter]:
-        """What makes a block; with `text`, the style interpreter that reads the words where there is one."""
-        style = (self.style_text if text else None) or self.style
-        if self.generator is None or style is None:
-            raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
-        return self.generator, style
+    @property
+    def code_width(self) -> int:
+        """d_z, 0 where the generator takes no style codes."""
+        return self.config.generator.style_width if self.config.generator.styled else 0
 
     @property
     def frames(self) -> int:
@@ -284,16 +286,10 @@ def rest_feature(statistics: Statistics, speaker: int, device: torch.device | No
 
 
 @torch.no_grad()
-def rest_distances(tokens: Lexicon | RacerCodec, statistics: Statistics) -> NDArray[np.float32]:
-    """[speakers, S] squared distances of the codebook from a block of standing still in each speaker's resting pose;
-    of RACER's codec, which codes recordings whole, from the code in the middle of a long stillness."""
-    out = []
-    for speaker in range(len(statistics.speakers)):
-        rest = rest_feature(statistics, speaker)
-        blocks = 1 if tokens.one_by_one else _LONG
-        latent = tokens.eval().encode(rest.expand(1, blocks * tokens.frames, -1)).reshape(blocks, -1)[[blocks // 2]]
-        out.append(tokens.quantizer.distances(latent)[0].numpy())
-    return np.stack(out).astype(np.float32)
+def rest_distances(tokens: Tokens, statistics: Statistics) -> NDArray[np.float32]:
+    """[speakers, S] squared distances of the codebook from standing still in each speaker's resting pose."""
+    return np.stack([tokens.eval().still_distances(rest_feature(statistics, speaker)).numpy()
+                     for speaker in range(len(statistics.speakers))]).astype(np.float32)
 
 
 def lexicon_hash(vectors: Tensor) -> str:
@@ -349,11 +345,12 @@ def _two_levels(bundle: Bundle) -> bool:
 
 def write_index(folder: Path, index: dict[str, Any]) -> None:
     """Write `bundle.json` with the hashes of all files that are there."""
+    skeleton = _skeleton_of(index["config"])
     index = {"format": FORMAT,
              "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
                          "python": platform.python_version()},
-             "skeleton": {"names": list(CHARACTER.names), "parents": list(CHARACTER.parents),
-                          "offsets": CHARACTER.offsets.tolist()},
+             "skeleton": {"names": list(skeleton.names), "parents": list(skeleton.parents),
+                          "offsets": skeleton.offsets.tolist()},
              **index, "files": {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
                                 for file in sorted(folder.iterdir()) if file.name != INDEX}}
     (folder / INDEX).write_text(json.dumps(index, indent=1, sort_keys=True) + "\n", encoding="utf-8")
@@ -444,9 +441,16 @@ def read_index(path: str | Path) -> dict[str, Any]:
     if wrong:
         raise InputError(file, f"holds something else than it should under {', '.join(wrong)}",
                          "copy the bundle again")
-    if index["skeleton"].get("names") != list(CHARACTER.names):
+    if index["skeleton"].get("names") != list(_skeleton_of(index["config"]).names):
         raise InputError(file, "was trained on another skeleton", "train it again")
     return index
+
+
+def _skeleton_of(config: Mapping[str, Any]) -> Skeleton:
+    """The character that settings as they stand in a file draw: older ones do not say, and mean the papers' joints."""
+    motion = config.get("motion")
+    joints = motion.get("joints") if isinstance(motion, Mapping) else None
+    return CHARACTERS[joints] if type(joints) is int and joints in CHARACTERS else CHARACTER
 
 
 def _strings(values: Any) -> bool:
@@ -591,8 +595,11 @@ class StoredParts(Mapping[str, nn.Module]):
         return sum(1 for _ in self)
 
 
-_REQUIRED = {"lexicon": ("lexicon", "generator", "interpreter", "style"), "racer": ("lexicon", "q_network")}
-"""Parts that a bundle of either kind of token cannot do without."""
+def required(config: Config) -> tuple[str, ...]:
+    """Parts that a bundle of these settings cannot do without."""
+    if config.tokens == "racer":
+        return "lexicon", "q_network"
+    return "lexicon", "generator", "interpreter", *(("style",) if config.generator.styled else ())
 
 
 def load(path: str | Path) -> Bundle:
@@ -605,7 +612,7 @@ def load(path: str | Path) -> Bundle:
     index = read_index(folder)
     config = from_dict(Config, index["config"])
     weights = Weights(folder, index["files"])
-    lacking = [name for name in _REQUIRED[config.tokens] if FILES[name] not in weights]
+    lacking = [name for name in required(config) if FILES[name] not in weights]
     if lacking:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
     text = _text_source(folder, index["text"])
@@ -614,7 +621,7 @@ def load(path: str | Path) -> Bundle:
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
-    vectors = weights.tensor(FILES["lexicon"], "quantizer.vectors", codebook_shape(config))
+    vectors = weights.tensor(FILES["lexicon"], codebook_name(config), codebook_shape(config))
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")

@@ -24,8 +24,8 @@ def model_card(bundle: Bundle) -> str:
                         for name, value in own.items())
     return f"""# Model card
 
-Preset `{c.name}`. Speech in, upper-body gesture of a 16-joint character out, after *Rhythmic Gesticulator* (2022)
-and *RACER* (2023).
+Preset `{c.name}`. Speech in, upper-body gesture of a {c.motion.joints}-joint character out, after
+*Rhythmic Gesticulator* (2022) and *RACER* (2023).
 
 ## Trained on
 {p["store"]}: {hours["train"]} h of speech and motion for training, {hours["val"]} h for validation and
@@ -40,7 +40,7 @@ Licence of the data: {p["licence"]}
 ## Limits
 - When the store is the scripted performer, the motion is real motion-capture strokes arranged by rule on (mostly
   synthetic) speech. The model then learned a rule's idea of when people gesture, not people.
-- Upper body only: no fingers, legs, face or walking. The root neither turns nor moves.
+- Upper body only: no {"fingers, " * (c.motion.joints == 16)}legs, face or walking. The root neither turns nor moves.
 - {_words(bundle)}
 - A speaker is a performer's habit of moving; it has nothing to do with whose voice is heard.
 - Speech over music or over other speakers was not trained on.

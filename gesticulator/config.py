@@ -62,6 +62,11 @@ class FitSettings:
     """Largest gradient norm; 0 leaves gradients alone."""
     weight_decay: Share = 0.0
     """Of AdamW; 0 is Adam."""
+    validations: Count = 10
+    """How often the stage is validated along the way, the end included."""
+    patience: Natural = 0
+    """Validations in a row without a better figure after which training stops; the weights of the best one are kept.
+    0 trains to the end and keeps the last. For stages that have a figure to watch: interpreters, style and gate."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,9 @@ class MotionConfig:
     least_deviation: Positive = 0.05
     """Radians (or metres): a dimension that varies less is scaled by this instead, so stillness is not blown up."""
     representation: Annotated[str, SettingChoice(("rotations", "positions"))] = "rotations"
-    """"rotations": exponential maps of 16 joints; "positions": ten joints in space, as TED has them."""
+    """"rotations": exponential maps of the joints; "positions": ten joints in space, as TED has them."""
+    joints: Annotated[int, SettingChoice((16, 46))] = 16
+    """Of "rotations": the papers' upper body of 16 joints, or 46 with those of the fingers."""
     smoothing: Annotated[float, SettingRange(0.0, 10.0)] = 0.05
     """Seconds, the standard deviation of the Gaussian over the finished motion: one frame at 20 fps, cut off at two
     frames either side (kernel size 5, RG 7.1.2)."""
@@ -177,6 +184,18 @@ class SelectionConfig:
     guidance: Annotated[float, SettingRange(0.0, 100.0)] = 5.0
     """How far what is asked of the style is followed: 1 takes what the models make of it, more goes on in the direction
     from what they would do unasked to what they do asked (they were taught both)."""
+    audio_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 1.5
+    """Of the flow head: how far to go on in the direction from what it would draw unheard to what it draws; 0 draws
+    what it draws."""
+    lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
+    """The same for the lexeme."""
+    noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.95
+    """Of the flow head: deviation of the noise that drawing starts from; below 1 is calmer."""
+    flow_steps: Annotated[int, SettingRange(1, 100)] = 4
+    """Of Heun's method, from noise to a block."""
+    candidates: Annotated[int, SettingRange(1, 64)] = 4
+    """Blocks that the flow head draws at once, of which the first that shows the lexeme is kept; else the one that
+    comes nearest to showing it."""
     activity: Share = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of the time of
     speech that is gestured."""

@@ -18,7 +18,7 @@ from torch import Tensor
 from data_module import blocks as block_module
 from data_module import controls
 from data_module.errors import InputError
-from data_module.motion.representation import REPRESENTATIONS, Representation
+from data_module.motion.representation import REPRESENTATIONS, Representation, representation
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.front_ends import FrontEnd, front_end
 from data_module.speech.silence import quiet_at, reference_level
@@ -129,7 +129,7 @@ def representation_of(config: Config) -> Representation:
     name = config.motion.representation
     if name not in REPRESENTATIONS:
         raise InputError("motion.representation", f"is {name!r}", f"choose among {', '.join(REPRESENTATIONS)}")
-    return REPRESENTATIONS[name]
+    return representation(name, config.motion.joints)
 
 
 # ---------------------------------------------------------------------------------------------------- speech

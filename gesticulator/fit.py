@@ -68,26 +68,29 @@ class Checkpoint:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def save(self, step: int, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer]) -> None:
+    def save(self, step: int, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer],
+             best: BestWeights | None = None) -> None:
         """Write everything that the next step depends on."""
         temporary = self.path.with_suffix(".tmp")
         with temporary.open("wb") as stream:
-            torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers]},
-                       stream)
+            torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers],
+                        "best": None if best is None else best.state_dict()}, stream)
             stream.flush()
             os.fsync(stream.fileno())
         rename(temporary, self.path)
 
-    def load(self, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer]) -> int:
+    def load(self, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer], best: BestWeights | None = None
+             ) -> int:
         """Put the saved state back; the step to go on from. 0 when there is none, or one that a crash or a full disk
         left damaged: the model and the optimisers are then as they were given."""
         if not self.path.exists():
             return 0
-        everything: list[Any] = [model, *optimisers]
+        everything: list[Any] = [model, *optimisers, *([] if best is None else [best])]
         before = [copy.deepcopy(part.state_dict()) for part in everything]
         try:
             state = torch.load(self.path, weights_only=True, map_location="cpu")
-            for part, saved in zip(everything, [state["model"], *state["optimisers"]], strict=True):
+            for part, saved in zip(everything, [
+                    state["model"], *state["optimisers"], *([] if best is None else [state["best"]])], strict=True):
                 part.load_state_dict(saved)
             return int(state["step"])
         except (RuntimeError, ValueError, KeyError, TypeError, AttributeError, EOFError, OSError,
@@ -95,6 +98,32 @@ class Checkpoint:
             for part, was in zip(everything, before, strict=True):
                 part.load_state_dict(was)
             return 0
+
+
+class BestWeights:
+    """The weights of the best validation figure so far. figures: all of that validation, with the step it was at;
+    stale: validations since."""
+
+    def __init__(self, watch: str) -> None:
+        self.watch, self.stale = watch, 0
+        self.figures: dict[str, float] = {}
+        self.weights: dict[str, Tensor] = {}
+
+    def note(self, step: int, figures: dict[str, float], model: nn.Module) -> None:
+        """Keep the weights where the figure that is watched is less than ever before; of equals the first."""
+        if not self.figures or figures[self.watch] < self.figures[self.watch]:
+            self.figures, self.stale = {**figures, "best_step": float(step)}, 0
+            self.weights = {key: value.detach().cpu().clone() for key, value in model.state_dict().items()}
+        else:
+            self.stale += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"figures": self.figures, "stale": self.stale, "weights": self.weights}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """The inverse of `state_dict`."""
+        self.figures, self.stale, self.weights = dict(state["figures"]), int(state["stale"]), dict(state["weights"])
 
 
 class StepLog:
@@ -129,13 +158,15 @@ class Task:
 
     make_batch(rng): a batch from random numbers alone. losses(batch, progress): the terms, keyed like the model's
     `weights`; the model's own where None. validate(): figures on the validation split. before_step(step): what must
-    happen at a certain step; it must depend on the step alone.
+    happen at a certain step; it must depend on the step alone. watch: the figure of `validate` that tells when to stop
+    (less is better), where the settings have patience; empty for none.
     """
 
     make_batch: MakeBatch
     losses: Losses | None = None
     validate: Validate | None = None
     before_step: Callable[[int], None] | None = None
+    watch: str = ""
 
 
 @dataclass(frozen=True)
@@ -144,8 +175,6 @@ class FitOptions:
 
     seed: int
     device: str = "cpu"
-    validations: int = 10
-    """How often the stage is validated along the way."""
     checkpoint_seconds: float = 60.0
     """Between two checkpoints: a minute is what a kill may cost."""
     progress: bool = True
@@ -154,7 +183,8 @@ class FitOptions:
 
 def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder: Path, options: FitOptions
         ) -> dict[str, float]:
-    """Train `model` for `settings.steps` steps and give the last validation figures.
+    """Train `model` for `settings.steps` steps and give the last validation figures; with patience, until the figure
+    that the task watches has not become better for so many validations: the weights and figures are then the best ones.
 
     folder receives `STAGE.ckpt` (resumed from when it is there and whole) and `STAGE.jsonl` (a line a step).
     FloatingPointError when the loss is no longer a number.
@@ -163,9 +193,10 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     learner = _Learner(model, task, settings, options)
     plain = [optimiser for optimiser, _ in learner.optimisers]
     checkpoint = Checkpoint(folder / f"{stage}.ckpt")
-    first = checkpoint.load(model, plain)
+    best = BestWeights(task.watch) if settings.patience and task.watch and task.validate is not None else None
+    first = checkpoint.load(model, plain, best)
     log = StepLog(folder / f"{stage}.jsonl", first)
-    every = max(1, settings.steps // max(options.validations, 1))
+    every = max(1, settings.steps // settings.validations)
     figures: dict[str, float] = {}
     saved_at = time.monotonic()
     bar = tqdm(total=settings.steps, initial=first, desc=stage, disable=not options.progress, leave=True,
@@ -174,20 +205,27 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
         for step in range(first, settings.steps):
             if options.stop_after is not None and step >= options.stop_after:
                 return figures
+            if best is not None and best.stale >= settings.patience:
+                break
             row, done = learner.step(step), step + 1
             if task.validate is not None and (done % every == 0 or done == settings.steps):
                 figures = _validated(model, task.validate)
+                if best is not None:
+                    best.note(done, figures, model)
                 row.update({f"val_{key}": value for key, value in figures.items()})
                 bar.set_postfix({key: f"{value:.3g}" for key, value in list(figures.items())[:4]}, refresh=False)
             log.write(row)
             bar.update()
             if time.monotonic() - saved_at > options.checkpoint_seconds or done == settings.steps:
-                checkpoint.save(done, model, plain)
+                checkpoint.save(done, model, plain, best)
                 saved_at = time.monotonic()
     finally:
         bar.close()
         log.close()
     model.eval()
+    if best is not None and best.weights:
+        model.load_state_dict(best.weights)
+        figures = best.figures
     if task.validate is not None and not figures:
         figures = task.validate()
     return figures

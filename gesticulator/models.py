@@ -16,16 +16,18 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from gesticulator.config import Config
-from gesticulator.features import CONTROL_WIDTH
+from gesticulator.features import CONTROL_WIDTH, representation_of
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
+    from generator.flow import FlowGenerator
     from generator.model import Generator
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
     from interpreters.reward import RewardModel
     from lexicon.autoencoder import Lexicon
+    from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
 
 
@@ -76,8 +78,23 @@ def encoder(sizes: Sizes) -> SpeechEncoder:
     return SpeechEncoder(sizes.config.encoder)
 
 
-def lexicon(sizes: Sizes) -> Lexicon:
-    """The VQ-VAE over blocks (RG 5.1)."""
+def parts_of_body(config: Config) -> dict[str, tuple[int, ...]]:
+    """Part of the body -> its numbers of D_m under these settings."""
+    from data_module.motion.movement import body_parts
+    from data_module.motion.skeletons import CHARACTERS
+
+    representation = representation_of(config)
+    if representation.name != "rotations":
+        return {"body": tuple(range(representation.width))}
+    return body_parts(CHARACTERS[config.motion.joints].names)
+
+
+def lexicon(sizes: Sizes) -> Lexicon | MovementLexicon:
+    """The VQ-VAE over blocks (RG 5.1), or the lexicon of movements."""
+    if sizes.config.lexicon.kind == "movement":
+        from lexicon.movement import MovementLexicon
+
+        return MovementLexicon(sizes.config.lexicon, sizes.frames, parts_of_body(sizes.config))
     from lexicon.autoencoder import Lexicon
 
     return Lexicon(sizes.config.lexicon, sizes.frames, sizes.motion, sizes.present)
@@ -90,18 +107,25 @@ def codec(sizes: Sizes) -> RacerCodec:
     return RacerCodec(sizes.config.racer, sizes.motion, sizes.present)
 
 
-def tokens(sizes: Sizes) -> Lexicon | RacerCodec:
+def tokens(sizes: Sizes) -> Lexicon | MovementLexicon | RacerCodec:
     """What names gestures under these settings."""
     return codec(sizes) if sizes.config.tokens == "racer" else lexicon(sizes)
 
 
-def generator(sizes: Sizes) -> Generator:
-    """G, E_M, E_A and, while it is trained, the style codes (RG 5.2)."""
+def generator(sizes: Sizes) -> Generator | FlowGenerator:
+    """G, E_M, E_A and, while it is trained, the style codes (RG 5.2); or its form with a sampling head."""
     from generator.model import Generator, GeneratorWidths
 
     config = sizes.config
-    return Generator(config.generator, GeneratorWidths(sizes.frames, sizes.motion, sizes.low, config.lexicon.code_width,
-                                                       CONTROL_WIDTH), sizes.training_blocks, sizes.present)
+    widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,
+                             config.lexicon.size, sizes.speakers)
+    if config.generator.head == "flow":
+        from generator.flow import FlowGenerator
+        from lexicon.movement import basis_for
+
+        return FlowGenerator(config.generator, widths, basis_for(config.lexicon, sizes.frames, parts_of_body(config)),
+                             sizes.present)
+    return Generator(config.generator, widths, sizes.training_blocks, sizes.present)
 
 
 def interpreter(sizes: Sizes) -> LstmInterpreter:
@@ -115,11 +139,11 @@ def interpreter_text(sizes: Sizes) -> LstmInterpreter:
 
 
 def _lexeme_interpreter(sizes: Sizes, reads: bool) -> LstmInterpreter:
-    from interpreters.lstm import LstmInterpreter
+    from interpreters.lstm import InterpreterWidths, LstmInterpreter
 
     config = sizes.config.interpreter
-    return LstmInterpreter(config if reads else config.without_text(), sizes.frames, sizes.high, sizes.lexemes,
-                           sizes.speakers, sizes.text, CONTROL_WIDTH)
+    return LstmInterpreter(config if reads else config.without_text(), sizes.lexemes, InterpreterWidths(
+        sizes.frames, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH, sizes.motion))
 
 
 def style(sizes: Sizes) -> StyleInterpreter:
@@ -172,7 +196,18 @@ def codebook_shape(config: Config) -> tuple[int, int]:
     """(S, D_s) of the codebook under these settings."""
     if config.tokens == "racer":
         return config.racer.size, config.racer.width
+    if config.lexicon.kind == "movement":
+        from lexicon.movement import basis_for
+
+        with torch.device("meta"):
+            return config.lexicon.size, basis_for(config.lexicon, config.rhythm.frames, parts_of_body(config)).width
     return config.lexicon.size, config.lexicon.code_width
+
+
+def codebook_name(config: Config) -> str:
+    """The tensor of the codebook in the lexicon's file."""
+    movement = config.tokens == "lexicon" and config.lexicon.kind == "movement"
+    return "vectors" if movement else "quantizer.vectors"
 
 
 def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gesticulator.bundle import Bundle
+from gesticulator.drawing import Keys, drawer_for
 from gesticulator.features import SpeechFeatures, representation_of
 from gesticulator.performance import BEST
 from gesticulator.rest import Rest, span_of
@@ -29,11 +30,18 @@ _BLOCKS_BEFORE_REST = 2
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a lexeme is chosen from scores: see `interpreters.select`. top: 0 for all; seed: of the random numbers."""
+    """How a lexeme is chosen from scores: see `interpreters.select`. top: 0 for all; seed: of the random numbers;
+    variation: another manner of drawing the same lexemes."""
 
     temperature: float
     top: int
     seed: int
+    variation: int = 0
+
+    @property
+    def keys(self) -> Keys:
+        """Of the noise that blocks are drawn from."""
+        return Keys(self.seed, self.variation)
 
 
 @dataclass(frozen=True)
@@ -91,28 +99,26 @@ class Rollout:
         self.quiet_low = None if bundle.statistics.quiet_low is None else self._tensor(bundle.statistics.quiet_low)
 
     @torch.inference_mode()
-    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
-            ) -> RolloutResult:
-        """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
+            lexemes: NDArray[np.int64] | None = None) -> RolloutResult:
+        """Every block in turn. asked: [N, K, 2 F] rows of the control, or None; lexemes: [N] to play, whatever the
+        interpreter says, or None."""
         b, count = self.bundle, len(encoded.blocks)
-        generator, style = b.generator_and_style(encoded.text is not None)
         gate = b.gate if self.activity < 1 else None
-        vectors = b.vectors
         previous = b.rest_lexeme(self.speaker)
         rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.frames, -1)
-        state = free_state = generator.first_state(rest[None], vectors[[previous]])
+        drawer = drawer_for(b, encoded, self.speaker, previous, self.sampling.keys)
         inner = free = self.interpreter.start(self.speaker, previous)
-        style_state = style.start(self.speaker)
         gate_state = None if gate is None else gate.start(self.speaker)
         guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
         low, high = self._tensor(b.statistics.bounds)
-        made = RolloutResult.empty(count, len(vectors), past.shape[1:], style.code_width)
+        made = RolloutResult.empty(count, len(b.vectors), past.shape[1:], b.code_width)
         life = None if b.config.silence.rest == "decay" else Rest(
             b.statistics, representation_of(b.config), self.speaker, self.activity, self.sampling.seed)
         resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
         for i in range(count):
-            features = self._features(encoded, i, asked)
+            features = self._features(encoded, i, asked, past[0])
             closed = self.activity == 0
             if gate is not None and gate_state is not None:
                 made.gate[i], gate_state = gate.step(gate_state, features)
@@ -125,17 +131,11 @@ class Rollout:
                 unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
                 scores = unasked + guidance * (scores - unasked)
             quiet = closed or (features.silent and b.config.silence.mask)
-            previous = self._select(scores, b.silent if quiet else None)
+            previous = int(lexemes[i]) if lexemes is not None else self._select(scores, b.silent if quiet else None)
             if closed and life is None and self.quiet_low is not None:
                 # A block on which nothing is to be done is one on which nothing is said.
                 features = replace(features, low=self.quiet_low, silent=True)
-            code, style_state = style.step(style_state, features, previous)
-            audio, lexeme = generator.encode_audio(features.low[None]), vectors[[previous]]
-            control = None if features.control is None else features.control[None]
-            block, state, _ = generator.step(past, audio, lexeme, code, state, control=control)
-            if asked is not None:
-                unled, free_state, _ = generator.step(past, audio, lexeme, code, free_state)
-                block = unled + guidance * (block - unled)
+            block, code = drawer.block(i, features, previous, past)
             resting = resting + 1 if quiet else 0
             if life is None and resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
                 block = approach_rest(past[:, -1:], block, rest_decay)
@@ -158,12 +158,14 @@ class Rollout:
     def _tensor(self, values: NDArray) -> Tensor:
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
 
-    def _features(self, encoded: SpeechFeatures, i: int, asked: NDArray[np.float32] | None) -> BlockFeatures:
-        s = self.bundle.statistics
+    def _features(self, encoded: SpeechFeatures, i: int, asked: NDArray[np.float32] | None,
+                  past: Tensor | None = None) -> BlockFeatures:
+        s, seconds = self.bundle.statistics, encoded.blocks.durations
         return BlockFeatures(self._tensor(s.low.apply(encoded.low[i])), self._tensor(s.high.apply(encoded.high[i])),
                              bool(encoded.blocks.silent[i]),
                              None if encoded.text is None else self._tensor(encoded.text[i]),
-                             None if asked is None else self._tensor(asked[i]))
+                             None if asked is None else self._tensor(asked[i]), past,
+                             (float(seconds[max(i - 1, 0)]), float(seconds[i])))
 
 
 class CodecRollout(Rollout):
@@ -173,9 +175,9 @@ class CodecRollout(Rollout):
     """
 
     @torch.inference_mode()
-    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
-            ) -> RolloutResult:
-        """Every code in turn; nothing can be asked of the style."""
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
+            lexemes: NDArray[np.int64] | None = None) -> RolloutResult:
+        """Every code in turn; nothing can be asked of the style. lexemes: see `Rollout.run`."""
         codec = cast("RacerCodec", self.bundle.lexicon)
         count = len(encoded.blocks)
         rest = previous = self.bundle.rest_lexeme(self.speaker)
@@ -183,7 +185,7 @@ class CodecRollout(Rollout):
         state = self.interpreter.start(self.speaker, previous)
         for i in range(count):
             scores, state = self.interpreter.step(state, self._features(encoded, i, asked), previous)
-            previous = self._select(scores)
+            previous = self._select(scores) if lexemes is None else int(lexemes[i])
             made.lexemes[i] = previous = rest if self.activity == 0 else previous
             made.keep_best(i, scores)
             if on_block is not None:

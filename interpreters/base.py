@@ -19,7 +19,8 @@ class BlockFeatures:
     low, high: [3K, d] the two levels of audio on the window of the block before, the block and the block after.
     silent: the block is a silence. text: [3K, d_t + 1] word vectors and the flag of the empty word on the same window,
     or None in the audio-only path. control: [K, 2 F] what is asked of F features of style and whether it is asked, or
-    None when nothing is.
+    None when nothing is. past: [K, D_m] the block before as it was drawn, normalised, or None where nobody says.
+    durations: seconds of the block before and of this one, or None.
     """
 
     low: Tensor
@@ -27,6 +28,8 @@ class BlockFeatures:
     silent: bool = False
     text: Tensor | None = None
     control: Tensor | None = None
+    past: Tensor | None = None
+    durations: tuple[float, float] | None = None
 
 
 @runtime_checkable

@@ -11,59 +11,88 @@ from torch.nn import functional
 
 from data_module.layers import BlockLinear, repeat_frames
 from interpreters.base import BlockFeatures, Scores
+from interpreters.pose import pose_of
 from interpreters.settings import LstmConfig, StyleConfig
 
 Hidden = tuple[Tensor, Tensor]
 _NO_TEXT = "this interpreter reads text; take the audio-only one"
+_NO_POSE = "this interpreter sees the body; give it the block before"
 
 
 @dataclass(frozen=True)
 class LstmState:
-    """The decoder's state and the speaker."""
+    """The decoder's state (with a short memory, the rows [1, m, n, W] of the blocks that it holds) and the speaker."""
 
     hidden: Hidden | None
     speaker: Tensor
+    rows: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class InterpreterWidths:
+    """What shapes a lexeme interpreter besides its settings.
+
+    frames: K; audio: d of the high level; speakers: how many performers the one-hot ID tells apart; text: d_t + 1,
+    control: 2 F and motion: D_m are read only where the settings ask for them.
+    """
+
+    frames: int
+    audio: int
+    speakers: int
+    text: int = 0
+    control: int = 0
+    motion: int = 0
 
 
 class LstmInterpreter(nn.Module):
     """P_s: previous lexeme, three blocks of high-level audio, text and the speaker to scores over the lexicon.
 
-    The K frames of a block run through the LSTM, whose state is carried across blocks; the last frame is classified.
+    The K frames of a block run through the LSTM, whose state is carried across blocks (or begins anew, `memory` blocks
+    before the one that is scored); the last frame is classified. With `pose_features` it sees the body too.
     """
 
     lexemes: Tensor
 
-    def __init__(self, config: LstmConfig, frames: int, audio_width: int, lexemes: Tensor, speakers: int,
-                 text_width: int = 0, control_width: int = 0) -> None:
-        """lexemes: [S, D_s] the codebook; speakers: how many performers the one-hot ID tells apart; text_width:
-        d_t + 1, and control_width: 2 F, read only where the settings ask for them."""
+    def __init__(self, config: LstmConfig, lexemes: Tensor, widths: InterpreterWidths) -> None:
+        """lexemes: [S, D_s] the codebook."""
         super().__init__()
+        frames, speakers, text_width = widths.frames, widths.speakers, widths.text
         self.config, self.frames, self.speakers = config, frames, speakers
         self.register_buffer("lexemes", lexemes.clone())
-        self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
+        self.encode_audio = BlockLinear(frames, widths.audio, config.audio_features,
+                                        bottleneck=config.audio_bottleneck)
         self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
                                        config.text_bottleneck) if config.text_features else None
+        self.encode_pose = nn.Linear(3 * widths.motion, config.pose_features) if config.pose_features else None
         self.text_head = None
         if config.text_head:
             from interpreters.text_head import TextHead
 
             self.text_head = TextHead(text_width, config.text_head, config.text_bottleneck or text_width,
-                                      lexemes.shape[1], speakers, len(lexemes), config.text_head_dropout)
+                                      config.lexeme_features or lexemes.shape[1], speakers, len(lexemes),
+                                      config.text_head_dropout)
         self.held = False
         """All but the text head is held as it is."""
-        self.control_width = control_width if config.use_control else 0
-        width = config.audio_features + lexemes.shape[1] + (speakers if config.use_speaker else 0)
-        width += config.text_features + self.control_width
+        self.control_width = widths.control if config.use_control else 0
+        self.by_block = config.reads_by == "block"
+        self.learned = nn.Embedding(len(lexemes), config.lexeme_features) if config.lexeme_features else None
+        rows = frames if self.by_block else 1
+        self.words_at = rows * config.audio_features + (config.lexeme_features or lexemes.shape[1])
+        """Where among what is read the words begin."""
+        self.words_width = rows * config.text_features
+        width = self.words_at + self.words_width + rows * self.control_width + config.pose_features
+        width += speakers if config.use_speaker else 0
         self.dropout = nn.Dropout(config.dropout)
-        self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
-        self.classify = nn.Linear(config.width, len(lexemes))
+        self.enter = nn.Linear(width, config.width) if self.by_block else None
+        self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, config.layers, batch_first=True)
+        self.classify = nn.Linear((2 if self.by_block else 1) * config.width, len(lexemes))
 
     @torch.no_grad()
     def init_from_audio_only(self, audio_only: LstmInterpreter) -> None:
         """Take over the weights of an audio-only interpreter of the same sizes; the words then begin without a say.
 
-        With a text head the rest is then held as it is. Else the columns of the first LSTM layer that read the words
-        start at zero, so both give the same scores at first.
+        With a text head the rest is then held as it is. Else the columns of the first layer that read the words start
+        at zero, so both give the same scores at first.
         """
         if self.text_head is not None:
             self.load_state_dict(audio_only.state_dict(), strict=False)
@@ -72,15 +101,17 @@ class LstmInterpreter(nn.Module):
             # What is held as it is need not be kept from memorising, nor be taught to bear its own mistakes.
             self.held, self.dropout.p = True, 0.0
             return
-        own = self.state_dict()
+        own, reads = self.state_dict(), "enter.weight" if self.by_block else "lstm.weight_ih_l0"
         for name, value in audio_only.state_dict().items():
-            if name != "lstm.weight_ih_l0":
+            if name != reads:
                 own[name].copy_(value)
-        before = self.config.audio_features + self.lexemes.shape[1]
-        width = self.config.text_features
-        first = dict(audio_only.lstm.named_parameters())["weight_ih_l0"]
-        own["lstm.weight_ih_l0"].copy_(torch.cat(
-            [first[:, :before], first.new_zeros(len(first), width), first[:, before:]], dim=1))
+        before, first = self.words_at, audio_only.state_dict()[reads]
+        own[reads].copy_(torch.cat(
+            [first[:, :before], first.new_zeros(len(first), self.words_width), first[:, before:]], dim=1))
+
+    def _vectors(self, lexemes: Tensor) -> Tensor:
+        """[..., D] what lexemes [...] are told by."""
+        return self.lexemes[lexemes] if self.learned is None else self.learned(lexemes)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -88,56 +119,104 @@ class LstmInterpreter(nn.Module):
         return {"nll": 1.0}
 
     def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
-               text: Tensor | None = None, control: Tensor | None = None) -> tuple[Tensor, Hidden]:
+               text: Tensor | None = None, control: Tensor | None = None, pose: Tensor | None = None
+               ) -> tuple[Tensor, Hidden | None]:
         """Logits [B, N, S] for previous lexemes [B, N], audio windows [B, N, 3K, d] and speaker one-hot [B, speakers].
 
         previous[:, i] is the lexeme of the block before block i. text: [B, N, 3K, d_t + 1]; control: [B, N, K, 2 F],
-        None when nothing is asked. An interpreter that hears no text (or no control) ignores what is given.
+        None when nothing is asked; pose: [B, N, 3 D_m] what `pose_of` gives of the block before block i. An interpreter
+        that hears no text (or no control, or sees no pose) ignores what is given. The state after the last block is
+        None where the memory is short: then block i is scored from blocks i - memory + 1 to i, and `hidden` not asked.
         """
-        blocks = previous.shape[1]
-        parts = [self.encode_audio(audio), repeat_frames(self.lexemes[previous], self.frames)]
+        rows = self.rows(previous, audio, speaker, text, control, pose)
+        last, hidden = self._recent(rows) if self.config.memory else self._read(rows, hidden)
+        return self._classified(last, previous, speaker, text), hidden
+
+    def _classified(self, last: Tensor, previous: Tensor, speaker: Tensor, text: Tensor | None) -> Tensor:
+        """Logits [B, N, S] of what was read of each block [B, N, width]."""
+        heard: Tensor = self.classify(self.dropout(last))
+        if self.text_head is not None:
+            assert text is not None
+            heard = heard + self.text_head(text, self._vectors(previous), speaker)
+        return heard
+
+    def rows(self, previous: Tensor, audio: Tensor, speaker: Tensor, text: Tensor | None, control: Tensor | None,
+             pose: Tensor | None) -> Tensor:
+        """[B, N, n, W] the n rows a block that the LSTM reads, of what `scores` is given: K, or one where it reads by
+        block. ValueError where it lacks words or a pose."""
+        if self.config.reads and text is None:
+            raise ValueError(_NO_TEXT)
+        parts = [self.encode_audio(audio), self._vectors(previous)]  # rows of frames, or a vector for the block
         if self.encode_text is not None:
-            if text is None:
-                raise ValueError(_NO_TEXT)
             parts.append(self.encode_text(text))
         if self.control_width:
             free = audio.new_zeros(*audio.shape[:2], self.frames, self.control_width)
             parts.append(free if control is None else control)
         if self.config.use_speaker:
-            parts.append(speaker[:, None, None].expand(-1, blocks, self.frames, -1))
-        rows = self.dropout(torch.cat(parts, dim=-1)).flatten(1, 2)
-        out, hidden = self.lstm(rows, hidden)
-        last = out.unflatten(1, (blocks, self.frames))[:, :, -1]
-        heard = self.classify(self.dropout(last))
-        if self.text_head is not None:
-            if text is None:
-                raise ValueError(_NO_TEXT)
-            heard = heard + self.text_head(text, self.lexemes[previous], speaker)
-        return heard, hidden
+            parts.append(speaker[:, None].expand(-1, previous.shape[1], -1))
+        if self.encode_pose is not None:
+            if pose is None:
+                raise ValueError(_NO_POSE)
+            parts.append(functional.gelu(self.encode_pose(pose)))
+        if self.enter is not None:
+            told = torch.cat([part.flatten(2) for part in parts], dim=-1)
+            return self.dropout(functional.gelu(self.enter(self.dropout(told))))[:, :, None]
+        return self.dropout(torch.cat([part if part.dim() == 4 else repeat_frames(part, self.frames)
+                                       for part in parts], dim=-1))
+
+    def _read(self, rows: Tensor, hidden: Hidden | None = None) -> tuple[Tensor, Hidden]:
+        """Rows [B, N, n, W] to what is classified, [B, N, width] (twice that by block), and the state after them."""
+        out, hidden = self.lstm(rows.flatten(1, 2), hidden)
+        last = out.unflatten(1, rows.shape[1:3])[:, :, -1]
+        return torch.cat([last, rows[:, :, -1]], dim=-1) if self.by_block else last, hidden
+
+    def _recent(self, rows: Tensor) -> tuple[Tensor, None]:
+        """As `_read`, block i from the rows of the last `memory` blocks alone."""
+        memory, blocks = self.config.memory, rows.shape[1]
+        first, _ = self._read(rows[:, :memory])
+        if blocks <= memory:
+            return first, None
+        recent = rows.unfold(1, memory, 1)[:, 1:].permute(0, 1, 4, 2, 3)
+        last, _ = self._read(recent.flatten(0, 1))
+        return torch.cat([first, last[:, -1].unflatten(0, (len(rows), blocks - memory))], dim=1), None
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """NLL of the next lexeme, in nats a block.
 
         batch: lexeme [B, N + 1] (with the silent hint), audio_high [B, N + 1, 3K, d], speaker [B, speakers],
-        valid [B, N + 1], and text [B, N + 1, 3K, d_t + 1] and control [B, N + 1, K, 2 F] where they are heard. The
-        first block is the seed.
+        valid [B, N + 1], and text [B, N + 1, 3K, d_t + 1] and control [B, N + 1, K, 2 F] where they are heard, motion
+        [B, N + 1, K, D_m] and duration [B, N + 1] s where it is seen. The first block is the seed.
         """
         labels, audio = batch["lexeme"], batch["audio_high"][:, 1:]
         text = batch["text"][:, 1:] if self.config.reads else None
         control = batch["control"][:, 1:] if self.control_width else None
+        pose = self.seen(batch)
         previous = labels[:, :-1]
+        if self.training and pose is not None and self.config.pose_noise and not self.held:
+            pose = pose + self.config.pose_noise * torch.randn_like(pose)
         share = self.config.own_past_most * min(progress / max(self.config.own_past_until, 1e-9), 1.0)
         if self.training and share > 0 and not self.held:
             with torch.no_grad():
                 sampled = torch.distributions.Categorical(
-                    logits=self.scores(previous, audio, batch["speaker"], None, text, control)[0]).sample()
+                    logits=self.scores(previous, audio, batch["speaker"], None, text, control, pose)[0]).sample()
             shifted = torch.cat([labels[:, :1], sampled[:, :-1]], 1)
             previous = torch.where(torch.rand_like(previous, dtype=torch.float32) < share, shifted, previous)
-        logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control)
+        if self.training and self.config.history_dropout and not self.held:
+            lost = torch.rand_like(previous, dtype=torch.float32) < self.config.history_dropout
+            previous = torch.where(lost, torch.randint_like(previous, len(self.lexemes)), previous)
+        logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control, pose)
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
                                         label_smoothing=self.config.label_smoothing)
         valid = batch["valid"][:, 1:].flatten()
         return {"nll": (each * valid).sum() / valid.sum().clamp_min(1)}
+
+    def seen(self, batch: dict[str, Tensor]) -> Tensor | None:
+        """[B, N, 3 D_m] the pose before every block of a batch but the seed (see `losses`); None where it is not seen.
+        """
+        if self.encode_pose is None:
+            return None
+        durations = batch["duration"]
+        return pose_of(batch["motion"][:, :-1], torch.stack([durations[:, :-1], durations[:, 1:]], dim=-1))
 
     def start(self, speaker: int, first_lexeme: int) -> LstmState:
         """The state before the first block (the first lexeme comes back in `step` as the previous one)."""
@@ -148,11 +227,20 @@ class LstmInterpreter(nn.Module):
     def step(self, state: LstmState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, LstmState]:
         """Log-probabilities [S] of this block's lexeme."""
         previous = torch.tensor([[previous_lexeme]], device=self.lexemes.device)
-        logits, hidden = self.scores(
-            previous, features.high[None, None], state.speaker, state.hidden,
-            None if features.text is None else features.text[None, None],
-            None if features.control is None else features.control[None, None])
-        return functional.log_softmax(logits[0, 0].double(), -1).cpu().numpy(), LstmState(hidden, state.speaker)
+        text = None if features.text is None else features.text[None, None]
+        control = None if features.control is None else features.control[None, None]
+        pose = None
+        if self.encode_pose is not None and features.past is not None:
+            durations = None if features.durations is None else features.past.new_tensor(features.durations)
+            pose = pose_of(features.past, durations)[None, None]
+        rows = self.rows(previous, features.high[None, None], state.speaker, text, control, pose)
+        kept = None
+        if self.config.memory:
+            rows = kept = (rows if state.rows is None else torch.cat([state.rows, rows], 1))[:, -self.config.memory:]
+        last, hidden = self._read(rows, None if kept is not None else state.hidden)
+        logits = self._classified(last[:, -1:], previous, state.speaker, text)
+        after = LstmState(None if kept is not None else hidden, state.speaker, kept)
+        return functional.log_softmax(logits[0, 0].double(), -1).cpu().numpy(), after
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,22 @@ class LstmConfig:
     own_past_most: Share = 0.5
     """The share of previous lexemes that are its own predictions rises from 0 to `own_past_most` by this share of the
     run (scheduled sampling in two passes)."""
+    pose_features: WidthOrNone = 0
+    """Width that the last pose, its velocity and its acceleration are brought to; 0 (the paper) does not see the body,
+    and must guess from the lexeme before where the hands are and where they go."""
+    pose_noise: NotNegative = 0.0
+    """Standard deviation of noise on what is seen of the body in training, in normalised units: what is drawn is not
+    what was captured."""
+    memory: Natural = 0
+    """Blocks that a score is made of, this one included, from a state of zero: as windows of training are. 0 (the
+    paper) carries the state on for ever, further than it was ever taught."""
+    reads_by: Annotated[str, SettingChoice(("frame", "block"))] = "frame"
+    """What a step of the LSTM is: a frame of a block (the paper), all K of them before the block is scored; or a block,
+    through a layer of its own, which costs a K-th and is scored from the LSTM and that layer together."""
+    lexeme_features: WidthOrNone = 0
+    """Width of a vector that is learned for each lexeme; 0 (the paper) takes the codebook's."""
+    history_dropout: Share = 0.0
+    """Chance in training that a previous lexeme is any one instead: who leans on the lexeme before says it again."""
 
     @property
     def reads(self) -> bool:

@@ -13,8 +13,6 @@ from lexicon.settings import LexiconConfig
 class Lexicon(nn.Module):
     """Encoder E, codebook S and decoder D over blocks [B, K, D_m]."""
 
-    one_by_one = True
-    """A lexeme is one block, whatever stands beside it."""
     present: Tensor
 
     def __init__(self, config: LexiconConfig, frames: int, motion_width: int, present: Tensor | None = None) -> None:
@@ -49,6 +47,16 @@ class Lexicon(nn.Module):
         """D: [B, code width] to blocks [B, K, D_m]."""
         rows = self.from_code(codes).unflatten(1, (-1, self.frames))
         return self.deconvolve(rows).transpose(1, 2) * self.present
+
+    @torch.no_grad()
+    def shown(self) -> Tensor:
+        """[S, K, D_m] what each lexeme looks like."""
+        return self.decode(self.vectors)
+
+    @torch.no_grad()
+    def still_distances(self, pose: Tensor) -> Tensor:
+        """[S] squared distances of the lexemes from standing still in a pose [D_m]."""
+        return self.quantizer.distances(self.encode(pose.expand(1, self.frames, -1)))[0]
 
     @torch.no_grad()
     def label(self, motion: Tensor, batch: int = 4096) -> Tensor:

@@ -29,6 +29,9 @@ from data_module.layers import masked_mean
 from lexicon.quantizer import Quantizer
 from lexicon.settings import FRAMES, HALVINGS, RacerConfig
 
+_LONG = 65
+"""Codes of a stillness whose middle no longer sees where it begins and ends."""
+
 
 class ResidualBlock(nn.Module):
     """RB(d) over [B, C, T]: x + [ReLU, Conv(C, C, 3, 1, d, d), ReLU, Conv(C, C, 1, 1, 0, 1)]."""
@@ -65,8 +68,6 @@ def decoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) ->
 class RacerCodec(nn.Module):
     """Encoder, codebook Z and decoder over motion [B, T, D_m]; T is any multiple of 8 frames."""
 
-    one_by_one = False
-    """A code is of all that stands around it."""
     present: Tensor
 
     def __init__(self, config: RacerConfig, motion_width: int, present: Tensor | None = None) -> None:
@@ -109,6 +110,12 @@ class RacerCodec(nn.Module):
         """
         parts = [self.encode(part) for part in motion.split(batch)]
         return torch.cat([self.quantizer.labels(part.flatten(0, 1)).unflatten(0, part.shape[:2]) for part in parts])
+
+    @torch.no_grad()
+    def still_distances(self, pose: Tensor) -> Tensor:
+        """[N] squared distances of the codes from the code in the middle of a long stillness in a pose [D_m]."""
+        latents = self.encode(pose.expand(1, _LONG * FRAMES, -1))
+        return self.quantizer.distances(latents[:, _LONG // 2])[0]
 
     def tokens(self, motion: Tensor) -> Tensor:
         """`label` by the name that RACER gives to what the Q-network chooses: action tokens [B, T / 8]."""

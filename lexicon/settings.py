@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from data_module.settings import NotNegative, SettingChoice, Share, Width, Widths
+from data_module.settings import NotNegative, SettingChoice, SettingRange, Share, Width, Widths
 
 HALVINGS = 3
 """Times that the encoder of RACER's codec halves the frame rate."""
@@ -19,8 +19,19 @@ Codebook = Annotated[str, SettingChoice(("ema", "gradient"))]
 class LexiconConfig:
     """Sizes and weights of the lexicon; the defaults are the paper's where it gives them."""
 
+    kind: Annotated[str, SettingChoice(("pose", "movement"))] = "pose"
+    """"pose": the VQ-VAE over blocks as they stand (RG 5.1); "movement": what a block does from its past
+    (`lexicon.movement`), of which the settings below are read down to `levels`."""
     size: Width = 50
     """N_s, lexemes in the lexicon (50 Trinity and Chinese, 100 TED)."""
+    trunk_components: Width = 24
+    """Principal components of the torso and of the head: 99.5 % of what the predictor leaves."""
+    arm_components: Width = 40
+    """Principal components of each arm: 99.6 %."""
+    finger_components: Width = 12
+    """Principal components of the fingers of each hand."""
+    levels: Annotated[tuple[int, ...], SettingRange(1, 2**16)] = (64, 64)
+    """Sizes of the residual codebooks of each part, below the lexeme."""
     code_width: Width = 192
     """Width of a lexeme."""
     widths: Widths = (64, 128, 156, 192)
@@ -43,6 +54,12 @@ class LexiconConfig:
     """Weight of the L1 error of accelerations; off in the paper."""
     warm_up: Share = 0.3
     """Share of the training run as a plain autoencoder, before k-means starts the codebook."""
+
+    def components_of(self, part: str) -> int:
+        """Principal components of a part of the body."""
+        if part.endswith("fingers"):
+            return self.finger_components
+        return self.trunk_components if part in ("torso", "head") else self.arm_components
 
 
 @dataclass(frozen=True)

@@ -6,20 +6,21 @@ import numpy as np
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
-from data_module.types import BeatFlag, Blocks, Motion, Speech, Word
+from data_module.types import BeatFlag, Blocks, Motion, Skeleton, Speech, Word
 from gesticulator.performance import Performance
 
 RATE = 16000
 
 
-def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height: float = 0.0) -> Performance:
+def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height: float = 0.0,
+            skeleton: Skeleton = CHARACTER) -> Performance:
     """Small smooth motion on a tone with a silent middle, cut into blocks at random."""
     rng = np.random.default_rng(seed)
     count = round(seconds * fps)
-    waves = rng.normal(size=(2, len(CHARACTER), 3)) * 0.4
+    waves = rng.normal(size=(2, len(skeleton), 3)) * 0.4
     phase = np.linspace(0, 2 * np.pi, count)[:, None, None]
     turns = rotation.from_exponential_map(waves[0] * np.sin(phase) + waves[1] * np.cos(phase))
-    motion = Motion(CHARACTER, rotation.continuous(turns), np.tile([0.0, root_height, 0.0], (count, 1)), fps)
+    motion = Motion(skeleton, rotation.continuous(turns), np.tile([0.0, root_height, 0.0], (count, 1)), fps)
     time = np.arange(round(seconds * RATE)) / RATE
     tone = 0.4 * np.sin(2 * np.pi * 220 * time) * (np.abs(time - seconds / 2) > seconds / 8)
     speech = Speech(tone.astype(np.float32), RATE, (Word("</script><b>", 0.1, 0.4), Word("zwei", 0.5, 0.9)))

@@ -169,13 +169,13 @@ def test_wrong_input_is_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.
     ({"edges": [0.0, 0.4, 0.4]}, None), ({"blocks": []}, None), ({"edges": "wide"}, None), ([1, 2], None)])
 def test_edges_come_from_a_plan(plan: object, told: list[float] | None, tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    assert probe._edges(file) is None
+    assert probe.edges_of_plan(file) is None
     file.write_text(json.dumps(plan))
     if told is None:
         with pytest.raises(InputError, match=r"plan\.json"):
-            probe._edges(file)
+            probe.edges_of_plan(file)
     else:
-        np.testing.assert_array_equal(probe._edges(file), told)
+        np.testing.assert_array_equal(probe.edges_of_plan(file), told)
 
 
 def test_a_system_without_a_sound_s_motion_is_refused(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -125,3 +127,61 @@ def test_a_checkpoint_of_another_model_leaves_the_model_as_it_was(tmp_path: Path
         model.net[0].bias.fill_(7.0)
     assert Checkpoint(file).load(model, [optimiser]) == 0
     assert (model.net[0].bias == 7.0).all()
+
+
+# ------------------------------------------------------------------------------------------------------ stopping early
+
+def figure_of(model: Model) -> dict[str, float]:
+    """How far the last bias is from where it stands at step 9 or so: less and less, then more and more."""
+    return {"away": abs(float(model.net[4].bias.detach()) - 0.06), "other": -1.0}
+
+
+def watched(folder: Path, patience: int, stops: tuple[int | None, ...] = (None,)) -> tuple[Model, dict[str, float]]:
+    folder.mkdir(exist_ok=True)
+    settings, figures = replace(SETTINGS, schedule="constant", validations=30, patience=patience), dict[str, float]()
+    for stop in stops:
+        model = Model()
+        with torch.no_grad():
+            model.net[4].bias.zero_()
+        task = Task(make_batch, validate=partial(figure_of, model), watch="away")
+        figures = fit("stage", model, task, settings, folder,
+                      FitOptions(seed=3, progress=False, checkpoint_seconds=0.0, stop_after=stop))
+    return model, figures
+
+
+def logged(folder: Path) -> list[float]:
+    return [json.loads(line)["val_away"] for line in (folder / "stage.jsonl").read_text().splitlines()]
+
+
+def test_the_best_weights_are_kept_and_training_stops_when_patience_ends(tmp_path: Path) -> None:
+    watched(tmp_path / "whole", 0)
+    every = logged(tmp_path / "whole")
+    best = int(np.argmin(every))
+    assert 2 < best < 24, "the known answer needs a figure that falls and rises again"
+    model, figures = watched(tmp_path / "a", 4)
+    assert logged(tmp_path / "a") == every[:best + 5]
+    assert figures == {"away": figure_of(model)["away"], "other": -1.0, "best_step": best + 1}
+    assert figures["away"] == pytest.approx(min(every), abs=1e-6)
+
+
+def test_without_patience_or_a_figure_to_watch_the_last_weights_are_kept(tmp_path: Path) -> None:
+    model, figures = watched(tmp_path / "a", 0)
+    assert len(logged(tmp_path / "a")) == 30 and "best_step" not in figures
+    assert figures["away"] == figure_of(model)["away"] > min(logged(tmp_path / "a"))
+
+
+@pytest.mark.parametrize("stops", [(3, None), (9, 12, None), (14, 14, None)])
+def test_stopping_early_is_the_same_when_it_was_resumed(tmp_path: Path, stops: tuple[int | None, ...]) -> None:
+    whole, figures = watched(tmp_path / "a", 4)
+    broken, again = watched(tmp_path / "b", 4, stops)
+    assert again == figures
+    for (name, a), b in zip(whole.state_dict().items(), broken.state_dict().values(), strict=True):
+        assert torch.equal(a, b), name
+    assert (tmp_path / "a/stage.jsonl").read_text() == (tmp_path / "b/stage.jsonl").read_text()
+
+
+def test_a_checkpoint_without_the_best_weights_begins_anew(tmp_path: Path) -> None:
+    watched(tmp_path / "a", 0, (9,))
+    model, figures = watched(tmp_path / "a", 4)
+    clean, wanted = watched(tmp_path / "b", 4)
+    assert figures == wanted and torch.equal(model.net[0].weight, clean.net[0].weight)

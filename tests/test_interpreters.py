@@ -12,7 +12,7 @@ from gesticulator.bundle import FILES
 from interpreters import INTERPRETERS
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.cql import QConfig, QNetwork
-from interpreters.lstm import LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
+from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
 
 FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL = 5, 4, 6, 3, 3, 6
@@ -21,7 +21,7 @@ FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL = 5, 4, 6, 3, 3, 6
 def lstm(**changes: object) -> LstmInterpreter:
     torch.manual_seed(0)
     config = LstmConfig(**{"audio_features": 8, "width": 16, "dropout": 0.0, **changes})  # type: ignore[arg-type]
-    return LstmInterpreter(config, FRAMES, AUDIO, torch.randn(SIZE, 7), 2, TEXT, CONTROL)
+    return LstmInterpreter(config, torch.randn(SIZE, 7), InterpreterWidths(FRAMES, AUDIO, 2, TEXT, CONTROL))
 
 
 def statistical(**changes: object) -> StatisticalInterpreter:
@@ -82,7 +82,10 @@ def test_contract(name: str) -> None:
 
 
 @pytest.mark.parametrize("changes", [{}, {"text_features": 4, "use_control": True}, {"text_head": 6},
-                                     {"text_features": 4, "text_blocks": 3, "text_bottleneck": 2, "layers": 2}])
+                                     {"text_features": 4, "text_blocks": 3, "text_bottleneck": 2, "layers": 2},
+                                     {"reads_by": "block", "lexeme_features": 3, "text_features": 4,
+                                      "use_control": True},
+                                     {"reads_by": "block", "text_head": 6}])
 def test_lstm_streams_as_it_trains(changes: dict[str, object]) -> None:
     model = lstm(**changes).eval()
     previous = torch.randint(SIZE, (1, 5))
@@ -120,8 +123,10 @@ def test_lstm_reads_its_own_block_and_the_next_only_when_it_is_to(blocks: int) -
         assert np.array_equal(base, scores) != heard, part
 
 
-def test_one_that_reads_begins_as_the_one_that_does_not() -> None:
-    deaf, reads = lstm(use_control=True).eval(), lstm(use_control=True, text_features=5, text_blocks=3).eval()
+@pytest.mark.parametrize("by", ["frame", "block"])
+def test_one_that_reads_begins_as_the_one_that_does_not(by: str) -> None:
+    deaf = lstm(use_control=True, reads_by=by).eval()
+    reads = lstm(use_control=True, text_features=5, text_blocks=3, reads_by=by).eval()
     reads.init_from_audio_only(deaf)
     arguments = (torch.tensor([[0, 3, 2]]), windows(1, 3, AUDIO), torch.tensor([[0.0, 1.0]]), None)
     texts = [windows(seed, 3) for seed in (2, 3)]
@@ -131,9 +136,9 @@ def test_one_that_reads_begins_as_the_one_that_does_not() -> None:
     torch.testing.assert_close(first, other)
     # The words have no say yet, but they can get one.
     reads.scores(*arguments, texts[0], control)[0].square().sum().backward()
-    column = deaf.config.audio_features + reads.lexemes.shape[1]
-    gradient = dict(reads.lstm.named_parameters())["weight_ih_l0"].grad
-    assert gradient is not None and float(gradient[:, column:column + 5].abs().max()) > 0
+    gradient = dict(reads.named_parameters())["enter.weight" if by == "block" else "lstm.weight_ih_l0"].grad
+    column = reads.words_at
+    assert gradient is not None and float(gradient[:, column:column + reads.words_width].abs().max()) > 0
 
 
 def test_a_reading_head_adds_to_the_voice_and_nothing_else_learns() -> None:

@@ -47,8 +47,8 @@ class ByTable:
     def __init__(self, table: np.ndarray) -> None:
         self.table = torch.as_tensor(table).float().log()
 
-    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: None = None, text: Tensor | None = None
-               ) -> tuple[Tensor, None]:
+    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: None = None, text: Tensor | None = None,
+               pose: None = None) -> tuple[Tensor, None]:
         assert text is None and audio.shape[:2] == previous.shape
         return self.table[previous], None
 
@@ -61,8 +61,8 @@ class ByWord(ByTable):
     def __init__(self) -> None:
         super().__init__(np.ones((1, 1)))
 
-    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: None = None, text: Tensor | None = None
-               ) -> tuple[Tensor, None]:
+    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: None = None, text: Tensor | None = None,
+               pose: None = None) -> tuple[Tensor, None]:
         assert text is not None and text.shape[:2] == previous.shape
         return 10.0 * text[:, :, FRAMES], None
 

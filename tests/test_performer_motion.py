@@ -27,9 +27,9 @@ from data_module.performer.strokes import (
 from data_module.performer.types import Played, Spoken
 from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Motion, Speech, Word
-from eval.commands import PROBE
-from eval.probes import corpus
-from eval.table import load
+from eval.metrics.eye.body import common_body
+from eval.metrics.eye.trunk import figures
+from eval.planned_strokes import gain_r2, longest_repetition, stroke_misses
 
 PUPPET = "puppet"
 
@@ -322,22 +322,20 @@ def test_retargeted_clips_stay_on_one_side_of_the_split(recorded: StrokeSet) -> 
 
 def test_recorded_strokes_play_in_time_and_out_of_the_body(recorded: StrokeSet, talk: Spoken) -> None:
     out = perform(talk, "connor", recorded, np.random.default_rng(0))
-    truth = [vars(stroke) for stroke in out.strokes]
-    assert (corpus.stroke_misses(out.motion, truth) < 0.02).mean() >= 0.95
+    assert (stroke_misses(out.motion, out.strokes) < 0.02).mean() >= 0.95
+    assert figures(common_body(out.motion))["eye_hand_in_torso"] < 0.5
     table = {name: k for k, name in enumerate(out.motion.skeleton.names)}
-    assert corpus.in_torso(kinematics.positions_of(out.motion), table) < 0.005
     toes = kinematics.positions_of(out.motion)[:, table["LeftToeBase"]]
     # Some clips turn a little on the spot, and the legs follow the hips.
     assert np.ptp(toes, axis=0).max() < 0.03
 
 
-# --- The acceptance figures
+# --- What became of the plan
 
 
 def test_stroke_misses_find_a_planned_brake_and_tell_a_wrong_plan(played: Played) -> None:
-    truth = [vars(stroke) for stroke in played.strokes]
-    assert np.median(corpus.stroke_misses(played.motion, truth)) < 0.01
-    assert np.mean(corpus.stroke_misses(played.motion, truth, shift=0.15) < 0.02) < 0.5
+    assert np.median(stroke_misses(played.motion, played.strokes)) < 0.01
+    assert np.mean(stroke_misses(played.motion, played.strokes, shift=0.15) < 0.02) < 0.5
 
 
 def test_gain_r2_of_a_known_law_and_of_noise() -> None:
@@ -345,37 +343,10 @@ def test_gain_r2_of_a_known_law_and_of_noise() -> None:
     features = [rng.normal(size=(40, 6)) for _ in range(12)]
     lawful = [(f, np.exp(0.1 * f[:, 0] + 0.05 * rng.normal(size=40))) for f in features]
     random = [(f, np.exp(0.1 * rng.normal(size=40))) for f in features]
-    assert corpus.gain_r2(lawful[:8], lawful[8:]).mean() == pytest.approx(0.8, abs=0.08)
-    assert corpus.gain_r2(random[:8], random[8:]).mean() < 0.05
+    assert gain_r2(lawful[:8], lawful[8:]).mean() == pytest.approx(0.8, abs=0.08)
+    assert gain_r2(random[:8], random[8:]).mean() < 0.05
 
 
 def test_longest_repetition() -> None:
-    assert corpus.longest_repetition([]) == 0
-    assert corpus.longest_repetition(["a", "b", "b", "b", "a"]) == 3
-
-
-def test_hand_in_torso_is_seen(strokes: StrokeSet) -> None:
-    figure = strokes.figures[PUPPET]
-    table = {name: k for k, name in enumerate(figure.skeleton.names)}
-    positions = np.repeat(kinematics.joint_positions(figure.skeleton, figure.rest)[None], 4, axis=0)
-    assert corpus.in_torso(positions, table) == 0.0
-    positions[0, table["LeftHand"]] = positions[0, table["Spine1"]] + [0.05, 0.0, 0.0]
-    assert corpus.in_torso(positions, table) == pytest.approx(1 / 8)
-
-
-def test_corpus_command_names_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        PROBE.main("gesticulator probe", ["corpus", "--data", str(tmp_path), "--out", str(tmp_path / "out.json")])
-    assert stop.value.code == 2
-    assert "holds no recording" in capsys.readouterr().err
-    assert not (tmp_path / "out.json").exists()
-
-
-def test_a_corpus_is_measured_and_judged(tiny_store: Path, tmp_path: Path) -> None:
-    folder, out = tiny_store / "dataset", tmp_path / "corpus.json"
-    assert PROBE.main("gesticulator probe", ["corpus", "--data", str(folder), "--limit", "5", "--out", str(out)]) == 0
-    figures, accepted = load(out)
-    values = {name: row["corpus"] for name, row in figures.rows.items()}
-    assert values["motion beats within 20 ms of plan"].mean >= 0.95  # type: ignore[union-attr]
-    assert values["PMB at 0.1 s, %"].mean > values["its chance level, %"].mean + 10  # type: ignore[union-attr]
-    assert accepted.rows["95 % of motion beats within 20 ms of plan"]["met"] == "yes"
+    assert longest_repetition([]) == 0
+    assert longest_repetition(["a", "b", "b", "b", "a"]) == 3

@@ -28,6 +28,7 @@ from eval.stats import Interval
 from eval.table import Marked
 from gesticulator import bundle as bundles
 from interpreters.episodes import Demonstration
+from interpreters.lstm import LstmConfig
 from interpreters.reward import RewardConfig, RewardModel, RewardTable
 
 SIZE = 4
@@ -95,7 +96,9 @@ def decisions(lexemes: list[int], silent: list[int] | None = None) -> Decisions:
     """One recording with these lexemes, silent at these blocks; lexemes 2 and 3 are silent ones."""
     count = len(lexemes)
     quiet = np.isin(np.arange(count), silent or [])
-    corpus = SimpleNamespace(low=torch.zeros(count, 3, 1), high=torch.zeros(count, 3, 1), silent=quiet)
+    corpus = SimpleNamespace(
+        low=torch.zeros(count, 3, 1), high=torch.zeros(count, 3, 1), silent=quiet, recording=np.zeros(count, int),
+        speaker_of=np.zeros(1, int), before=lambda blocks: (torch.zeros(len(blocks), 3, 1), torch.ones(len(blocks), 2)))
     take = Demonstration(5, 0, np.arange(count), np.array(lexemes), quiet)
     return Decisions(corpus, [take], np.array([2, 3]), True, SIZE)  # type: ignore[arg-type]
 
@@ -174,12 +177,14 @@ def test_greedy_has_no_regret_and_forced_greedy_is_the_best_after_the_performer(
 class ByTable:
     """An lstm whose probabilities are those of a table [S, S], by the lexeme before."""
 
+    config = LstmConfig()
     speakers = 1
 
     def __init__(self, table: np.ndarray) -> None:
         self.table = torch.as_tensor(table).log()
 
-    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor) -> tuple[Tensor, None]:
+    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: None = None, text: None = None,
+               pose: None = None) -> tuple[Tensor, None]:
         assert audio.shape[:2] == previous.shape and speaker.shape == (1, 1)
         return self.table[previous], None
 

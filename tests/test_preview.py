@@ -20,7 +20,7 @@ import pytest
 from performances import perform
 
 from data_module.motion import kinematics, rotation
-from data_module.motion.skeletons import CHARACTER, standing
+from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED, standing
 from gesticulator.export import html
 from gesticulator.performance import write
 
@@ -190,6 +190,27 @@ def opened(shown: _Opened) -> _Opened:
     shown.page.evaluate("() => { document.activeElement.blur(); preview.clock.pause(); preview.clock.seek(0); }")
     shown.settle(0.0)
     return shown
+
+
+def _drawn(page: _Opened, joint: str) -> int:
+    """How many meshes hang on a bone."""
+    bone = f"preview.stage.figure.bone('{joint}')"
+    return int(page.page.evaluate(f"() => {bone}.children.filter((c) => c.isMesh).length"))
+
+
+def test_fingers_are_drawn_where_the_motion_has_them(browser: Any, opened: _Opened, tmp_path: Path) -> None:
+    performance = perform(skeleton=FINGERED)
+    page = _Opened(browser, write(tmp_path / "fingers.html", performance))
+    page.page.evaluate("() => preview.clock.seek(1.0)")
+    page.settle(1.0)
+    motion = standing(performance.motion)
+    truth = kinematics.positions_of(motion)[25]
+    assert np.abs(np.array(page.joints()) - truth).max() < 2e-3, "every finger is where the motion puts it"
+    assert all(_drawn(page, joint) == 1 for joint in FINGER_JOINTS)
+    # The other page has hands of one piece, with fingers that do not move: more of them than a wrist and a palm.
+    assert _drawn(page, "LeftHand") == 7 and _drawn(opened, "LeftHand") == 0
+    assert not page.complaints
+    page.page.close()
 
 
 def test_playing_moves_time_and_figure(opened: _Opened) -> None:

@@ -32,7 +32,7 @@ from data_module.files import read_text
 from data_module.performer import text, voices
 from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split
-from data_module.truth import Truth
+from data_module.truth import JOIN, Mark, StyleKnot, Truth
 
 PARTS = ("motion", "talk", "style", "reading")
 SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
@@ -154,6 +154,7 @@ class Performer:
             return self._made_for_motion(item)
         from data_module.performer import play, styles
         from data_module.performer.hands import STEADY, draw_manner
+        from data_module.performer.plan import rests_of
 
         rng = self._rng(item.index, _STYLE)
         style = styles.NEUTRAL
@@ -170,10 +171,13 @@ class Performer:
         staging = None if self._tiny else play.Staging(manner, self._segments(item.info.split), style)
         played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
                               staging)
-        truth = Truth(played.strokes, spoken.syllables, spoken.phrases)
+        knots = zip(style.times.tolist(), style.values.tolist(), strict=True) if style is not styles.NEUTRAL else ()
+        truth = Truth(played.strokes, spoken.syllables, spoken.phrases,
+                      rests_of(spoken.phrases, spoken.speech.duration),
+                      tuple(StyleKnot(time, *values) for time, values in knots))
         info = replace(item.info, language=spoken.language,
                        sources=tuple(sorted({stroke.clip.removesuffix("-mirrored") for stroke in played.strokes})))
-        return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth)
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth, stands=True)
 
     def _made_for_motion(self, item: Item) -> Recording:
         from data_module.performer.talks import talk_for_motion
@@ -185,8 +189,9 @@ class Performer:
                                self._rng(item.index, _PLAY))
         spoken = talk.made.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
-        truth = Truth((), spoken.syllables, spoken.phrases)
-        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, truth)
+        joins = tuple(Mark(JOIN, time, time) for time in talk.edges[1:-1].tolist())
+        truth = Truth((), spoken.syllables, spoken.phrases, joins)
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, truth, stands=True)
 
     def notes(self) -> Sequence[str]:
         strokes = self._strokes.strokes

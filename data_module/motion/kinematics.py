@@ -51,4 +51,5 @@ def resample(motion: Motion, fps: float) -> Motion:
     count = max(1, int(np.floor((len(motion) - 1) * fps / motion.fps + 1e-9)) + 1)
     where = np.arange(count, dtype=np.float64) * motion.fps / fps
     root = np.stack([np.interp(where, np.arange(len(motion)), column) for column in motion.root_positions.T], axis=-1)
-    return Motion(motion.skeleton, rotation.interpolate(motion.rotations, where), root, fps, motion.absent)
+    return Motion(motion.skeleton, rotation.interpolate(motion.rotations, where), root, fps, motion.absent,
+                  motion.filled)

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation, skeletons
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Array, Motion
 
 
 class Representation(Protocol):
-    """A way to tell a pose of the 16-joint character in `width` numbers (D_m)."""
+    """A way to tell a pose of the character in `width` numbers (D_m)."""
 
     @property
     def name(self) -> str:
@@ -34,14 +34,14 @@ class Representation(Protocol):
         """D_m."""
 
     def vectors(self, motion: Motion, times: Array) -> Array:
-        """[len(times), D_m] the poses of a motion of the 16-joint character at these seconds.
+        """[len(times), D_m] the poses of a motion of the character, in any of its sizes, at these seconds.
 
-        Yaw and place of the root do not count (`skeletons.facing`). Before its start and past its end the motion
-        holds its first and its last pose.
+        Joints that it lacks are at rest. Yaw and place of the root do not count (`skeletons.facing`). Before its start
+        and past its end the motion holds its first and its last pose.
         """
 
     def motion(self, vectors: Array, fps: float) -> Motion:
-        """A motion of the 16-joint character from vectors [T, D_m], one each 1 / fps seconds."""
+        """A motion of the character from vectors [T, D_m], one each 1 / fps seconds."""
 
     def present(self, absent: tuple[str, ...]) -> NDArray[np.bool_]:
         """[D_m] the numbers that are known of a source that lacks these joints of the character."""
@@ -49,13 +49,22 @@ class Representation(Protocol):
 
 @dataclass(frozen=True)
 class Rotations:
-    """Exponential maps of all 16 joints, hierarchical, unrolled over time: 48 numbers (RG 4.1.1)."""
+    """Exponential maps of all joints of the character, hierarchical, unrolled over time (RG 4.1.1).
 
+    joints: how many, a size of `skeletons.CHARACTERS`: 16 make the papers' 48 numbers, 46 (with fingers) make 138.
+    """
+
+    joints: int = len(CHARACTER)
     name: str = "rotations"
-    width: int = 3 * len(CHARACTER)
+
+    @property
+    def width(self) -> int:
+        """See `Representation.width`."""
+        return 3 * self.joints
 
     def vectors(self, motion: Motion, times: Array) -> Array:
         """See `Representation.vectors`: interpolated on the sphere, free of jumps from the first of `times` on."""
+        motion = skeletons.resized(motion, CHARACTERS[self.joints])
         faced = skeletons.facing(motion)
         poses = rotation.interpolate(faced.rotations, np.asarray(times) * motion.fps)
         return rotation.unroll(rotation.to_exponential_map(poses)).reshape(len(poses), 3 * len(motion.skeleton))
@@ -66,7 +75,7 @@ class Rotations:
 
     def present(self, absent: tuple[str, ...]) -> NDArray[np.bool_]:
         """See `Representation.present`."""
-        return np.repeat([joint not in absent for joint in CHARACTER.names], 3)
+        return np.repeat([joint not in absent for joint in CHARACTERS[self.joints].names], 3)
 
 
 @dataclass(frozen=True)
@@ -103,6 +112,12 @@ class Positions:
 ROTATIONS, POSITIONS = Rotations(), Positions()
 REPRESENTATIONS: dict[str, Representation] = {"rotations": ROTATIONS, "positions": POSITIONS}
 
+
+def representation(name: str, joints: int) -> Representation:
+    """The representation of that name (a key of `REPRESENTATIONS`), of so many joints where it is of rotations."""
+    return Rotations(joints) if name == ROTATIONS.name else REPRESENTATIONS[name]
+
+
 TED_JOINTS = ("spine", "neck", "nose", "head", "left shoulder", "left elbow", "left wrist",
               "right shoulder", "right elbow", "right wrist")
 """Ten joints: the spine half way up the back, the neck between the shoulders, the tip of the nose (as deep as the one
@@ -137,13 +152,11 @@ _EPS = 1e-9
 
 
 def ted_positions(motion: Motion) -> Array:
-    """`TED_JOINTS` of a motion of the 16-joint character, [T, 10, 3] metres from the spine, in the facing frame.
+    """`TED_JOINTS` of a motion of the character, [T, 10, 3] metres from the spine, in the facing frame.
 
-    Y is up, the hips face +Z and the left is +X (`skeletons.facing`).
+    Y is up, the hips face +Z and the left is +X (`skeletons.facing`). ValueError for a motion of something else.
     """
-    if not motion.skeleton.same_joints(CHARACTER):
-        raise ValueError("the motion is not on the 16-joint character")
-    faced = skeletons.facing(motion)
+    faced = skeletons.facing(skeletons.resized(motion, CHARACTER))
     world = kinematics.global_rotations(faced.skeleton, faced.rotations)
     places = kinematics.positions_of(faced)
     carriers = [CHARACTER.index(joint) for joint, _ in _POINTS]

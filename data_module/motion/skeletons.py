@@ -1,6 +1,8 @@
-"""The 16-joint character, the names other sources give its joints, and how any motion is brought onto it.
+"""The character, the names other sources give its joints, and how any motion is brought onto it.
 
-(16 upper-body joints including the rotational root, RG 4.1.1; names as in the Trinity data set.)
+It comes in three sizes, each the one before with joints added at the end, so that the first of them are the same in
+all: `CHARACTER`, the 16 upper-body joints of the papers including the rotational root (RG 4.1.1; names as in the
+Trinity data set); `FINGERED`, 46 with three joints of each finger; `WHOLE_BODY`, 54 with the legs, which a store keeps.
 """
 
 from __future__ import annotations
@@ -36,48 +38,121 @@ _CHARACTER = [
 ]
 _TIPS = {"Head": (0.0, 0.17, 0.02), "RightHand": (-0.16, 0.0, 0.0), "LeftHand": (0.16, 0.0, 0.0)}
 
+FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+# The left hand at rest, palm down and fingers straight: each finger's first joint from the wrist, its two other joints
+# from the one before, and its tip. An adult's hand, 17 cm from the wrist to the tip of the middle finger.
+_LEFT_FINGERS = {
+    "Thumb": ((0.030, -0.010, 0.028), (0.030, -0.008, 0.022), (0.027, -0.004, 0.013), (0.022, -0.003, 0.009)),
+    "Index": ((0.084, 0.002, 0.024), (0.039, 0.0, 0.001), (0.024, 0.0, 0.0), (0.019, 0.0, 0.0)),
+    "Middle": ((0.086, 0.004, 0.003), (0.043, 0.0, 0.0), (0.027, 0.0, 0.0), (0.020, 0.0, 0.0)),
+    "Ring": ((0.081, 0.002, -0.016), (0.039, 0.0, -0.001), (0.025, 0.0, 0.0), (0.019, 0.0, 0.0)),
+    "Pinky": ((0.074, -0.003, -0.034), (0.031, 0.0, -0.002), (0.019, 0.0, 0.0), (0.016, 0.0, 0.0)),
+}
+# The left leg: 82.5 cm from its socket to the ankle, so that a standing character's knees bend a little.
+_LEFT_LEG = (("UpLeg", "Hips", (0.090, -0.050, 0.0)), ("Leg", "LeftUpLeg", (0.0, -0.420, 0.0)),
+             ("Foot", "LeftLeg", (0.0, -0.405, 0.0)), ("ToeBase", "LeftFoot", (0.0, -0.060, 0.130)))
+_TOE = (0.0, 0.0, 0.070)
+_SIDES = ("Right", "Left")
+LEG_JOINTS = tuple(side + part for side in _SIDES for part, _, _ in _LEFT_LEG)
+FINGER_JOINTS = tuple(f"{side}Hand{finger}{place}" for side in _SIDES for finger in FINGERS for place in (1, 2, 3))
 
-def _build() -> Skeleton:
-    names = tuple(row[0] for row in _CHARACTER)
-    parents = tuple(-1 if row[1] is None else names.index(row[1]) for row in _CHARACTER)
-    return Skeleton(names, parents, np.array([row[2] for row in _CHARACTER]),
-                    {names.index(name): np.array(tip) for name, tip in _TIPS.items()})
+
+def _mirror(offset: tuple[float, float, float], side: str) -> tuple[float, float, float]:
+    return (-offset[0] if side == "Right" else offset[0], *offset[1:])
 
 
-CHARACTER: Skeleton = _build()
+def _build(fingers: bool, legs: bool) -> Skeleton:
+    rows: list[tuple[str, str | None, tuple[float, float, float]]] = list(_CHARACTER)
+    tips = dict(_TIPS)
+    if fingers:
+        tips = {name: tip for name, tip in tips.items() if not name.endswith("Hand")}
+        for side in _SIDES:
+            for finger, (*places, tip) in _LEFT_FINGERS.items():
+                above = side + "Hand"
+                for number, place in enumerate(places, start=1):
+                    name = f"{side}Hand{finger}{number}"
+                    rows.append((name, above, _mirror(place, side)))
+                    above = name
+                tips[above] = _mirror(tip, side)
+    if legs:
+        for side in _SIDES:
+            rows += [(side + part, above.replace("Left", side), _mirror(place, side))
+                     for part, above, place in _LEFT_LEG]
+            tips[side + "ToeBase"] = _TOE
+    names = tuple(row[0] for row in rows)
+    parents = tuple(-1 if row[1] is None else names.index(row[1]) for row in rows)
+    return Skeleton(names, parents, np.array([row[2] for row in rows]),
+                    {names.index(name): np.array(tip) for name, tip in tips.items()})
+
+
+CHARACTER: Skeleton = _build(fingers=False, legs=False)
+FINGERED: Skeleton = _build(fingers=True, legs=False)
+WHOLE_BODY: Skeleton = _build(fingers=True, legs=True)
+CHARACTERS: dict[int, Skeleton] = {len(skeleton): skeleton for skeleton in (CHARACTER, FINGERED, WHOLE_BODY)}
+"""The sizes of the character by how many joints they have."""
 JOINTS = CHARACTER.names
 HIP_HEIGHT = 0.95
 """Metres from the floor to the root, used where a picture or a file needs a standing character."""
 
 # One row per source: our joint -> its name there. A joint that a source lacks is left out of its row.
-_TRINITY = {name: name for name in JOINTS}
-_SIDES = ("Right", "Left")
+_TRINITY = {name: name for name in WHOLE_BODY.names}
 
 
-def _sided(pattern: str, parts: Sequence[str], sides: Sequence[str] = _SIDES) -> dict[str, str]:
-    ours = ("Shoulder", "Arm", "ForeArm", "Hand")
-    return {side + joint: pattern.format(side=theirs, part=part)
-            for side, theirs in zip(_SIDES, sides, strict=True) for joint, part in zip(ours, parts, strict=True)}
+def _sided(pattern: str, arms: Sequence[str], legs: Sequence[str] = (), fingers: str = "",
+           naming: tuple[Sequence[str], Sequence[str], Sequence[str]] = (_SIDES, FINGERS, "123")) -> dict[str, str]:
+    """A table of what comes in pairs. pattern: of arms and legs; fingers: the pattern of their joints ("" for none).
+
+    naming: what the source calls the right and the left side, the five fingers from the thumb on, and the joints of a
+    finger from the palm on.
+    """
+    sides, own, places = naming
+    out: dict[str, str] = {}
+    for side, theirs in zip(_SIDES, sides, strict=True):
+        out |= {side + joint: pattern.format(side=theirs, part=part)
+                for joint, part in zip(("Shoulder", "Arm", "ForeArm", "Hand"), arms, strict=True)}
+        out |= {side + joint: pattern.format(side=theirs, part=part)
+                for (joint, _, _), part in zip(_LEFT_LEG, legs, strict=False)}
+        if fingers:
+            out |= {f"{side}Hand{finger}{place + 1}": fingers.format(side=theirs, finger=name, place=number)
+                    for finger, name in zip(FINGERS, own, strict=True) for place, number in enumerate(places)}
+    return out
 
 
+_LIMBS = (("Shoulder", "Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase"))
 NAME_TABLES: dict[str, dict[str, str]] = {
     "trinity": _TRINITY,  # also BEAT, ZeroEGGS and MOCCA
     "smartbody": {ours: name for ours, name in _TRINITY.items() if ours != "Spine3"},
     "mixamo": {"Hips": "Hips", "Spine": "Spine", "Spine1": "Spine1", "Spine2": "Spine2", "Neck": "Neck",
-               "Head": "Head", **_sided("{side}{part}", ("Shoulder", "Arm", "ForeArm", "Hand"))},
+               "Head": "Head", **_sided("{side}{part}", *_LIMBS, fingers="{side}Hand{finger}{place}")},
+    # What CMU's files call fingers and a thumb are single joints that nobody measured.
     "cmu": {"Hips": "Hips", "Spine": "LowerBack", "Spine1": "Spine", "Spine2": "Spine1", "Neck": "Neck",
-            "Neck1": "Neck1", "Head": "Head", **_sided("{side}{part}", ("Shoulder", "Arm", "ForeArm", "Hand"))},
+            "Neck1": "Neck1", "Head": "Head", **_sided("{side}{part}", *_LIMBS)},
+    "rocketbox": {"Hips": "Bip01_Pelvis", "Spine": "Bip01_Spine", "Spine1": "Bip01_Spine1", "Spine2": "Bip01_Spine2",
+                  "Neck": "Bip01_Neck", "Head": "Bip01_Head",
+                  **_sided("Bip01_{side}_{part}", ("Clavicle", "UpperArm", "Forearm", "Hand"),
+                           ("Thigh", "Calf", "Foot", "Toe0"), "Bip01_{side}_Finger{finger}{place}",
+                           ("RL", "01234", ("", "1", "2")))},
     "smplx": {"Hips": "pelvis", "Spine": "spine1", "Spine1": "spine2", "Spine2": "spine3", "Neck": "neck",
-              "Head": "head", **_sided("{side}_{part}", ("collar", "shoulder", "elbow", "wrist"), ("right", "left"))},
+              "Head": "head", **_sided("{side}_{part}", ("collar", "shoulder", "elbow", "wrist"),
+                                       ("hip", "knee", "ankle", "foot"), "{side}_{finger}{place}",
+                                       (("right", "left"), ("thumb", "index", "middle", "ring", "pinky"), "123"))},
     "unreal": {"Hips": "pelvis", "Spine": "spine_01", "Spine1": "spine_02", "Spine2": "spine_03", "Neck": "neck_01",
-               "Head": "head", **_sided("{part}_{side}", ("clavicle", "upperarm", "lowerarm", "hand"), ("r", "l"))},
+               "Head": "head", **_sided("{part}_{side}", ("clavicle", "upperarm", "lowerarm", "hand"),
+                                        ("thigh", "calf", "foot", "ball"), "{finger}_0{place}_{side}",
+                                        ("rl", ("thumb", "index", "middle", "ring", "pinky"), "123"))},
     "unity": {"Hips": "Hips", "Spine": "Spine", "Spine1": "Chest", "Spine2": "UpperChest", "Neck": "Neck",
-              "Head": "Head", **_sided("{side}{part}", ("Shoulder", "UpperArm", "LowerArm", "Hand"))},
+              "Head": "Head", **_sided("{side}{part}", ("Shoulder", "UpperArm", "LowerArm", "Hand"),
+                                       ("UpperLeg", "LowerLeg", "Foot", "Toes"), "{side}{finger}{place}",
+                                       (_SIDES, ("Thumb", "Index", "Middle", "Ring", "Little"),
+                                        ("Proximal", "Intermediate", "Distal")))},
     "vrm": {"Hips": "J_Bip_C_Hips", "Spine": "J_Bip_C_Spine", "Spine1": "J_Bip_C_Chest",
             "Spine2": "J_Bip_C_UpperChest", "Neck": "J_Bip_C_Neck", "Head": "J_Bip_C_Head",
-            **_sided("J_Bip_{side}_{part}", ("Shoulder", "UpperArm", "LowerArm", "Hand"), ("R", "L"))},
+            **_sided("J_Bip_{side}_{part}", ("Shoulder", "UpperArm", "LowerArm", "Hand"),
+                     ("UpperLeg", "LowerLeg", "Foot", "ToeBase"), "J_Bip_{side}_{finger}{place}",
+                     ("RL", ("Thumb", "Index", "Middle", "Ring", "Little"), "123"))},
 }
-"""What each family of skeletons calls our joints; prefixes up to a colon ("mixamorig:") are ignored."""
+"""What each family of skeletons calls our joints; prefixes up to a colon ("mixamorig:") are ignored, and a space in a
+name is the same as "_"."""
 
 REQUIRED = ("Hips", "Spine", "Neck", "Head",
             *(side + part for side in _SIDES for part in ("Arm", "ForeArm", "Hand")))
@@ -85,13 +160,20 @@ REQUIRED = ("Hips", "Spine", "Neck", "Head",
 
 
 def find_table(names: Sequence[str]) -> Mapping[str, int]:
-    """Our joints -> index into `names`, by the table that fits best; InputError when none covers `REQUIRED`."""
-    plain = {name.rsplit(":", 1)[-1].lower(): index for index, name in reversed(list(enumerate(names)))}
+    """Our joints (of `WHOLE_BODY`) -> index into `names`, by the table that fits best; InputError when none covers
+    `REQUIRED`.
+
+    Which fits best is decided by the 16 joints of `CHARACTER`, and by fingers and legs only between equals.
+    """
+    plain = {name.rsplit(":", 1)[-1].replace(" ", "_").lower(): index
+             for index, name in reversed(list(enumerate(names)))}
     best: dict[str, int] = {}
+    most = (0, 0)
     for table in NAME_TABLES.values():
         found = {ours: plain[theirs.lower()] for ours, theirs in table.items() if theirs.lower() in plain}
-        if len(found) > len(best):
-            best = found
+        fit = (sum(ours in found for ours in JOINTS), len(found))
+        if fit > most:
+            best, most = found, fit
     lacking = [ours for ours in REQUIRED if ours not in best]
     if lacking:
         unknown = [name for index, name in enumerate(names) if index not in best.values()]
@@ -148,42 +230,93 @@ def _axes(rest: Array, table: Mapping[str, int]) -> Array:
     return Rotation.from_matrix(matrix).as_quat(scalar_first=True)
 
 
-def to_character(motion: Motion, table: Mapping[str, int] | None = None) -> Motion:
-    """Any upper body on the 16-joint character, by the copying of world rotations (RG 4.1.1).
+def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleton: Skeleton = CHARACTER) -> Motion:
+    """Any upper body on the character, by the copying of world rotations (RG 4.1.1).
 
-    Each bone's world rotation relative to its rest is copied. The arms are also corrected for the rest pose: the
-    shortest turn between the source's resting bone and ours is taken off, so an A-pose and a T-pose agree. A joint
-    that the source lacks follows its parent and is listed in `absent`. The root keeps its place, in metres.
+    Each bone's world rotation relative to its rest is copied. The arms and the fingers are also corrected for the rest
+    pose: the shortest turn between the source's resting bone and ours is taken off, so an A-pose and a T-pose agree. A
+    joint that the source lacks follows its parent and is listed in `absent`. The root keeps its place, in metres.
+
+    skeleton: `CHARACTER`, `FINGERED` or `WHOLE_BODY`.
     """
     source, table = motion.skeleton, table or find_table(motion.skeleton.names)
     rest = _rest_positions(source)
     for bone, tip in _NEEDED_BONES:
         if np.linalg.norm(rest[table[tip]] - rest[table[bone]]) < _EPS:
             raise InputError("skeleton", f"has {bone} and {tip} in one place", "check its offsets")
-    ours_rest = _rest_positions(CHARACTER)
     change = _axes(rest, table)
     world = kinematics.global_rotations(source, motion.rotations)
     frames = len(motion)
-    out = np.zeros((frames, len(CHARACTER), 4))
+    out = np.zeros((frames, len(skeleton), 4))
     out[..., 0] = 1.0
-    corrections: dict[str, Array] = {}
-    for side in _SIDES:
-        for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand")):
-            theirs = rotation.rotate(change, rest[table[side + tip]] - rest[table[side + bone]])
-            ours = ours_rest[CHARACTER.index(side + tip)] - ours_rest[CHARACTER.index(side + bone)]
-            corrections[side + bone] = rotation.between(ours, theirs)
-        corrections[side + "Hand"] = corrections[side + "ForeArm"]
-    for joint, name in enumerate(JOINTS):
+    corrections = _corrections(source, rest, table, change, skeleton)
+    for joint, name in enumerate(skeleton.names):
         if name in table:
             own = rotation.multiply(rotation.multiply(change, world[:, table[name]]), rotation.conjugate(change))
             out[:, joint] = rotation.multiply(own, corrections[name]) if name in corrections else own
         else:
-            out[:, joint] = out[:, CHARACTER.parents[joint]]
-    local = rotation.normalise(kinematics.local_rotations(CHARACTER, out))
+            out[:, joint] = out[:, skeleton.parents[joint]]
+    local = rotation.normalise(kinematics.local_rotations(skeleton, out))
     local = rotation.continuous(local)
     root = rotation.rotate(change, kinematics.positions_of(motion)[:, table["Hips"]])
-    absent = tuple(name for name in JOINTS if name not in table or source.names[table[name]] in motion.absent)
-    return Motion(CHARACTER, local, root, motion.fps, absent)
+    gone, filled = ({name for name in skeleton.names if name in table and source.names[table[name]] in theirs}
+                    for theirs in (motion.absent, motion.filled))
+    return Motion(skeleton, local, root, motion.fps,
+                  tuple(name for name in skeleton.names if name not in table or name in gone),
+                  tuple(name for name in skeleton.names if name in filled))
+
+
+def _corrections(source: Skeleton, rest: Array, table: Mapping[str, int], change: Array, skeleton: Skeleton
+                 ) -> dict[str, Array]:
+    """Joint -> [4] the turn that brings our bone at rest onto the source's; rest: [J, 3] the source's joints."""
+    ours_rest = _rest_positions(skeleton)
+    out: dict[str, Array] = {}
+    for side in _SIDES:
+        for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand")):
+            theirs = rotation.rotate(change, rest[table[side + tip]] - rest[table[side + bone]])
+            ours = ours_rest[skeleton.index(side + tip)] - ours_rest[skeleton.index(side + bone)]
+            out[side + bone] = rotation.between(ours, theirs)
+        out[side + "Hand"] = out[side + "ForeArm"]
+    for name in FINGER_JOINTS:
+        if name not in skeleton.names or name not in table:
+            continue
+        below = name[:-1] + str(int(name[-1]) + 1)
+        way = rest[table[below]] - rest[table[name]] if below in table else source.end_sites.get(table[name])
+        if way is None or np.linalg.norm(way) < _EPS:
+            # The last bone of a finger whose tip is not told lies as the one before it does.
+            before = name[:-1] + str(int(name[-1]) - 1)
+            out[name] = out.get(before, out[name[:name.index("Hand") + 4]])
+            continue
+        ours = skeleton.offsets[skeleton.index(below)] if below in skeleton.names \
+            else skeleton.end_sites[skeleton.index(name)]
+        # From where the hand's own correction leaves our finger: the shortest turn from a T-pose could roll it.
+        hand = out[name[:name.index("Hand") + 4]]
+        out[name] = rotation.multiply(rotation.between(rotation.rotate(hand, ours), rotation.rotate(change, way)), hand)
+    return out
+
+
+def resized(motion: Motion, skeleton: Skeleton) -> Motion:
+    """A motion of the character in one of its sizes in another: joints at the end are cut off, or added at rest and
+    listed in `absent`. ValueError for a motion of something else."""
+    there, wanted = len(motion.skeleton), len(skeleton)
+    least = min(there, wanted)
+    if motion.skeleton.names[:least] != skeleton.names[:least] \
+            or motion.skeleton.parents[:least] != skeleton.parents[:least]:
+        raise ValueError(f"the motion is not on the {wanted}-joint character")
+    if there == wanted:
+        return motion
+    rotations = np.zeros((len(motion), wanted, 4))
+    rotations[..., 0] = 1.0
+    rotations[:, :least] = motion.rotations[:, :least]
+    absent = (*(name for name in motion.absent if name in skeleton.names), *skeleton.names[there:])
+    filled = tuple(name for name in motion.filled if name in skeleton.names)
+    return Motion(skeleton, rotations, motion.root_positions, motion.fps, absent, filled)
+
+
+def upper_body(motion: Motion) -> Motion:
+    """The 16 joints of a motion of the character, whatever its size; a motion of something else as it is."""
+    ours = len(motion.skeleton) in CHARACTERS and motion.skeleton.same_joints(CHARACTERS[len(motion.skeleton)])
+    return resized(motion, CHARACTER) if ours else motion
 
 
 def facing(motion: Motion) -> Motion:
@@ -209,7 +342,8 @@ def to_vector(motion: Motion) -> Array:
 
 
 def from_vector(vectors: Array, fps: float) -> Motion:
-    """The inverse of `to_vector` on the 16-joint character (yaw and translation stay zero)."""
+    """The inverse of `to_vector` on the character of as many joints (yaw and translation stay zero)."""
+    skeleton = CHARACTERS[vectors.shape[-1] // 3]
     frames = len(vectors)
-    rotations = rotation.continuous(rotation.from_exponential_map(vectors.reshape(frames, len(CHARACTER), 3)))
-    return Motion(CHARACTER, rotations, np.zeros((frames, 3)), fps)
+    rotations = rotation.continuous(rotation.from_exponential_map(vectors.reshape(frames, len(skeleton), 3)))
+    return Motion(skeleton, rotations, np.zeros((frames, 3)), fps)

@@ -42,7 +42,7 @@ _WEIGHTS = _weights()
 class Chain:
     """A talk made of stretches.
 
-    logs: [T, 16, 3]; edges: [K + 1] seconds at which stretches begin, and the end; used: [K] their indices.
+    logs: [T, J, 3]; edges: [K + 1] seconds at which stretches begin, and the end; used: [K] their indices.
     """
 
     logs: Array
@@ -51,7 +51,7 @@ class Chain:
 
 
 def chain(stretches: Sequence[Array], seconds: float, rng: np.random.Generator, recent: int = 6) -> Chain:
-    """Join stretches [T, 16, 3] at 60 fps until `seconds` are full; none of the last `recent` is taken again.
+    """Join stretches [T, J, 3] at 60 fps until `seconds` are full; none of the last `recent` is taken again.
 
     Each one is left late and entered early, at the two places where poses and velocities are nearest to those of one of
     the `_BEST` candidates, and the difference dies away by a quintic. ValueError with fewer than two stretches.
@@ -61,7 +61,7 @@ def chain(stretches: Sequence[Array], seconds: float, rng: np.random.Generator, 
     recent = min(recent, len(stretches) - 1)
     features = [_features(logs) for logs in stretches]
     now, start = int(rng.integers(len(stretches))), 3
-    out = np.zeros((0, 16, 3))
+    out = np.zeros((0, *stretches[0].shape[1:]))
     used, edges, fade = [now], [0.0], 0.0
     while True:
         leave, following, enter, cost = _next(stretches, features, used[-recent:], now, start, rng)
@@ -77,7 +77,8 @@ def chain(stretches: Sequence[Array], seconds: float, rng: np.random.Generator, 
 
 
 def _features(logs: Array) -> Array:
-    """[T, 96] weighted poses and velocities, so that a squared distance is a cost."""
+    """[T, 96] weighted poses and velocities without fingers, so that a squared distance is a cost."""
+    logs = logs[:, :len(_WEIGHTS)]
     velocity = np.gradient(logs, 1.0 / FPS, axis=0) * _VELOCITY
     both = np.concatenate([logs * _WEIGHTS[:, None], velocity * _WEIGHTS[:, None]], axis=1)
     return both.reshape(len(logs), -1)

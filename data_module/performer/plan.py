@@ -16,7 +16,7 @@ from data_module.performer.hands import Manner, PhraseHands, hands_of_phrases, u
 from data_module.performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
 from data_module.performer.styles import NEUTRAL, StyleTrack
 from data_module.performer.types import Spoken
-from data_module.truth import Phrase, Syllable
+from data_module.truth import REST, Mark, Phrase, Syllable
 from data_module.types import Array
 
 REST_PAUSE = 1.6
@@ -39,9 +39,9 @@ _RECENT = 3
 """Clips of a performer's past that are not repeated at once."""
 _RECENT_WEIGHT = 0.1
 """Times as likely as others they are chosen."""
-_SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
+_SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.36, 0.4, 0.25, 0.9
 """Log of the gain by the vigour of the syllable and by amplitude; log of the speed, and eagerness, by tempo."""
-_LARGEST = 1.4
+_LARGEST = 1.75
 """Gain beyond which elbows fold and hands come near the face."""
 
 
@@ -116,6 +116,13 @@ def runs_of(phrases: Sequence[Phrase], pause: float = REST_PAUSE) -> list[tuple[
         else:
             runs.append((phrase.start, phrase.end))
     return runs
+
+
+def rests_of(phrases: Sequence[Phrase], duration: float) -> tuple[Mark, ...]:
+    """The pauses of a recording of `duration` seconds that are long enough for the arms to rest."""
+    runs = runs_of(phrases)
+    ends, starts = [0.0, *(end for _, end in runs)], [*(start for start, _ in runs), duration]
+    return tuple(Mark(REST, end, start) for end, start in zip(ends, starts, strict=True) if start - end >= REST_PAUSE)
 
 
 def drives(spoken: Spoken) -> Array:

@@ -21,7 +21,7 @@ from data_module.types import Array, Samples
 
 _KNOTS = 8.0
 """Seconds between the knots of a track."""
-_TALK, _DRIFT, _KEEP = 0.75, 0.55, 0.75
+_TALK, _DRIFT, _KEEP = 0.45, 0.85, 0.75
 """Standard deviations of a talk's own style and of its drift about it, and what one knot keeps of the one before."""
 _MOST = 1.6
 _OWN_EFFORT, _EFFORT = 0.4, 0.7

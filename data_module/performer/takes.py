@@ -21,7 +21,8 @@ from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.bvh import read_bvh
 from data_module.motion.motion_beats import ACTING, acting_speed
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.relaxed_hands import with_relaxed_hands
+from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.performer.clips import read_clips
 from data_module.performer.strokes import arm_joints
 from data_module.store import Split
@@ -51,8 +52,8 @@ SPINE = tuple(CHARACTER.index(name) for name in ("Spine", "Spine1", "Spine2", "S
 SKULL = tuple(CHARACTER.index(name) for name in ("Neck", "Neck1", "Head"))
 WRISTS = tuple(CHARACTER.index(name) for name in ("LeftHand", "RightHand"))
 _ACTING = tuple(CHARACTER.index(name) for name in ACTING)
-_SWAPPED = tuple(CHARACTER.index(name.replace("Left", "?").replace("Right", "Left").replace("?", "Right"))
-                 for name in CHARACTER.names)
+_SWAPPED = tuple(FINGERED.index(name.replace("Left", "?").replace("Right", "Left").replace("?", "Right"))
+                 for name in FINGERED.names)
 _MIRROR = np.array([1.0, -1.0, -1.0])
 """A reflection in x = 0 keeps the x of an axis times angle and turns y and z round."""
 
@@ -81,11 +82,11 @@ _GRAZE = 0.01
 
 @dataclass(frozen=True)
 class RealTake:
-    """A real take on the 16-joint character at 60 fps.
+    """A real take on the character with fingers at 60 fps.
 
     name: the file's stem; person: who moved; group: a key of `GROUPS`, or "idling"; licence: of the recording.
-    logs: [T, 16, 3] log rotations against the hanging pose of `Library.rest`, without slow yaw; for the trunk less the
-    person's mean.
+    logs: [T, 46, 3] log rotations against the hanging pose of `Library.rest`, without slow yaw; for the trunk less the
+    person's mean. filled: joints that were not recorded, whose motion is made up (`with_relaxed_hands`).
     """
 
     name: str
@@ -93,6 +94,7 @@ class RealTake:
     group: str
     licence: str
     logs: Array
+    filled: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.logs)
@@ -102,7 +104,7 @@ class RealTake:
 class Library:
     """All takes.
 
-    rest: [16, 4] the pose with hanging arms that the logs are against; centre: [8, 3] mean logs of the arms' joints.
+    rest: [46, 4] the pose with hanging arms that the logs are against; centre: [8, 3] mean logs of the arms' joints.
     """
 
     takes: tuple[RealTake, ...]
@@ -114,7 +116,7 @@ class Library:
         return tuple(take for take in self.takes if take.group in GROUPS)
 
     def rotations(self, logs: Array) -> Array:
-        """Local rotations [T, 16, 4] of logs [T, 16, 3]."""
+        """Local rotations [T, 46, 4] of logs [T, 46, 3]."""
         turned = rotation.multiply(self.rest[None], rotation.from_exponential_map(logs))
         return rotation.continuous(rotation.normalise(turned))
 
@@ -129,7 +131,7 @@ class MotionRange:
 
 def load_takes(folder: str | Path) -> Library:
     """Read `manifest.csv` and the takes beside it that somebody gestures or idles in; `InputError` without them."""
-    return library_of([(take, _rotations(file)) for take, file in list_takes(folder)])
+    return library_of([_read(take, file) for take, file in list_takes(folder)])
 
 
 def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
@@ -139,7 +141,7 @@ def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
         stem = Path(row["file"]).stem
         group = group_of(stem)
         if group and stem not in _TWINS:
-            take = RealTake(stem, row["person"], group, row["licence"], np.zeros((0, 16, 3)))
+            take = RealTake(stem, row["person"], group, row["licence"], np.zeros((0, len(FINGERED), 3)))
             listed.append((take, Path(folder) / row["file"]))
     if not any(any(part in take.name for part in _HANGING) for take, _ in listed):
         raise InputError(Path(folder) / "manifest.csv", "names no take of somebody standing",
@@ -156,7 +158,7 @@ def group_of(stem: str) -> str:
 
 
 def library_of(read: Sequence[tuple[RealTake, Array]]) -> Library:
-    """A library of takes with their rotations [T, 16, 4]; hanging is the mean pose of those that stand and wait."""
+    """A library of takes with their rotations [T, 46, 4]; hanging is the mean pose of those that stand and wait."""
     standing = [q[::10] for take, q in read if any(part in take.name for part in _HANGING)] or [q for _, q in read]
     rest = _mean_rotation(np.concatenate(standing))
     logs = [rotation.unroll(rotation.to_exponential_map(rotation.multiply(rotation.conjugate(rest)[None], q)))
@@ -174,15 +176,16 @@ def library_of(read: Sequence[tuple[RealTake, Array]]) -> Library:
     return Library(tuple(takes), rest, centre)
 
 
-def _rotations(file: Path) -> Array:
-    """[T, 16, 4] of a file at 60 fps, without the slow part of the hips' yaw."""
-    motion = kinematics.resample(skeletons.to_character(read_bvh(file, unit=1.0)), FPS)
+def _read(take: RealTake, file: Path) -> tuple[RealTake, Array]:
+    """The take, and [T, 46, 4] of its file at 60 fps, without the slow part of the hips' yaw."""
+    motion = kinematics.resample(skeletons.to_character(read_bvh(file, unit=1.0), skeleton=FINGERED), FPS)
+    motion = with_relaxed_hands(motion)
     rotations = rotation.continuous(rotation.normalise(motion.rotations))
     yaw = rotation.continuous(rotation.yaw_of(rotations[:, 0])[:, None])[:, 0]
     slow = gaussian_filter1d(np.unwrap(2.0 * np.arctan2(yaw[:, 2], yaw[:, 0])), _SLOW_YAW * FPS, mode="nearest")
     back = np.stack([np.cos(slow / 2), 0.0 * slow, -np.sin(slow / 2), 0.0 * slow], axis=-1)
     rotations[:, 0] = rotation.multiply(back, rotations[:, 0])
-    return rotations
+    return replace(take, filled=motion.filled), rotations
 
 
 def _mean_rotation(rotations: Array) -> Array:
@@ -209,8 +212,8 @@ def split_of_takes(takes: Iterable[RealTake]) -> dict[str, Split]:
 
 
 def mirrored(logs: Array) -> Array:
-    """Logs [T, 16, 3] as seen in a mirror: left and right change places."""
-    return logs[:, list(_SWAPPED)] * _MIRROR
+    """Logs [T, J, 3] as seen in a mirror: left and right change places."""
+    return logs[:, list(_SWAPPED[:logs.shape[1]])] * _MIRROR
 
 
 def soft_limit(vectors: Array, limit: float) -> Array:
@@ -220,7 +223,7 @@ def soft_limit(vectors: Array, limit: float) -> Array:
 
 
 def calmed(library: Library, take: RealTake, gain: float, trunk: float) -> Array:
-    """Logs [T, 16, 3] of a take with the shoulders' excursion times `gain`, and the trunk's within its limits."""
+    """Logs [T, 46, 3] of a take with the shoulders' excursion times `gain`, and the trunk's within its limits."""
     out = take.logs.copy()
     for joints, degrees, own, axes in _LIMITS:
         bend = take.logs[:, list(joints)].sum(axis=1) * own * trunk * np.array(axes)
@@ -233,7 +236,7 @@ def calmed(library: Library, take: RealTake, gain: float, trunk: float) -> Array
 
 
 def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Array]:
-    """The usable stretches [T, 16, 3] of a take: hands in range and outside the torso, no long idling in them."""
+    """The usable stretches [T, 46, 3] of a take: hands in range and outside the torso, no long idling in them."""
     for gain in _GAINS:
         logs = calmed(library, take, gain, limits.trunk)
         places = facing_positions(library.rotations(logs))
@@ -246,8 +249,8 @@ def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Arr
 
 
 def facing_positions(rotations: Array) -> Array:
-    """[T, 16, 3] metres from the hips, in the frame of their facing."""
-    faced = rotations.copy()
+    """[T, 16, 3] metres from the hips, in the frame of their facing, of rotations [T, 16 or more, 4]."""
+    faced = rotations[:, :len(CHARACTER)].copy()
     faced[:, 0] = rotation.remove_yaw(faced[:, 0])
     return kinematics.joint_positions(CHARACTER, faced)
 

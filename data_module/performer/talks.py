@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT
+from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGERED, HIP_HEIGHT
 from data_module.performer import inverse, movements
 from data_module.performer.chaining import Chain, chain, seam_ratio
 from data_module.performer.sentence_pool import Pool
@@ -78,7 +78,10 @@ def talk_for_motion(name: str, library: Library, takes: Sequence[RealTake], grou
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
     used = tuple(sorted({named[k][0] for k in joined.used}))
-    return MadeTalk(Motion(CHARACTER, rotations, root, FPS), made, joined.edges, used)
+    lacking = {joint for take in takes if take.name in used for joint in take.filled}
+    motion = Motion(CHARACTERS[rotations.shape[1]], rotations, root, FPS,
+                    filled=tuple(joint for joint in FINGERED.names if joint in lacking))
+    return MadeTalk(motion, made, joined.edges, used)
 
 
 def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,
@@ -110,13 +113,13 @@ def _drawn(library: Library, takes: Sequence[RealTake], group: str, limits: Moti
 
 
 def _slowed(logs: Array, times: float) -> Array:
-    """Logs [T, 16, 3] played so many times slower."""
+    """Logs [T, J, 3] played so many times slower."""
     at = np.arange(0.0, len(logs) - 1, 1.0 / times)
     return rotation.unroll(rotation.to_exponential_map(rotation.interpolate(rotation.from_exponential_map(logs), at)))
 
 
 def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
-    """Logs [T, 16, 3] whose head dips on stresses and is calmer in pauses, in postures that change now and then.
+    """Logs [T, J, 3] whose head dips on stresses and is calmer in pauses, in postures that change now and then.
 
     A head that was laid on other speech is not tied to the voice; real heads are. 95 % of its yaw stays within 20
     degrees.
@@ -154,7 +157,7 @@ def _step(s: Array) -> Array:
 
 
 def with_wrists(logs: Array) -> Array:
-    """Logs [T, 16, 3] whose hands lag behind the bending of their forearms (wrists that real takes lack)."""
+    """Logs [T, J, 3] whose hands lag behind the bending of their forearms (wrists that real takes lack)."""
     out = logs.copy()
     for side in ("Left", "Right"):
         fore, hand = CHARACTER.index(side + "ForeArm"), CHARACTER.index(side + "Hand")

@@ -180,7 +180,7 @@ def _stretch(motion: Motion, start: float, end: float) -> Motion:
 @torch.no_grad()
 def decoded(bundle: Bundle) -> list[Motion]:
     """Each lexeme through the decoder, on the mean pose of all performers: K frames of normalised time."""
-    blocks = bundle.lexicon.decode(bundle.lexicon.vectors).double().numpy()
+    blocks = bundle.lexicon.shown().double().numpy()
     poses = blocks * bundle.statistics.deviation + bundle.statistics.mean_pose.mean(axis=0)
     representation = representation_of(bundle.config)
     return [representation.motion(own, bundle.config.rhythm.fps) for own in poses]
@@ -193,7 +193,7 @@ def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], progres
     """Everything counted, and the latents [N, D] and labels [N] of all blocks."""
     counts, latents, labels = Survey(bundle.config.lexicon.size), [], []
     for info in tqdm(infos, desc="recordings", disable=not progress):
-        recording = store.load(info.name)
+        recording = store.load(info.name, bundle.config.motion.joints)
         blocks = cut(recording.speech, bundle.config.rhythm)
         read = encode_motion(bundle, recording.motion, blocks, info.speaker)
         nearest = bundle.lexicon.vectors[torch.as_tensor(read.labels)]

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.motion.kinematics import positions_of, resample
-from data_module.motion.skeletons import facing
+from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
 from eval.metrics.pmb import above_chance
 
@@ -116,6 +116,7 @@ def motion_joint_beats(motion: Motion) -> list[Array]:
     Seen from the facing hips; joints that keep their place there (the root, what hangs on it) and those that the
     source lacks do not count.
     """
+    motion = upper_body(motion)
     sampled = resample(motion, FPS)
     if len(sampled) < 2:
         return []

@@ -4,9 +4,9 @@ Theory: the entropy of how often each lexeme occurs says how many are in use: e 
 lexemes as, used evenly, would have it. It is 0 for one lexeme alone and ln(N_s) for even use. The paper's logarithm has
 no base; 3.79 and 4.32 may be nats or bits, so both are given. Its motion variance (RG 7.4.2) asks the same within a
 lexeme: how differently is one lexeme performed? Take the distance of each motion's latent from its lexeme, then the
-variance of those per lexeme, then the mean over lexemes. The other three look at the order of lexemes: the share of
-bigrams that are different (distinct-2, Li et al. 2016), the longest run of one lexeme, and the share of bigrams that
-no speaker of the training data ever made.
+variance of those per lexeme, then the mean over lexemes. The others look at the order of lexemes: the share of bigrams
+that are different (distinct-2, Li et al. 2016), the longest run of one lexeme and how often one is repeated (a loop
+shows in both), and the share of bigrams that no speaker of the training data ever made.
 
 Good: near the speaker's own value, for each. More is not better: noise has the most. What fools them: lexemes drawn at
 random reach ln(N_s) and a distinct-2 that no person has (see `unseen_bigrams`, which gives them away). Entropy and
@@ -153,15 +153,33 @@ def distinct_2(sequences: Sequence[ArrayLike]) -> float:
     return float("nan") if len(pairs) == 0 else len(np.unique(pairs, axis=0)) / len(pairs)
 
 
-def longest_run(sequences: Sequence[ArrayLike]) -> float:
-    """How many blocks in a row have one lexeme, at most, in any sequence; 1: never twice. NaN without a block."""
-    longest = 0
-    for sequence in sequences:
-        own = checked_labels(sequence)
-        if len(own):
-            edges = np.flatnonzero(np.diff(own)) + 1
-            longest = max(longest, int(np.diff(np.concatenate([[0], edges, [len(own)]])).max()))
-    return float(longest) if longest else float("nan")
+def longest_run(sequences: Sequence[ArrayLike], leave_out: ArrayLike = ()) -> float:
+    """How many blocks in a row have one lexeme, at most, in any sequence; 1: never twice. NaN without a block.
+
+    leave_out: lexemes whose runs do not count, such as the silent ones: a rest may last.
+    """
+    every = [length for sequence in sequences for lexeme, length in runs(sequence)
+             if lexeme not in np.asarray(leave_out)]
+    return float(max(every)) if every else float("nan")
+
+
+def runs(sequence: ArrayLike) -> list[tuple[int, int]]:
+    """(lexeme, blocks) of every run of one lexeme in a sequence [N], in order."""
+    own = checked_labels(sequence)
+    if len(own) == 0:
+        return []
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(own)) + 1, [len(own)]])
+    return [(int(own[begin]), int(length)) for begin, length in zip(edges, np.diff(edges), strict=False)]
+
+
+def repetition(sequences: Sequence[ArrayLike], leave_out: ArrayLike = ()) -> float:
+    """Share of blocks that have the lexeme of the block before in their sequence; NaN without a pair of blocks.
+
+    leave_out: lexemes that do not count, neither as repeated nor as blocks.
+    """
+    pairs = _bigrams(sequences)
+    pairs = pairs[~np.isin(pairs[:, 1], np.asarray(leave_out))]
+    return float((pairs[:, 0] == pairs[:, 1]).mean()) if len(pairs) else float("nan")
 
 
 def unseen_bigrams(sequences: Sequence[ArrayLike], training: Sequence[ArrayLike]) -> float:

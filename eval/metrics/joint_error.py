@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import facing
+from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
 
 MILLIMETRES = 1000.0
@@ -94,10 +94,12 @@ def joint_error(generated: Array, truth: Array, fps: float, mask: NDArray[np.boo
 def motion_error(generated: Motion, truth: Motion, *, seed_frames: int = 0) -> JointError:
     """MAJE and MAD of a motion against the speaker's own, on the same skeleton, frame by frame.
 
-    Both are brought into their own facing frame with the root at the origin, as the models see them (RG 4.1.1). Joints
-    that either source lacks do not count, nor does the root, nor do the first `seed_frames`, which a system was given.
+    Of the character the 16 joints count, with fingers or without. Both are brought into their own facing frame with the
+    root at the origin, as the models see them (RG 4.1.1). Joints that either source lacks do not count, nor does the
+    root, nor do the first `seed_frames`, which a system was given.
     ValueError when skeletons, lengths or frame rates differ: crop or resample first, and say so.
     """
+    generated, truth = upper_body(generated), upper_body(truth)
     if not generated.skeleton.same_joints(truth.skeleton) or not np.allclose(
             generated.skeleton.offsets[1:], truth.skeleton.offsets[1:], rtol=0, atol=_SAME_BONE):
         raise ValueError("the motions are not of the same skeleton: their bodies would be compared, not their motion")

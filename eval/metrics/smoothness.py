@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import facing
+from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
 
 HANDS = ("RightHand", "LeftHand")
@@ -100,6 +100,7 @@ def motion_smoothness(motion: Motion) -> Smoothness:
 
     Joints that the source lacks do not count, nor does the root; the hands are the wrists' places.
     """
+    motion = upper_body(motion)
     names = motion.skeleton.names
     hands = np.array([name in HANDS for name in names])
     joints = np.array([k > 0 and name not in motion.absent for k, name in enumerate(names)])

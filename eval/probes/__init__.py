@@ -10,9 +10,11 @@ from eval.plugin import Plugin
 
 PROBES: dict[str, Plugin] = {
     "eye": Plugin("eval.probes.eye", "does motion read as a person, beside a real take, the corpus, unit selection?"),
+    "motion": Plugin("eval.probes.motion", "is the motion of a bundle accepted? Every clause with bound and verdict"),
     "quality": Plugin("eval.probes.quality", "how good is a bundle on the test split, beside baselines?"),
     "policies": Plugin("eval.probes.policies", "which interpreter chooses best, judged as policies?"),
     "parts": Plugin("eval.probes.parts", "what did words and the learned speech levels buy?"),
+    "evidence": Plugin("eval.probes.evidence", "do sound, words and the body tell the interpreter anything?"),
     "corpus": Plugin("eval.probes.corpus", "is a built data set good enough to learn from?"),
     "beat-labels": Plugin("eval.probes.beat_labels", "are the beats that are found those that people marked by hand?"),
     "languages": Plugin("eval.probes.languages", "does one language's model gesture in time with another?"),

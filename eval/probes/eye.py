@@ -223,12 +223,12 @@ def _read(name: str, place: Path, sounds: Sequence[SpeechClip], space: Reference
         if not own:
             raise InputError(place, f"holds no motion for {sound.name}", f"name it {sound.name}.bvh")
         for file in own:
-            sample.add(resample(read_motion(file), HZ), sound.heard, _edges(file.with_suffix(".json")), space,
+            sample.add(resample(read_motion(file), HZ), sound.heard, edges_of_plan(file.with_suffix(".json")), space,
                        group=sound.name)
     return sample
 
 
-def _edges(plan: Path) -> Array | None:
+def edges_of_plan(plan: Path) -> Array | None:
     """[N + 1] seconds of the blocks of a plan (`infer --explain`, or {"edges": [...]}); None where there is none."""
     if not plan.is_file():
         return None

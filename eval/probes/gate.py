@@ -191,7 +191,8 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     if system.bundle.gate is None:
         raise InputError(arguments.bundle or "the shipped bundle", "has no gate",
                          "train one: schedules.gate.steps above 0")
-    recordings = [store.load(info.name) for info in evenly(store, "test", arguments.limit)]
+    joints = system.bundle.config.motion.joints
+    recordings = [store.load(info.name, joints) for info in evenly(store, "test", arguments.limit)]
     made = {activity: [play(system, recording, activity) for recording in tqdm(recordings, f"activity {activity:g}")]
             for activity in ACTIVITIES}
     judged = [judge(system, recording, own) for recording, (own, _) in zip(recordings, made[ASKED], strict=True)]

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from eval import stats
 from eval.context import EvalContext, Lexemes
 from eval.table import Cell, Column, Table
+from eval.teacher import teacher_logits
 from gesticulator import config as configs
 from gesticulator.stages import CORPUS, INTERPRETER, LEXICON, TOKENS, Corpus, Run
 from gesticulator.stages.corpus import weights_hash
@@ -81,19 +82,13 @@ def teacher_forced(model: LstmInterpreter, corpus: Corpus, labels: Lexemes, reco
     accuracy, sampled, nll = [], [], []
     for place, recording in enumerate(recordings):
         blocks = corpus.blocks_of(recording)
-        wanted = torch.as_tensor(labels[blocks])[None]
-        text = None
-        if model.config.reads:
-            source = blocks if words_of is None else corpus.blocks_of(words_of[place])
-            text = corpus.text(np.resize(source, len(blocks))[1:])[None]
-        speaker = torch.nn.functional.one_hot(torch.tensor([int(corpus.speaker_of[recording])]), model.speakers)
-        logits, _ = model.scores(wanted[:, :-1], corpus.high[torch.as_tensor(blocks[1:])].float()[None],
-                                 speaker.float(), None, text)
-        right = wanted[:, 1:]
+        words = None if words_of is None else np.resize(corpus.blocks_of(words_of[place]), len(blocks))
+        logits = teacher_logits(model, corpus, blocks, labels[blocks], words)
+        right = torch.as_tensor(labels[blocks[1:]])
         accuracy.append(100 * float((logits.argmax(-1) == right).float().mean()))
         chances = torch.softmax(logits / temperature, -1).gather(-1, right[..., None])
         sampled.append(100 * float(chances.mean()))
-        nll.append(float(torch.nn.functional.cross_entropy(logits[0], right[0])))
+        nll.append(float(torch.nn.functional.cross_entropy(logits, right)))
     return {"accuracy": np.array(accuracy), "sampled": np.array(sampled), "nll": np.array(nll)}
 
 

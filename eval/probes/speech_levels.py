@@ -157,8 +157,8 @@ def run(arguments: argparse.Namespace) -> list[Table]:
                    for infos in (train_infos, test_infos))
     low, high = config.front_end.layers or (LOW, HIGH)
     probed, claimed = summary(probes(train, test), [own.group for own in test], low, high)
-    clusters = figure_14(test, [lexemes(system, store.load(info.name)) for info in tqdm(test_infos, "motion")],
-                         level_name(low), level_name(high))
+    codes = [lexemes(system, store.load(info.name, config.motion.joints)) for info in tqdm(test_infos, "motion")]
+    clusters = figure_14(test, codes, level_name(low), level_name(high))
     met = {word for own in train for word in own.words}
     fitted, judged = described(train_infos), described(test_infos)
     judged |= {"voices_unheard": apart, "new_words": len({word for own in test for word in own.words} - met)}

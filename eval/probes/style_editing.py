@@ -32,7 +32,7 @@ from data_module.controls import FEATURES, LEVELS, UNITS, Controls, Levels, meas
 from data_module.errors import InputError
 from data_module.motion.motion_beats import ACTING, acting_positions, acting_speed
 from data_module.store import Recording, RecordingInfo, Store
-from data_module.types import Array, Motion, Word
+from data_module.types import Array, Motion, Speech, Word
 from eval.draw.edited import figure_10
 from eval.draw.strips import save_strip
 from eval.stats import Interval, mean_interval, paired
@@ -80,15 +80,25 @@ def excerpts(store: Store, count: int = CLIPS, seconds: float = SECONDS) -> list
 def excerpt(recording: Recording, seconds: float) -> Recording:
     """The middle `seconds` of a recording (all of it when it is shorter), with the words that lie in it."""
     speech, motion = recording.speech, recording.motion
-    start = max(0.0, (speech.duration - seconds) / 2)
-    stop = min(speech.duration, start + seconds)
+    start, stop = _middle(speech, seconds)
+    frames = motion.crop(round(start * motion.fps), max(round(stop * motion.fps), round(start * motion.fps) + 1))
+    return replace(recording, speech=excerpt_of_speech(speech, seconds), motion=frames)
+
+
+def excerpt_of_speech(speech: Speech, seconds: float) -> Speech:
+    """The middle `seconds` of speech, with the words that lie in it."""
+    start, stop = _middle(speech, seconds)
     first, last = (round(at * speech.sample_rate) for at in (start, stop))
     words = None if speech.words is None else tuple(
         Word(word.text, word.start - start, word.end - start) for word in speech.words
         if start <= word.start and word.end <= stop)
-    frames = motion.crop(round(start * motion.fps), max(round(stop * motion.fps), round(start * motion.fps) + 1))
-    cut = replace(speech, samples=np.ascontiguousarray(speech.samples[first:last]), words=words)
-    return replace(recording, speech=cut, motion=frames)
+    return replace(speech, samples=np.ascontiguousarray(speech.samples[first:last]), words=words)
+
+
+def _middle(speech: Speech, seconds: float) -> tuple[float, float]:
+    """Where the middle `seconds` begin and end."""
+    start = max(0.0, (speech.duration - seconds) / 2)
+    return start, min(speech.duration, start + seconds)
 
 
 def played_by(system: Gesticulator) -> Play:

@@ -307,7 +307,30 @@ class Figure {
     this.limb(arm, toFore.clone().multiplyScalar(0.5), toFore, 0.043, 0.039, "skin");
     this.limb(fore, zero, toHand.clone().multiplyScalar(0.3), 0.039, 0.041, "skin");
     this.limb(fore, toHand.clone().multiplyScalar(0.3), toHand, 0.041, 0.026, "skin");
-    this.buildHand(hand, new Vector3().fromArray(data.skeleton.tips[name("Hand")] ?? toHand.clone().multiplyScalar(0.6).toArray()));
+    if (this.bone(name("HandMiddle1"))) this.buildFingers(side);
+    else this.buildHand(hand, new Vector3().fromArray(data.skeleton.tips[name("Hand")] ?? toHand.clone().multiplyScalar(0.6).toArray()));
+  }
+
+  /** A hand whose fingers move: each bone drawn where the data has it. */
+  buildFingers(side) {
+    const { Vector3 } = this.THREE;
+    const zero = new Vector3(), hand = this.bone(side + "Hand"), long = this.offset(side + "HandMiddle1");
+    const s = long.length() / 0.086;
+    this.ball(hand, [0, 0, 0], [0.027, 0.024, 0.027], "skin");
+    const thick = { Thumb: 0.0125, Index: 0.0100, Middle: 0.0104, Ring: 0.0099, Pinky: 0.0086 };
+    for (const [finger, wide] of Object.entries(thick)) {
+      const joint = (n) => `${side}Hand${finger}${n}`;
+      // From the wrist through the palm; the thumb's ball is thicker than what follows.
+      this.limb(hand, this.offset(joint(1)).clone().multiplyScalar(0.18), this.offset(joint(1)), 0.0165 * s, wide * 1.25 * s, "skin");
+      for (const n of [1, 2, 3]) {
+        const tip = data.skeleton.tips[joint(n)];
+        const end = n < 3 ? this.offset(joint(n + 1)) : tip ? new Vector3().fromArray(tip) : this.offset(joint(n)).clone().multiplyScalar(0.8);
+        this.limb(this.bone(joint(n)), zero, end, wide * (1.06 - 0.08 * n) * s, wide * (0.98 - 0.08 * n) * s, "skin");
+      }
+    }
+    // The palm: a flat ball between the knuckles and the wrist.
+    const palm = this.ball(hand, long.clone().multiplyScalar(0.55).toArray(), [0.046 * s, 0.0145 * s, 0.037 * s], "skin");
+    palm.quaternion.setFromUnitVectors(new Vector3(Math.sign(long.x) || 1, 0, 0), long.clone().normalize());
   }
 
   /** A relaxed hand: palm down in the rest pose, thumb forward, fingers slightly curled. */

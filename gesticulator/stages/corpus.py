@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import zipfile
@@ -24,10 +25,12 @@ from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
 from data_module.files import rename
+from data_module.motion.movement import Pasts, joined, pasts_of
 from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder, word_frames
 from data_module.types import Array
+from generator.flow import circumstances
 from gesticulator.config import Config, digest
 from gesticulator.features import (
     Normaliser,
@@ -92,6 +95,30 @@ class Corpus:
             raise ValueError("this corpus was prepared without text")
         return self.words[self.word_at[torch.as_tensor(blocks)].long()].float()
 
+    @functools.cached_property
+    def pasts(self) -> Pasts:
+        """What every block is told from, [N, 3, D_m]."""
+        rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
+        return joined(pasts_of(self.motion[own], torch.as_tensor(self.durations)[own], first)
+                      for own, first in zip(rows, self.first, strict=True))
+
+    @functools.cached_property
+    def circumstances(self) -> Tensor:
+        """[N, 8] every block's place in speech (`generator.flow.circumstances`)."""
+        rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
+        return torch.cat([circumstances(torch.as_tensor(self.durations)[own], torch.as_tensor(self.silent)[own])
+                          for own in rows])
+
+    def before(self, blocks: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
+        """Of each block [n], the block before as it was performed [n, K, D_m] (a recording's first pose, held, before
+        its first block), and the seconds of the block before and of its own [n, 2]."""
+        earlier = np.maximum(blocks - 1, 0)
+        begins = (blocks == 0) | (self.recording[earlier] != self.recording[blocks])
+        held = self.first[torch.as_tensor(self.recording[blocks])][:, None].expand(-1, self.motion.shape[1], -1)
+        motion = torch.where(torch.as_tensor(begins)[:, None, None], held, self.motion[torch.as_tensor(earlier)])
+        seconds = np.stack([self.durations[np.where(begins, blocks, earlier)], self.durations[blocks]], axis=-1)
+        return motion, torch.as_tensor(seconds, dtype=torch.float32)
+
     @property
     def text_width(self) -> int:
         """d_t + 1, 0 without text."""
@@ -105,7 +132,7 @@ class Corpus:
 
 def _cut_one(store_path: str, name: str, config: Config, target: str) -> str:
     torch.set_num_threads(1)
-    recording = Store.open(store_path).load(name)
+    recording = Store.open(store_path).load(name, config.motion.joints)
     speech, motion = recording.speech, recording.motion
     representation = representation_of(config)
     blocks = block_module.cut(speech, config.rhythm)
@@ -174,7 +201,7 @@ def _run(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int) ->
 
 def cut(store: Store, config: Config, folder: Path, *, workers: int = 1, progress: bool = True) -> tuple[Path, ...]:
     """The blocks of every recording, one file each, in a folder named by the hash of what shapes them."""
-    key = digest(store.fingerprint, config.rhythm, config.motion.representation,
+    key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
                          config.control.window, config.text.bridge)
     cache = folder / f"blocks-{key}"
     cache.mkdir(parents=True, exist_ok=True)

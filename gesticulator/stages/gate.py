@@ -32,7 +32,8 @@ def _train(run: Run, model: ActivityGate, folder: Path) -> Figures:
         return {"nll": sum(float(model.losses(b)["activity"]) for b in batches) / len(batches),
                 "active": float(active[torch.as_tensor(corpus.select("train"))].mean())}
 
-    task = fitting.Task(lambda rng: with_activity(windows.sample(rng, run.schedule(GATE).batch)), validate=validate)
+    task = fitting.Task(lambda rng: with_activity(windows.sample(rng, run.schedule(GATE).batch)), validate=validate,
+                        watch="nll")
     return run.fit(GATE, model, task, folder)
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from data_module.errors import InputError
 from data_module.layers import freeze
+from generator.flow import FlowGenerator
 from generator.model import BlockInputs, Generator
 from gesticulator import fit as fitting
 from gesticulator import models
@@ -17,16 +19,67 @@ from gesticulator.stages.features import CORPUS
 from gesticulator.stages.labels import LABELS, model_sizes
 from gesticulator.stages.lexicon import LEXICON
 from gesticulator.stages.windows import Windows, sequences, validation, with_silence
+from lexicon.autoencoder import Lexicon
+from lexicon.movement import MovementLexicon
 
 
-def _train(run: Run, model: Generator, folder: Path) -> Figures:
+def _train(run: Run, model: Generator | FlowGenerator, folder: Path) -> Figures:
+    return _train_flow(run, model, folder) if isinstance(model, FlowGenerator) else _train_regression(
+        run, model, folder)
+
+
+def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
+    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
+    parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
+    control = config.control if config.generator.use_control else None
+    windows = Windows(corpus, parts, config.generator.blocks, control=control, moving=True)
+    lexicon = copy.deepcopy(_movements(run)).to(run.device)
+    checks = validation(corpus, labelled.labels, config.generator.blocks, moving=True)
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        torch.manual_seed(run.seed(GENERATOR))  # the same times and noises every time
+        batches = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
+        figures = {}
+        for name, deaf, unnamed in (("flow", 0.0, 0.0), ("without_audio", 1.0, 0.0), ("without_lexeme", 0.0, 1.0)):
+            terms = [model.losses(b, 1.0, lexicon.nearest, (deaf, unnamed, 0.0))["flow"] for b in batches]
+            figures[name] = float(sum(terms)) / len(terms)
+        return figures
+
+    task = fitting.Task(lambda rng: windows.sample(rng, run.schedule(GENERATOR).batch),
+                        lambda batch, progress: model.losses(batch, progress, lexicon.nearest), validate, watch="flow")
+    return run.fit(GENERATOR, model, task, folder)
+
+
+def _movements(run: Run) -> MovementLexicon:
+    lexicon = run.get(LEXICON)
+    if not isinstance(lexicon, MovementLexicon):
+        raise InputError("generator.head=flow", "draws movements, and the lexicon names poses",
+                         "set lexicon.kind=movement, or generator.head=regression")
+    return lexicon
+
+
+def _build(run: Run) -> Generator | FlowGenerator:
+    model = models.generator(model_sizes(run, training=run.config.generator.styled))
+    if isinstance(model, FlowGenerator):
+        lexicon, corpus = _movements(run), run.get(CORPUS)
+        known = torch.as_tensor(corpus.select("train"))
+        model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]))
+    return model
+
+
+def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
     config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
     if config.silence.augmentation > 0:
         parts = with_silence(parts, corpus, labelled.nearest, config.silence.augmentation,
                              config.silence.longest_insert, np.random.default_rng([run.seed(GENERATOR), 7]))
     windows = Windows(corpus, parts, config.window, control=config.control if config.generator.use_control else None)
-    lexicon = copy.deepcopy(run.get(LEXICON)).to(run.device)
+    found = run.get(LEXICON)
+    if not isinstance(found, Lexicon):
+        raise InputError("generator.head=regression", "is taught by the encoder of poses, and the lexicon names "
+                         "movements", "set lexicon.kind=pose, or generator.head=flow")
+    lexicon = copy.deepcopy(found).to(run.device)
     freeze(lexicon)
     checks = validation(corpus, labelled.labels, config.window)
 
@@ -51,8 +104,8 @@ def _train(run: Run, model: Generator, folder: Path) -> Figures:
     return run.fit(GENERATOR, model, task, folder)
 
 
-GENERATOR: Stage[Generator] = Stage(
+GENERATOR: Stage[Generator | FlowGenerator] = Stage(
     "generator", settings=("generator", "window", "control", "silence.augmentation", "silence.longest_insert"),
     needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="generator",
     wanted=lambda config: config.tokens == "lexicon", part="generator",
-    build=lambda run: models.generator(model_sizes(run, training=True)), train=_train)
+    build=_build, train=_train)

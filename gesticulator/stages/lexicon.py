@@ -10,26 +10,59 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.errors import InputError
+from data_module.motion.movement import Pasts
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.config import Config
 from gesticulator.stages.base import Figures, Node, Run, Stage
 from gesticulator.stages.corpus import BLOCKS, Corpus, sizes
 from lexicon.autoencoder import Lexicon
+from lexicon.movement import MovementLexicon
 from lexicon.quantizer import perplexity
 from lexicon.racer import RacerCodec
 from lexicon.settings import FRAMES
 
-Tokens = Lexicon | RacerCodec
+BlockLexicon = Lexicon | MovementLexicon
+"""What names blocks at the beat one by one: the paper's VQ-VAE, or the lexicon of movements."""
+Tokens = BlockLexicon | RacerCodec
 """What names the gesture of a block: the lexicon of blocks at the beat, or RACER's own codec at a fixed rate."""
 
-_MOTION = ("motion.representation", "motion.least_deviation")
+_MOTION = ("motion.representation", "motion.joints", "motion.least_deviation")
 """What shapes the motion of the corpus."""
 _TOGETHER = 4096
 """Blocks that are decoded in one go: bounds the memory."""
 
 
-def _train_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
+def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
+    if isinstance(model, MovementLexicon):
+        return _fit_movements(run, model)
+    return _train_pose_lexicon(run, model, folder)
+
+
+def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
+    """In closed form and by k-means, on the CPU: there are no steps."""
+    corpus = run.get(BLOCKS)
+    known, val = (torch.as_tensor(corpus.select(split)) for split in ("train", "val"))
+    recording = torch.as_tensor(corpus.recording)
+    model.fit(corpus.motion[known], corpus.pasts[known], corpus.mask[recording[known]], run.seed(LEXICON))
+    held = val if len(val) else known
+    return movement_figures(model, corpus.motion[held], corpus.pasts[held])
+
+
+@torch.no_grad()
+def movement_figures(lexicon: MovementLexicon, motion: Tensor, past: Pasts) -> Figures:
+    """Mean squared errors (normalised features) of blocks [B, K, D_m] on their true pasts: what the predictor alone
+    leaves, the lexeme, lexeme and residual levels, and all coefficients; usage and perplexity."""
+    true = lexicon.basis.coefficients(motion, past)
+    labels = lexicon.nearest(true)
+    told = {"predicted": torch.zeros_like(true), "lexeme": lexicon.quantised(true, 0),
+            "quantised": lexicon.quantised(true), "unquantised": true}
+    return {**{name: float((lexicon.basis.compose(own, past) - motion).pow(2).mean()) for name, own in told.items()},
+            "usage": float((torch.bincount(labels, minlength=lexicon.size) > 0).float().mean()),
+            "perplexity": perplexity(labels, lexicon.size)}
+
+
+def _train_pose_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
     known, val = (torch.as_tensor(corpus.select(split)) for split in ("train", "val"))
     recording = torch.as_tensor(corpus.recording)
@@ -50,7 +83,7 @@ def _train_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
     return run.fit(LEXICON, model, fitting.Task(make_batch, validate=validate, before_step=before_step), folder)
 
 
-LEXICON: Stage[Lexicon] = Stage(
+LEXICON: Stage[BlockLexicon] = Stage(
     "lexicon", settings=("lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
     wanted=lambda config: config.tokens == "lexicon", part="lexicon", train=_train_lexicon,
     build=lambda run: models.lexicon(sizes(run.config, run.get(BLOCKS))))
@@ -122,7 +155,7 @@ CODEC: Stage[RacerCodec] = Stage(
     build=lambda run: models.codec(sizes(run.config, run.get(BLOCKS))))
 
 
-def _of(config: Config) -> Stage[Lexicon] | Stage[RacerCodec]:
+def _of(config: Config) -> Stage[BlockLexicon] | Stage[RacerCodec]:
     return CODEC if config.tokens == "racer" else LEXICON
 
 
@@ -131,17 +164,13 @@ TOKENS: Node[Tokens] = Node("tokens", settings=(), needs=lambda config: (_of(con
 """The lexicon or the codec, whichever the settings name."""
 
 
-def decoded_lexemes(lexicon: Lexicon) -> Tensor:
-    """[S, K, D_m] what each lexeme looks like."""
-    with torch.no_grad():
-        return lexicon.decode(lexicon.vectors)
-
-
 @torch.no_grad()
 def decoded_blocks(tokens: Tokens, labels: NDArray[np.int64], corpus: Corpus) -> Tensor:
-    """[N, K, D_m] every block as its lexeme shows it."""
+    """[N, K, D_m] every block as its lexeme shows it; of movements, from the block's own past."""
     if isinstance(tokens, Lexicon):
-        return decoded_lexemes(tokens)[torch.as_tensor(labels)]
+        return tokens.shown()[torch.as_tensor(labels)]
+    if isinstance(tokens, MovementLexicon):
+        return tokens.basis.compose(tokens.added(torch.as_tensor(labels)), corpus.pasts)
     rows = [tokens.decode_tokens(torch.as_tensor(labels[corpus.blocks_of(r)])[None])[0]
             for r in range(len(corpus.names))]
     return torch.cat(rows)
@@ -151,6 +180,8 @@ def token_labels(tokens: Tokens, corpus: Corpus) -> NDArray[np.int64]:
     """[N] the lexeme of every block."""
     if isinstance(tokens, Lexicon):
         return tokens.label(corpus.motion).numpy()
+    if isinstance(tokens, MovementLexicon):
+        return tokens.label(corpus.motion, corpus.pasts).numpy()
     out = np.empty(len(corpus.motion), dtype=np.int64)
     for recording in range(len(corpus.names)):
         blocks = corpus.blocks_of(recording)

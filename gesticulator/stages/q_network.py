@@ -43,9 +43,14 @@ def takes_of(corpus: Corpus, labels: NDArray[np.int64], split: str) -> list[Demo
 
 
 def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
-    """What an interpreter hears of a block of the corpus."""
-    return lambda block: BlockFeatures(corpus.low[block].float(), corpus.high[block].float(),
-                                       bool(corpus.silent[block]))
+    """What an interpreter hears of a block of the corpus; what it sees is the person, whatever lexemes it chose itself:
+    nothing is drawn here."""
+    def features(block: int) -> BlockFeatures:
+        past, seconds = corpus.before(np.array([block]))
+        return BlockFeatures(corpus.low[block].float(), corpus.high[block].float(), bool(corpus.silent[block]),
+                             past=past[0], durations=(float(seconds[0, 0]), float(seconds[0, 1])))
+
+    return features
 
 
 def _silent(labelled: Labelled) -> SilentLexemes:

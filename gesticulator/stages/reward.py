@@ -19,10 +19,10 @@ from gesticulator.stages.base import Figures, Run, Stage
 from gesticulator.stages.corpus import Corpus
 from gesticulator.stages.features import CORPUS
 from gesticulator.stages.labels import LABELS, model_sizes
-from gesticulator.stages.lexicon import TOKENS, Tokens, decoded_blocks, decoded_lexemes
+from gesticulator.stages.lexicon import TOKENS, Tokens, decoded_blocks
 from interpreters.episodes import Reward, distance_rewards, looked_up
 from interpreters.reward import Centred, RewardModel, RewardTable
-from lexicon.autoencoder import Lexicon
+from lexicon.racer import RacerCodec
 
 _TOGETHER = 8
 """Windows of one recording in a batch of the reward model: rivals of the same voice, so that the hour and not the
@@ -43,8 +43,8 @@ def block_audio(corpus: Corpus) -> Tensor:
 def reward_table(model: RewardModel, tokens: Tokens, corpus: Corpus) -> RewardTable:
     """A reward model over this lexicon and this corpus, ready to be asked."""
     audio, durations = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
-    if isinstance(tokens, Lexicon):
-        return RewardTable(model, audio, durations, decoded_lexemes(tokens))
+    if not isinstance(tokens, RacerCodec):
+        return RewardTable(model, audio, durations, tokens.shown())
     return RewardTable(model, audio, durations, decode=tokens.decode_tokens, size=len(tokens.vectors))
 
 
@@ -138,7 +138,7 @@ def _train(run: Run, model: RewardModel, folder: Path, stage: Stage[RewardModel]
     audio, shown = block_audio(corpus), decoded_blocks(tokens, labelled.labels, corpus)
     known, held = corpus.recordings("train"), corpus.recordings("val")
     half = known[int(judge)::2] or known
-    lexemes = decoded_lexemes(tokens) if isinstance(tokens, Lexicon) else None
+    lexemes = None if isinstance(tokens, RacerCodec) else tokens.shown()
 
     def of(recordings: Sequence[int]) -> RewardWindows:
         return RewardWindows(corpus, audio, shown, recordings, config.reward, labelled.labels, lexemes,
@@ -188,7 +188,7 @@ def step_reward(run: Run) -> Reward:
     corpus, tokens, episodes = run.get(CORPUS), run.get(TOKENS), run.config.episodes
     if episodes.reward == "contrastive":
         return taught_reward(reward_table(run.get(REWARD), tokens, corpus), corpus, episodes.baseline).sequence
-    if not isinstance(tokens, Lexicon):
+    if isinstance(tokens, RacerCodec):
         raise InputError("episodes.reward=distance", "is of lexemes that are decoded one by one",
                          "use it over a lexicon, not with tokens=racer")
-    return looked_up(distance_rewards(decoded_lexemes(tokens), corpus.motion))
+    return looked_up(distance_rewards(tokens.shown(), corpus.motion))

@@ -8,7 +8,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +140,7 @@ class TimedRun(Run):
                 task.before_step(step)
 
         try:
-            return super().fit(stage, model, fitting.Task(task.make_batch, task.losses, task.validate, counted), folder)
+            return super().fit(stage, model, replace(task, before_step=counted), folder)
         finally:
             if steps >= MEASURED:
                 write_text(self.work / TIMES, json.dumps({

@@ -87,13 +87,13 @@ class Windows:
     """Windows of a seed block and N more over sequences, sampled at any start, or tiled without overlap.
 
     text: batches carry word vectors. control: the settings by which features of style are asked for in windows that
-    are sampled; None asks for nothing.
+    are sampled; None asks for nothing. moving: batches carry what the flow head is told of time and place.
     """
 
     def __init__(self, corpus: Corpus, parts: list[Sequence], blocks: int, *, text: bool = False,
-                 control: ControlConfig | None = None) -> None:
+                 control: ControlConfig | None = None, moving: bool = False) -> None:
         self.corpus, self.parts, self.length = corpus, parts, blocks + 1
-        self.text, self.control = text, control
+        self.text, self.control, self.moving = text, control, moving
         self.starts = np.array([(p, s) for p, part in enumerate(parts)
                                 for s in range(max(1, len(part.motion) - blocks))], dtype=np.int64)
         if len(self.starts) == 0:
@@ -145,9 +145,15 @@ class Windows:
             "motion": motion, "audio": low, "audio_low": low, "block": stacked["motion"],
             "audio_high": low if corpus.high is corpus.low else corpus.high[stacked["audio"]].float(),
             "lexeme_index": stacked["lexeme"], "style": stacked["style"], "valid": stacked["valid"],
+            "duration": torch.as_tensor(corpus.durations[stacked["audio"].numpy()], dtype=torch.float32),
             "mask": corpus.mask[recordings],
             "speaker": torch.nn.functional.one_hot(speaker, len(corpus.statistics.speakers)).float(),
         }
+        if self.moving:
+            shown = stacked["motion"]
+            # An inserted block holds the pose at the end of the block that it follows.
+            batch["ratio"] = torch.where(stacked["held"], torch.ones(()), corpus.pasts.ratio[shown])
+            batch["circumstances"] = corpus.circumstances[shown]
         if self.text:
             batch["text"] = corpus.text(stacked["audio"])
         if given is not None:
@@ -162,9 +168,10 @@ VALIDATED, AT_ONCE = 8, 64
 """Batches of validation windows, and windows in each: enough for two digits, a second of work."""
 
 
-def validation(corpus: Corpus, labels: NDArray[np.int64], blocks: int, text: bool = False) -> list[Batch]:
+def validation(corpus: Corpus, labels: NDArray[np.int64], blocks: int, text: bool = False, moving: bool = False
+               ) -> list[Batch]:
     """The first windows of the validation split (of the training split where there is none), without style codes."""
     split = "val" if corpus.recordings("val", text) else "train"
     windows = Windows(corpus, sequences(corpus, labels, split, np.zeros(len(labels), np.int64), text), blocks,
-                      text=text)
+                      text=text, moving=moving)
     return [batch for batch, _ in zip(windows.tiled(AT_ONCE), range(VALIDATED), strict=False)]

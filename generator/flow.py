@@ -1,0 +1,283 @@
+"""The generator with a sampling head: conditional flow matching over what a block adds to its past.
+
+RG's structure stays (RG 5.2): E_M on the block before, E_A on three blocks of audio, the lexeme, the positional block,
+a Gumbel-quantised code, an LSTM. Three things differ from `generator.model`:
+
+- Pose, velocity and acceleration before a block go past the bottleneck, because a code of a few classes cannot say
+  where a hand is.
+- The LSTM runs over blocks and gives a context h; the head draws all of a block's coefficients y
+  (`data_module.motion.movement`) at once. With u = asinh(b y / sd) / sd_u, whose tails are light, it learns
+  v(u_t, t, h) = u - e on u_t = (1 - t) e + t u, where e is Gaussian noise and t uniform. Drawing follows du/dt = v from
+  noise to u by Heun's method. A regression would draw the mean of all that may follow, which hardly moves.
+- Audio and lexeme are left out in part of the training, so that drawing can go beyond what either asks for
+  (classifier-free guidance): v + g_a (v - v without audio) + g_l (v - v without lexeme).
+
+Training feeds true pasts with noise on them, never its own blocks: what leads from a shifted past back to the truth is
+what keeps a long performance on course.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
+from data_module.motion.movement import PAST, MovementBasis, Pasts
+from generator.model import GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
+
+NearestLexeme = Callable[[Tensor], Tensor]
+"""Coefficients [B, n] to the lexemes [B] nearest to them."""
+CIRCUMSTANCES = 8
+"""Numbers that tell a block's place in speech: see `circumstances`."""
+_MOST = 8.0
+"""Of asinh: beyond any coefficient that was met."""
+_FREQUENCIES = 8
+_TEMPO = 0.3
+"""Seconds of a usual block."""
+
+
+def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
+    """[N, 8] of the blocks of a recording, durations [N] s and silent [N]: the logarithms of the durations of the block
+    before, the block and the next over 0.3 s; whether each is silent; how many blocks the silence, and the speech, have
+    lasted (log(1 + n))."""
+    def three(values: Tensor) -> list[Tensor]:
+        return [torch.cat([values[:1], values[:-1]]), values, torch.cat([values[1:], values[-1:]])]
+
+    quiet, lasted, counts = silent.tolist(), [0, 0], []
+    for one in quiet:
+        lasted = [lasted[0] + 1, 0] if one else [0, lasted[1] + 1]
+        counts.append([math.log1p(lasted[0]), math.log1p(lasted[1]) / 3])
+    columns = [*three(torch.log(durations / _TEMPO)), *three(silent.to(durations.dtype))]
+    return torch.cat([torch.stack(columns, 1), torch.tensor(counts, dtype=durations.dtype).reshape(-1, 2)], 1).float()
+
+
+@dataclass(frozen=True)
+class FlowInputs:
+    """What N blocks are drawn from: audio windows [B, N, 3K, d], lexemes [B, N] (S for none), the blocks before
+    [B, N, K, D_m] with the ratios of durations [B, N], circumstances [B, N, 8], the speaker one-hot [B, P], and what is
+    asked of the style [B, N, K, 2 F], None when nothing is. deaf: [B] the audio is left out."""
+
+    audio: Tensor
+    lexeme: Tensor
+    before: Tensor
+    ratio: Tensor
+    circumstances: Tensor
+    speaker: Tensor
+    control: Tensor | None = None
+    deaf: Tensor | None = None
+
+    @property
+    def past(self) -> Pasts:
+        """What the blocks are told from."""
+        return Pasts(self.before[..., -PAST:, :], self.ratio)
+
+
+class FlowHead(nn.Module):
+    """v(u_t, t, h): an MLP of residual blocks, each scaled and shifted by the context."""
+
+    def __init__(self, width: int, context: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.enter = nn.Linear(width + 2 * _FREQUENCIES, hidden)
+        self.condition = nn.ModuleList([nn.Linear(context, 2 * hidden) for _ in range(layers)])
+        self.inner = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(layers)])
+        self.outer = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(layers)])
+        self.leave = nn.Linear(hidden, width)
+        nn.init.zeros_(self.leave.weight)
+        nn.init.zeros_(self.leave.bias)
+
+    def conditions(self, context: Tensor) -> list[Tensor]:
+        """What the context [..., C] says to every layer: it does not change along the way of drawing."""
+        return [layer(context) for layer in self.condition]
+
+    def forward(self, noisy: Tensor, time: Tensor, conditions: list[Tensor]) -> Tensor:
+        """noisy: [..., n]; time: [..., 1] from 0 (noise) to 1; conditions: of `conditions`. Gives v [..., n]."""
+        rates = 1.5 * 2.0 ** (0.5 * torch.arange(_FREQUENCIES, device=noisy.device, dtype=noisy.dtype))
+        angles = time * rates
+        x = self.enter(torch.cat([noisy, angles.sin(), angles.cos()], -1))
+        for condition, inner, outer in zip(conditions, self.inner, self.outer, strict=True):
+            gain, shift = condition.chunk(2, -1)
+            x = x + outer(functional.gelu(inner(functional.layer_norm(x, x.shape[-1:]) * (1 + gain) + shift)))
+        v: Tensor = self.leave(functional.layer_norm(x, x.shape[-1:]))
+        return v
+
+
+class FlowGenerator(nn.Module):
+    """E_M, E_A, the Gumbel code, the LSTM over blocks and the flow head, with the basis that it draws in."""
+
+    position: Tensor
+    present: Tensor
+    deviation: Tensor
+
+    def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, basis: MovementBasis,
+                 present: Tensor | None = None) -> None:
+        """basis: a `MovementBasis` of its own, whose numbers are taken over from the lexicon's. present: [D_m] 1 where
+        the data have the dimension; what no source has is held at 0."""
+        super().__init__()
+        c, frames = config, widths.frames
+        self.config, self.frames, self.basis, self.lexemes = config, frames, basis, widths.lexemes
+        self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
+        self.register_buffer("deviation", torch.ones(basis.width))
+        self.register_buffer("position", positional_block(frames, c.position_width, direction=c.position_direction)
+                             if c.position_width else torch.zeros(frames, 0), persistent=False)
+        self.control_width = widths.control if c.use_control else 0
+        self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
+        self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)
+        self.hear = nn.Sequential(nn.Linear(frames * c.audio_features, c.lexeme_width), nn.GELU(),
+                                  nn.Dropout(c.dropout))
+        self.unheard = nn.Parameter(torch.zeros(frames, c.audio_features))
+        self.name = nn.Embedding(widths.lexemes + 1, c.lexeme_width)
+        nn.init.normal_(self.name.weight, std=0.1)
+        rows = c.motion_features + c.audio_features + c.lexeme_width + c.position_width + self.control_width
+        self.mlp = nn.Sequential(nn.Linear(rows, c.hidden), nn.LeakyReLU(SLOPE))
+        self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
+        known = 2 * c.lexeme_width + c.groups * c.group_width + 3 * widths.motion + basis.width
+        known += CIRCUMSTANCES + widths.speakers + self.control_width
+        self.gather = nn.Sequential(nn.Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
+        self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
+        self.to_context = nn.Sequential(nn.Linear(2 * c.context + c.lexeme_width, c.context), nn.GELU(),
+                                        nn.Dropout(c.dropout))
+        self.head = FlowHead(basis.width, c.context, c.flow_width, c.flow_layers)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return {"flow": 1.0}
+
+    # --------------------------------------------------------------------------------------------- coefficients
+
+    def squeeze(self, coefficients: Tensor) -> Tensor:
+        """y [..., n] to u = asinh(b y / sd) / sd_u."""
+        return torch.asinh(self.config.bend * coefficients / self.basis.scale) / self.deviation
+
+    def stretch(self, squeezed: Tensor) -> Tensor:
+        """The inverse of `squeeze`, held within what was ever done."""
+        y = torch.sinh((squeezed * self.deviation).clamp(-_MOST, _MOST)) / self.config.bend * self.basis.scale
+        return torch.maximum(torch.minimum(y, self.basis.limits[1]), self.basis.limits[0])
+
+    @torch.no_grad()
+    def adopt(self, basis: MovementBasis, coefficients: Tensor) -> None:
+        """Take over a fitted basis; coefficients: [N, n] of the training blocks."""
+        self.basis.load_state_dict(basis.state_dict())
+        bent = torch.asinh(self.config.bend * coefficients / self.basis.scale)
+        self.deviation.copy_(bent.std(0, correction=0).clamp_min(1e-3))
+
+    # -------------------------------------------------------------------------------------------------- context
+
+    def contexts(self, given: FlowInputs, added: Tensor, state: State | None = None, temperature: float = 1.0
+                 ) -> tuple[Tensor, State]:
+        """h [B, N, C] of N blocks and the LSTM's state after them; added: [B, N, n] u of the block before each."""
+        heard = self.encode_audio(given.audio)
+        if given.deaf is not None:
+            heard = torch.where(given.deaf[:, None, None, None], self.unheard, heard)
+        name = self.name(given.lexeme)
+        rows = [self.encode_motion(given.before.flatten(0, 1).transpose(1, 2)).transpose(1, 2).unflatten(
+                    0, given.before.shape[:2]), heard, repeat_frames(name, self.frames),
+                self.position.expand(*heard.shape[:2], -1, -1)]
+        pose, velocity, acceleration = given.past.state()
+        known = [self.hear(heard.flatten(-2)), name, pose, 4.0 * velocity, 6.0 * acceleration, added,
+                 given.circumstances, given.speaker[:, None].expand(-1, heard.shape[1], -1)]
+        if self.control_width:
+            free = heard.new_zeros(*heard.shape[:3], self.control_width)
+            rows.append(free if given.control is None else given.control)
+            known.append(rows[-1].mean(-2))
+        code, _ = self.codes(self.mlp(torch.cat(rows, -1)), temperature)
+        gathered = self.gather(torch.cat([*known, code.mean(-2)], -1))
+        out, state = self.lstm(gathered, state)
+        return self.to_context(torch.cat([out, gathered, name], -1)), state
+
+    # ------------------------------------------------------------------------------------------------- training
+
+    def losses(self, batch: dict[str, Tensor], progress: float, nearest: NearestLexeme,
+               left_out: tuple[float, float, float] | None = None) -> dict[str, Tensor]:
+        """The flow matching loss |v - (u - e)|^2 on windows of N blocks after a seed block.
+
+        batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], ratio [B, N + 1], circumstances [B, N + 1, 8],
+        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] where it is heard. nearest: the
+        lexicon's arg min over coefficients; a shifted past changes what a block adds to it, and so its lexeme.
+        left_out: chances that a window hears nothing, that it is told no lexeme, and that a block is not told what the
+        one before added; those of the settings where None.
+        """
+        c, motion = self.config, batch["motion"]
+        deaf, unnamed, untold = left_out or (c.audio_dropout, c.lexeme_dropout, c.added_dropout)
+        before, true = self._shifted(motion[:, :-1]), motion[:, 1:]
+        ratio = batch["ratio"][:, 1:]
+        past = Pasts(before[..., -PAST:, :], ratio)
+        fading = _fade(self.frames, motion)[:, None]
+        back = true + (before[..., -1:, :] - motion[:, :-1, -1:]) * fading
+        y = self.basis.coefficients(back, past)
+        u = self.squeeze(y)
+        added = torch.cat([torch.zeros_like(u[:, :1]), u[:, :-1]], 1)
+        share = torch.rand(*u.shape[:2], 1, device=u.device)
+        added = torch.where(share < untold, torch.zeros_like(added), added)
+        lexeme = nearest(y.flatten(0, 1)).unflatten(0, y.shape[:2])
+        some = torch.rand(2, len(motion), device=u.device)
+        lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
+        given = FlowInputs(batch["audio"][:, 1:], lexeme, before, ratio, batch["circumstances"][:, 1:],
+                           batch["speaker"], batch["control"][:, 1:] if self.control_width else None,
+                           some[1] < deaf)
+        context, _ = self.contexts(given, added, temperature=self.temperature(progress))
+        conditions = self.head.conditions(context)
+        weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]
+        total = u.new_zeros(())
+        for _ in range(c.draws):
+            time, noise = torch.rand(*u.shape[:2], 1, device=u.device), torch.randn_like(u)
+            v = self.head((1 - time) * noise + time * u, time, conditions)
+            total = total + ((v - (u - noise)).pow(2) * weight).sum() / weight.sum().clamp_min(1.0)
+        return {"flow": total / c.draws}
+
+    def component_weights(self) -> Tensor:
+        """[n] what an error of each coefficient weighs: its share of its part's deviation, so that large movements
+        count; mean 1."""
+        weight = self.basis.scale * self.basis.weight
+        return weight / weight.mean()
+
+    def temperature(self, progress: float) -> float:
+        """Of the Gumbel choice: geometric from `temperature_start` to `temperature_end`."""
+        c = self.config
+        return float(c.temperature_start * (c.temperature_end / c.temperature_start) ** progress)
+
+    def _shifted(self, before: Tensor) -> Tensor:
+        """Blocks [B, N, K, D_m] with noise on their pose, the same on every frame, and on their last velocity."""
+        c, shape = self.config, (*before.shape[:2], 1, 1)
+        if not self.training:
+            return before
+        noise = torch.randn_like(before[..., :1, :]) * c.past_noise * torch.rand(shape, device=before.device)
+        speed = (before[..., -1:, :] - before[..., -2:-1, :]).abs().mean(-1, keepdim=True)
+        faster = torch.randn_like(noise) * c.velocity_noise * torch.rand(shape, device=before.device) * speed
+        steps = torch.arange(1 - self.frames, 1, device=before.device, dtype=before.dtype)[:, None]
+        return before + noise + faster * steps
+
+    # -------------------------------------------------------------------------------------------------- drawing
+
+    @torch.no_grad()
+    def draw(self, contexts: Tensor, gains: Sequence[float], noise: Tensor, steps: int) -> Tensor:
+        """Coefficients [M, n] from noise [M, n], in so many steps of Heun's method.
+
+        contexts: [1 + G, C] of the block as it is, and with one thing left out each; gains: [G] how far to go from
+        those (classifier-free guidance).
+        """
+        conditions = [layer[:, None].expand(-1, len(noise), -1) for layer in self.head.conditions(contexts)]
+        mix = noise.new_tensor([1.0 + sum(gains), *(-gain for gain in gains)])[:, None, None]
+
+        def v(u: Tensor, time: float) -> Tensor:
+            wide = u.expand(len(contexts), -1, -1)
+            return (self.head(wide, torch.full_like(wide[..., :1], time), conditions) * mix).sum(0)
+
+        u, step = noise, 1.0 / steps
+        for i in range(steps):
+            first = v(u, i * step)
+            ahead = u + step * first
+            # The field is not defined past its end, so the last step is Euler's.
+            u = ahead if i == steps - 1 else u + step * (first + v(ahead, (i + 1) * step)) / 2
+        return self.stretch(u)
+
+
+def _fade(frames: int, like: Tensor) -> Tensor:
+    """[K] from nearly 1 to 0: a shift of the past is taken back over the block, without a jump of velocity."""
+    x = (torch.arange(frames, device=like.device, dtype=like.dtype) + 1) / frames
+    return (1 - x) ** 3 * (1 + 3 * x + 6 * x * x)

@@ -1,0 +1,130 @@
+"""Who draws a block: the paper's generator with its style codes, or the flow head with guidance and candidates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_module.motion.movement import PAST, Pasts
+from generator.flow import FlowGenerator, FlowInputs, circumstances
+from gesticulator.bundle import Bundle
+from gesticulator.features import SpeechFeatures
+from interpreters.base import BlockFeatures
+
+if TYPE_CHECKING:
+    from generator.model import Generator
+    from lexicon.movement import MovementLexicon
+
+
+@dataclass(frozen=True)
+class Keys:
+    """What a block's noise is drawn from, beside its number: the performance's seed, and which variation of it."""
+
+    seed: int
+    variation: int = 0
+
+    def noise(self, block: int, shape: tuple[int, int]) -> Tensor:
+        """Standard normal noise of a block, the same in a file, a stream and a second rendering."""
+        return torch.as_tensor(np.random.default_rng([self.seed, self.variation, block]).standard_normal(
+            shape, dtype=np.float32))
+
+
+class Drawer(Protocol):
+    """Draws one block after the other; it keeps what it must remember between them."""
+
+    def block(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
+        """Block i [1, K, D_m] with its style code [1, d_z], after what was shown before it, past [1, K, D_m]."""
+
+
+def drawer_for(bundle: Bundle, encoded: SpeechFeatures, speaker: int, lexeme: int, keys: Keys) -> Drawer:
+    """The drawer that the bundle's generator asks for; lexeme: the one before the first block."""
+    if isinstance(bundle.generator, FlowGenerator):
+        return FlowDrawer(bundle, encoded, speaker, keys)
+    return RegressionDrawer(bundle, encoded, speaker, lexeme)
+
+
+class RegressionDrawer:
+    """The generator of RG 5.2, its decoder's state and the style interpreter's."""
+
+    def __init__(self, bundle: Bundle, encoded: SpeechFeatures, speaker: int, lexeme: int) -> None:
+        self.bundle = bundle
+        self.generator = cast("Generator", bundle.generator)
+        self.style = (bundle.style_text if encoded.text is not None else None) or bundle.style
+        self.style_state = None if self.style is None else self.style.start(speaker)
+        rest = bundle.rest_feature(speaker)
+        self.state = self.free = self.generator.first_state(rest[None], bundle.vectors[[lexeme]])
+
+    def block(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Drawer.block`."""
+        code = past.new_zeros(1, self.bundle.config.generator.style_width)
+        if self.style is not None:
+            assert self.style_state is not None
+            code, self.style_state = self.style.step(self.style_state, features, lexeme)
+        audio, vector = self.generator.encode_audio(features.low[None]), self.bundle.vectors[[lexeme]]
+        control = None if features.control is None else features.control[None]
+        made, self.state, _ = self.generator.step(past, audio, vector, code, self.state, control=control)
+        if control is not None:
+            # Beyond what it does when asked, away from what it does unasked.
+            unled, self.free, _ = self.generator.step(past, audio, vector, code, self.free)
+            made = unled + self.bundle.config.selection.guidance * (made - unled)
+        return made, code
+
+
+class FlowDrawer:
+    """The flow head: guidance by audio, lexeme and what is asked, and several candidates a block."""
+
+    def __init__(self, bundle: Bundle, encoded: SpeechFeatures, speaker: int, keys: Keys) -> None:
+        self.generator = cast(FlowGenerator, bundle.generator)
+        self.lexicon = cast("MovementLexicon", bundle.lexicon)
+        self.chosen, self.keys, self.device = bundle.config.selection, keys, bundle.vectors.device
+        seconds = torch.as_tensor(encoded.blocks.durations, dtype=torch.float32)
+        before = torch.cat([seconds[:1], seconds[:-1]])
+        self.ratios = (seconds / before).to(self.device)
+        self.circumstances = circumstances(seconds, torch.as_tensor(encoded.blocks.silent)).to(self.device)
+        self.speaker = torch.nn.functional.one_hot(torch.tensor([speaker], device=self.device),
+                                                   len(bundle.speakers)).float()
+        self.state: tuple[Tensor, Tensor] | None = None
+        self.told: Pasts | None = None
+
+    def block(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Drawer.block`; the code is empty."""
+        added = past.new_zeros(1, self.generator.basis.width)
+        if self.told is not None:  # what was shown may be other than what was drawn
+            added = self.generator.squeeze(self.generator.basis.coefficients(past, self.told))
+        self.told = Pasts(past[:, -PAST:], self.ratios[i:i + 1])
+        given, gains = self._given(i, features, lexeme, past)
+        context, self.state = self.generator.contexts(given, added.expand(len(given.audio), 1, -1), self.state)
+        noise = self.chosen.noise * self.keys.noise(i, (self.chosen.candidates, self.generator.basis.width))
+        drawn = self.generator.draw(context[:, 0], gains, noise.to(self.device), self.chosen.flow_steps)
+        best = self._showing(lexeme, drawn)
+        return self.generator.basis.compose(drawn[best:best + 1], self.told) * self.generator.present, past[:, :0, 0]
+
+    def _given(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[FlowInputs, list[float]]:
+        """The block as it is, and once more for each thing that guides with this left out; and the guidance."""
+        chosen, none = self.chosen, self.generator.lexemes
+        control = features.control
+        left = ["", "audio", "lexeme"] + ["control"] * (control is not None)
+        gains = [chosen.audio_guidance, chosen.lexeme_guidance] + [chosen.guidance - 1.0] * (control is not None)
+        count = len(left)
+        asked = None
+        if control is not None:
+            asked = control.expand(count, 1, -1, -1).clone()
+            asked[-1] = 0.0
+        names = torch.tensor([[none if what == "lexeme" else lexeme] for what in left], device=self.device)
+        return FlowInputs(
+            features.low.expand(count, 1, -1, -1), names, past.expand(count, -1, -1)[:, None],
+            self.ratios[i].expand(count, 1), self.circumstances[i].expand(count, 1, -1),
+            self.speaker.expand(count, -1), asked,
+            torch.tensor([what == "audio" for what in left], device=self.device)), gains
+
+    def _showing(self, lexeme: int, drawn: Tensor) -> int:
+        """Which candidate shows the lexeme: the first of those where fewest lexemes are nearer."""
+        if len(drawn) == 1:
+            return 0
+        away = self.lexicon.distances(drawn)
+        nearer = (away < away[:, lexeme, None]).sum(-1)
+        return int(nearer.argmin())
