@@ -79,6 +79,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
                        help="how freely lexemes are sampled; 0 always takes the likeliest")
     style.add_argument("--seed", type=number("seed"), default=0, metavar="N",
                        help="the same seed gives the same bytes (default 0)")
+    style.add_argument("--variation", type=number("variation"), default=0, metavar="N",
+                       help="the same beats and lexemes, drawn in another manner (default 0)")
     style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
@@ -192,8 +194,8 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
             bar.update()
 
         return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
-                      seed=int(asked.seed), temperature=asked.temperature, activity=asked.activity, fps=asked.fps,
-                      gain=asked.gain, controls=controls)
+                      seed=int(asked.seed), variation=int(asked.variation), temperature=asked.temperature,
+                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls)
 
 
 @contextmanager

@@ -75,6 +75,7 @@ class Range:
 
 RANGES = {
     "seed": Range(0, 2**64 - 1, "a whole number from 0", whole=True),
+    "variation": Range(0, 2**32 - 1, "a whole number from 0", whole=True),
     # At 1000 the lexemes are already as good as equally likely.
     "temperature": Range(0, 1000, "0 (always the likeliest lexeme) to 1000"),
     "activity": Range(0, 1, "0 (stillness) to 1 (never holds back)"),
@@ -101,6 +102,8 @@ class InferenceOptions:
     """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "statistical") or an object."""
     seed: int = 0
     """The same seed, bundle and speech give the same performance."""
+    variation: int = 0
+    """The same beats and lexemes, drawn in another manner; 0 is the seed's own."""
     temperature: float | None = None
     """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
     activity: float | None = None
@@ -120,7 +123,7 @@ class InferenceOptions:
     """The three hand controls in one object, instead of them."""
 
     def __post_init__(self) -> None:
-        for name in ("seed", "temperature", "activity", "fps", "gain"):
+        for name in ("seed", "variation", "temperature", "activity", "fps", "gain"):
             value = getattr(self, name)
             if value is not None or name not in ("temperature", "activity"):
                 RANGES[name].check(name, value)
@@ -139,6 +142,7 @@ class InferenceArguments(TypedDict, total=False):
     speaker: str | None
     interpreter: str | LexemeInterpreter | None
     seed: int
+    variation: int
     temperature: float | None
     activity: float | None
     fps: float

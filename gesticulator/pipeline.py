@@ -151,6 +151,7 @@ class Gesticulator:
         chosen = self.bundle.config.selection
         activity = chosen.activity if options.activity is None else options.activity
         self._check_activity(activity)
+        self._check_variation(int(options.variation))
         controls = self.controls(options)
         who = self.speaker_index(options.speaker)
         encoded = self.encode_speech(speech) if encoded is None else encoded
@@ -161,8 +162,11 @@ class Gesticulator:
         if temperature is None:
             temperature = chosen.q_temperature if by_value else chosen.temperature
         sampling = Sampling(temperature, chosen.top, int(options.seed))
-        made = rollout(self.bundle, system, who, sampling, activity).run(
-            encoded, self._control_rows(controls, encoded), on_block)
+        rows = self._control_rows(controls, encoded)
+        made = rollout(self.bundle, system, who, sampling, activity).run(encoded, rows, on_block)
+        if options.variation:
+            sampling = replace(sampling, variation=int(options.variation))
+            made = rollout(self.bundle, system, who, sampling, activity).run(encoded, rows, on_block, made.lexemes)
         return Performance(motion=self.to_motion(made.motion, encoded, who, options.fps), speech=speech,
                            blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
                            codes=made.codes, gate=made.gate, score_is="Q value" if by_value else "log-probability",
@@ -186,6 +190,12 @@ class Gesticulator:
 
     def _reads(self, speech: Speech) -> bool:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
+
+    def _check_variation(self, variation: int) -> None:
+        draws = self.bundle.config.tokens == "lexicon" and self.bundle.config.generator.head == "flow"
+        if variation and not draws:
+            raise InputError(f"variation {variation}", "needs a generator that samples, and the bundle's draws "
+                             "a lexeme in one way", "leave it out, or choose another seed")
 
     def _check_activity(self, activity: float) -> None:
         # Where phrases rest (silence.rest=life) a gate only ranks them.
@@ -226,6 +236,7 @@ class Gesticulator:
         name = options.interpreter if isinstance(options.interpreter, str) else type(options.interpreter).__name__
         settings: dict[str, Any] = {
             "speaker": options.speaker, "interpreter": name, "words": words, "seed": int(options.seed),
+            "variation": int(options.variation),
             **{key: float(getattr(options, key)) for key in ("temperature", "activity", "fps", "gain")}}
         controls = options.controls or Controls.free()
         for feature, value in zip(FEATURES, (controls.height, controls.speed, controls.radius), strict=True):

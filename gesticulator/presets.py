@@ -29,7 +29,6 @@ from gesticulator.config import (
     Schedules,
     SelectionConfig,
     SilenceConfig,
-    SilenceConfig,
     StyleConfig,
     TextConfig,
 )
@@ -233,8 +232,9 @@ def racer_native() -> Config:
                     use_speaker=True, conservative=1.0, gamma=0.9, copy_every=25, warm_up=0.8))
 
 
-PRESETS = {"default": default, "regression": regression, "paper-trinity": paper_trinity, "paper-chinese": paper_chinese, "paper-ted": paper_ted,
-           "racer-trinity": racer_trinity, "racer-chinese": racer_chinese, "racer-native": racer_native, "tiny": tiny}
+PRESETS = {"default": default, "regression": regression, "paper-trinity": paper_trinity,
+           "paper-chinese": paper_chinese, "paper-ted": paper_ted, "racer-trinity": racer_trinity,
+           "racer-chinese": racer_chinese, "racer-native": racer_native, "tiny": tiny}
 
 
 def preset(name: str) -> Config:

@@ -99,9 +99,10 @@ class Rollout:
         self.quiet_low = None if bundle.statistics.quiet_low is None else self._tensor(bundle.statistics.quiet_low)
 
     @torch.inference_mode()
-    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
-            ) -> RolloutResult:
-        """Every block in turn. asked: [N, K, 2 F] rows of the control, or None."""
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
+            lexemes: NDArray[np.int64] | None = None) -> RolloutResult:
+        """Every block in turn. asked: [N, K, 2 F] rows of the control, or None; lexemes: [N] to play, whatever the
+        interpreter says, or None."""
         b, count = self.bundle, len(encoded.blocks)
         gate = b.gate if self.activity < 1 else None
         previous = b.rest_lexeme(self.speaker)
@@ -130,7 +131,7 @@ class Rollout:
                 unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
                 scores = unasked + guidance * (scores - unasked)
             quiet = closed or (features.silent and b.config.silence.mask)
-            previous = self._select(scores, b.silent if quiet else None)
+            previous = int(lexemes[i]) if lexemes is not None else self._select(scores, b.silent if quiet else None)
             if closed and life is None and self.quiet_low is not None:
                 # A block on which nothing is to be done is one on which nothing is said.
                 features = replace(features, low=self.quiet_low, silent=True)
@@ -174,9 +175,9 @@ class CodecRollout(Rollout):
     """
 
     @torch.inference_mode()
-    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None
-            ) -> RolloutResult:
-        """Every code in turn; nothing can be asked of the style."""
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
+            lexemes: NDArray[np.int64] | None = None) -> RolloutResult:
+        """Every code in turn; nothing can be asked of the style. lexemes: see `Rollout.run`."""
         codec = cast("RacerCodec", self.bundle.lexicon)
         count = len(encoded.blocks)
         rest = previous = self.bundle.rest_lexeme(self.speaker)
@@ -184,7 +185,7 @@ class CodecRollout(Rollout):
         state = self.interpreter.start(self.speaker, previous)
         for i in range(count):
             scores, state = self.interpreter.step(state, self._features(encoded, i, asked), previous)
-            previous = self._select(scores)
+            previous = self._select(scores) if lexemes is None else int(lexemes[i])
             made.lexemes[i] = previous = rest if self.activity == 0 else previous
             made.keep_best(i, scores)
             if on_block is not None:
