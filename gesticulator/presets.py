@@ -133,7 +133,7 @@ def default() -> Config:
             lexicon=FitSettings(steps=0, batch=1),  # fitted in closed form
             generator=FitSettings(steps=4_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
             # Trained apart and stopped early: beyond a few epochs it knows the corpus by heart.
-            interpreter=FitSettings(steps=1_000, batch=32, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
+            interpreter=FitSettings(steps=1_000, batch=64, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
                                     validations=20, patience=5),
             interpreter_text=dataclasses.replace(paper.schedules.interpreter_text, validations=20, patience=5)),
         front_end=FrontEndConfig(name="mel", bands=40),
