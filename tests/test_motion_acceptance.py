@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from torch import Tensor
 from data_module.blocks import cut
 from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
+from data_module.motion.movement import Pasts, joined
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Speech, Word
 from eval import baselines
@@ -30,6 +32,8 @@ from eval.probes.motion.movements import ALL, ALONE, HeldOut
 from eval.probes.motion.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.probes.motion.rest import Rested
 from eval.stats import Interval
+from lexicon.movement import MovementLexicon
+from lexicon.settings import LexiconConfig
 
 HZ = 60.0
 
@@ -304,17 +308,17 @@ def held(seed: int, blocks: int = 40) -> HeldOut:
 
 def test_decoding_that_is_right_that_holds_still_and_that_names_postures() -> None:
     recordings = [held(seed) for seed in range(4)]
-    right = movements.lexicon_clauses(recordings, {ALL: lambda blocks, before, ratio: blocks})
+    right = movements.lexicon_clauses(recordings, {ALL: lambda blocks, past: blocks})
     assert all(named(right, f"{kind} of strokes, all levels, open").value.mean == pytest.approx(1.0)
                for kind in ("within-block R2", "displacement R2"))
     assert all(clause.holds is True for clause in right if "open" in clause.name)
     assert all(clause.holds is None for clause in right if "closed" in clause.name)
-    stays = movements.lexicon_clauses(recordings, {ALL: lambda blocks, before, ratio: before[:, -1:].expand_as(blocks)})
+    stays = movements.lexicon_clauses(recordings, {ALL: lambda blocks, past: past.frames[:, -1:].expand_as(blocks)})
     for kind in ("within-block R2", "displacement R2"):
         clause = named(stays, f"{kind} of strokes, all levels, open")
         assert clause.value.mean == pytest.approx(0.0, abs=1e-6) and clause.holds is False
     posture = movements.lexicon_clauses(
-        recordings, {ALL: lambda blocks, before, ratio: blocks.mean(1, keepdim=True).expand_as(blocks)})
+        recordings, {ALL: lambda blocks, past: blocks.mean(1, keepdim=True).expand_as(blocks)})
     assert named(posture, "within-block R2 of strokes, all levels, open").value.mean == pytest.approx(0.0, abs=1e-6)
     assert named(posture, "displacement R2 of strokes, all levels, open").value.mean > 0.5
 
@@ -322,9 +326,9 @@ def test_decoding_that_is_right_that_holds_still_and_that_names_postures() -> No
 def test_closed_loop_feeds_back_what_was_decoded() -> None:
     one = held(0)
 
-    def lagging(blocks: Tensor, before: Tensor, ratio: Tensor) -> Tensor:
+    def lagging(blocks: Tensor, past: Pasts) -> Tensor:
         """Half of every step from the last frame that is told."""
-        return before[:, -1:] + 0.5 * (blocks - before[:, -1:])
+        return past.frames[:, -1:] + 0.5 * (blocks - past.frames[:, -1:])
 
     told = movements.closed_loop(lagging, [one])[0]
     last = one.first
@@ -344,7 +348,7 @@ def test_closed_loop_feeds_back_what_was_decoded() -> None:
 def test_hands_that_are_decoded_as_one_break_the_tie_between_them() -> None:
     right, left = (3 * CHARACTER.index(side + "Hand") + 1 for side in ("Right", "Left"))
 
-    def as_one(blocks: Tensor, before: Tensor, ratio: Tensor) -> Tensor:
+    def as_one(blocks: Tensor, past: Pasts) -> Tensor:
         told = blocks.clone()
         told[..., left] = told[..., right]
         return told
@@ -405,64 +409,43 @@ def test_silent_lexemes_are_looked_at_after_another_silent_one() -> None:
     assert movements.silent_clause([made], np.array([2]), ["a"]).holds is None
 
 
-@dataclass(frozen=True)
-class Pasts:
-    """As the lexicon of movements is told them."""
-
-    frames: Tensor
-    ratio: Tensor
-
-
-def pasts_of(motion: Tensor, durations: Tensor, first: Tensor) -> Pasts:
-    """Of one recording."""
-    before = torch.cat([first.expand(1, 3, -1), motion[:-1, -3:]])
-    return Pasts(before, durations / torch.cat([durations[:1], durations[:-1]]))
-
-
-class Steps:
-    """A lexicon of two movements, by hand: to the last pose, or a metre up from it in the first feature."""
-
-    by_past = True
-
-    def coefficients(self, motion: Tensor, past: Pasts) -> Tensor:
-        """[B, 1] how far the first feature rises."""
-        return (motion - past.frames[:, -1:])[:, -1, :1]
-
-    def quantised(self, coefficients: Tensor, levels: int | None = None) -> Tensor:
-        """0 or 1 by the lexeme alone, as it was by all levels."""
-        return (coefficients > 0.5).float() if levels == 0 else coefficients
-
-    def compose(self, coefficients: Tensor, past: Pasts) -> Tensor:
-        """[B, K, 2] at once where it is to be."""
-        told = past.frames[:, -1:].repeat(1, K, 1)
-        told[..., :1] += coefficients[:, None]
-        return told
-
-    def ranks(self, motion: Tensor, past: Pasts, lexemes: Tensor) -> Tensor:
-        """0 where the nearer movement was asked for."""
-        return (self.quantised(self.coefficients(motion, past), 0)[:, 0].long() != lexemes).long()
+def movement_lexicon(recordings: list[HeldOut]) -> MovementLexicon:
+    """Fitted on these, one part of all numbers."""
+    width = recordings[0].motion.shape[-1]
+    lexicon = MovementLexicon(LexiconConfig(kind="movement", size=12, levels=(8,)), K, {"body": tuple(range(width))})
+    motion = torch.cat([own.motion for own in recordings])
+    lexicon.fit(motion, joined(own.pasts() for own in recordings), torch.ones(len(motion), width), seed=0)
+    return lexicon
 
 
 def test_a_lexicon_of_movements_is_told_the_past() -> None:
-    rises = torch.tensor([0.0, 1.2, 0.1, 0.9])
-    motion = torch.zeros(4, K, 2)
-    motion[..., 0] = torch.cumsum(rises, 0)[:, None]
-    one = HeldOut("one", motion, torch.full((4,), 0.3), torch.zeros(2), lambda own: own.numpy()[..., None])
-    codes = movements.codes_of(Steps())
-    torch.testing.assert_close(movements.open_loop(codes[ALL], one), motion)
-    torch.testing.assert_close(movements.closed_loop(codes[ALL], [one])[0], motion)
-    alone = movements.closed_loop(codes[ALONE], [one])[0]
-    torch.testing.assert_close(alone[:, -1, 0], torch.tensor([0.0, 1.0, 1.0, 2.0]))
+    recordings = [held(seed) for seed in range(3)]
+    lexicon = movement_lexicon(recordings)
+    codes = movements.codes_of(lexicon)
+    one = recordings[0]
+    labels = lexicon.label(one.motion, one.pasts())
+    torch.testing.assert_close(movements.open_loop(codes[ALONE], one),
+                               lexicon.basis.compose(lexicon.added(labels), one.pasts()))
+    found = movements.lexicon_clauses(recordings, codes)
+    every, alone = (named(found, f"displacement R2 of strokes, {name}, open").value.mean for name in (ALL, ALONE))
+    assert every > alone > 0.0, "more codes tell more, and a lexeme tells something"
+    # What was drawn by the codewords themselves, block after block on its own past, is what was asked for.
+    asked = np.random.default_rng(0).integers(lexicon.size, size=20)
+    past, blocks = Pasts(torch.zeros(1, 3, one.motion.shape[-1]), torch.ones(1)), []
+    for lexeme in asked:
+        blocks.append(lexicon.basis.compose(lexicon.added(torch.tensor([lexeme])), past)[0])
+        past = Pasts(blocks[-1][None, -3:], torch.ones(1))
 
-    class Held:
-        lexicon = Steps()
+    class Played:
+        block_models = SimpleNamespace(lexicon=lexicon)
 
         def rest_feature(self, speaker: int) -> Tensor:
-            return torch.zeros(2)
+            return torch.zeros(one.motion.shape[-1])
 
-    made = Rendering(moved(1.0, np.ones(60)), np.arange(5) * 0.3, lexemes=np.array([0, 1, 0, 0]),
-                     drawn=motion.numpy())
-    assert movements.encode(Held(), made, 0).tolist() == [0, 0, 0, 1]  # type: ignore[arg-type]
+    made = Rendering(moved(1.0, np.ones(60)), np.arange(21) * 0.3, lexemes=asked, drawn=torch.stack(blocks).numpy())
+    assert movements.encode(Played(), made, 0).tolist() == [0] * 20  # type: ignore[arg-type]
+    other = replace(made, lexemes=(asked + 1) % lexicon.size)
+    assert (movements.encode(Played(), other, 0) > 0).all()  # type: ignore[arg-type]
 
 
 # ---------------------------------------------------------------------------------------------------------- steering
