@@ -16,22 +16,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 from performances import perform
 from torch import Tensor
+from untrained import PLAIN, untrained
 
 from data_module.blocks import cut
 from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
 from data_module.motion.movement import Pasts, joined
 from data_module.motion.skeletons import CHARACTER
+from data_module.store import StoreWriter
 from data_module.types import Array, Motion, Speech, Word
 from eval import baselines
+from eval.commands import PROBE
 from eval.eye_table import EyeSample
 from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
+from eval.probes import motion as probe
 from eval.probes.motion import movements, rest, seen, steering
 from eval.probes.motion.clauses import ANY, Bound, Clause, at_least, at_most, clause_table, summary
 from eval.probes.motion.movements import ALL, ALONE, HeldOut
 from eval.probes.motion.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.probes.motion.rest import Rested
 from eval.stats import Interval
+from eval.table import load
+from gesticulator import bundle as bundles
 from lexicon.movement import MovementLexicon
 from lexicon.settings import LexiconConfig
 
@@ -518,3 +524,89 @@ def test_motion_files_are_a_system_with_the_blocks_of_their_plan(tmp_path: Path)
     assert len(system.pairs(AcceptanceVoice("talk", speech, TEST), [0])) == 1
     assert system.pairs(AcceptanceVoice("other", speech, TEST), [0]) == []
     assert all(a.motion.fps == HZ for (a, _), _ in itertools.product(found, [0]))
+
+
+# --------------------------------------------------------------------------------------------------------- the probe
+
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A store of bursts of noise and free arms, and a bundle that nobody trained."""
+    folder = tmp_path_factory.mktemp("acceptance")
+    writer = StoreWriter(folder / "store", "folder", {}, 1, "free")
+    for seed, name in enumerate(("train", "first", "second")):
+        writer.add(recording(name, seed, 21.0, "train" if name == "train" else "test"))
+    writer.finish(["train", "first", "second"])
+    bundles.save(untrained(*PLAIN), folder / "bundle", "a card")
+    return folder / "store", folder / "bundle"
+
+
+def probed(standing: tuple[Path, Path], *more: str) -> int:
+    store, bundle = standing
+    return PROBE.main("gesticulator probe", ["motion", "--store", str(store), "--bundle", str(bundle), *more])
+
+
+def test_every_group_is_judged_and_a_second_run_says_the_same(standing: tuple[Path, Path], tmp_path: Path,
+                                                              monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
+    work, out = tmp_path / "work", tmp_path / "motion.json"
+    told = ["--work", str(work), "--renderings", "1", "--out", str(out)]
+    assert probed(standing, *told, "--only", "motion", "lexicon") == 0
+    some = load(out)
+    assert list(some[0].rows) == [probe.TITLES["motion"], probe.TITLES["lexicon"]]
+    assert probed(standing, *told, "--only", "rest", "controls", "--write", str(tmp_path / "made")) == 0
+    every = load(out)
+    assert list(every[0].rows) == list(probe.TITLES.values()), "what was run before is shown beside"
+    entries = every[0].facts["clauses"]
+    names = [entry["name"] for entry in entries]
+    assert len(set(names)) == len(names) > 60
+    assert set(entries[0]) == {"name", "value", "low", "high", "n", "bound", "holds", "reason"}
+    assert all(entry["holds"] in (True, False) for entry in entries if entry["bound"])
+    by_name = {entry["name"]: entry for entry in entries}
+    assert by_name["interpreter statistical runs"]["holds"] is True
+    assert by_name["interpreter cql runs"]["holds"] is False and "not in the bundle" in by_name[
+        "interpreter cql runs"]["reason"]
+    assert by_name["faults of the plan (--explain)"]["holds"] is True
+    assert by_name["hand controls are heard"]["holds"] is False
+    assert list(every[2].columns) == ["ours", "unit selection", "corpus"]
+    before = {file.name: file.stat().st_mtime_ns for file in (work / "renderings").iterdir()}
+    first = out.read_bytes()
+    assert probed(standing, *told, "--only", "motion", "lexicon", "rest") == 0
+    assert {file.name: file.stat().st_mtime_ns for file in (work / "renderings").iterdir()} == before
+    assert out.read_bytes() == first
+    # What was written is another system, and as good as ours but for rounding.
+    assert probed(standing, *told[:4], "--only", "motion", "--system", f"again={tmp_path / 'made'}", "--out", str(
+        tmp_path / "again.json")) == 0
+    figures = load(tmp_path / "again.json")[2].facts["figures"]
+    for row, value in figures["ours"].items():
+        if "rolled" not in row:
+            assert figures["again"][row]["mean"] == pytest.approx(value["mean"], rel=2e-3, abs=2e-3, nan_ok=True), row
+
+
+def test_a_bundle_can_stand_beside_another(standing: tuple[Path, Path], tmp_path: Path,
+                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
+    bundles.save(untrained(*PLAIN, seed=1), tmp_path / "other", "a card")
+    assert probed(standing, "--work", str(tmp_path / "work"), "--only", "motion", "--renderings", "1", "--limit", "1",
+                  "--system", f"regressing={tmp_path / 'other'}", "--out", str(tmp_path / "motion.json")) == 0
+    table = load(tmp_path / "motion.json")[2]
+    assert list(table.columns) == ["ours", "regressing", "unit selection", "corpus"]
+    assert table.facts["figures"]["ours"]["eye_speed_50"] != table.facts["figures"]["regressing"]["eye_speed_50"]
+
+
+@pytest.mark.parametrize(("more", "told"), [
+    (["--renderings", "0"], "give 1 or more"), (["--limit", "0"], "give 1 or more"),
+    (["--system", "ours=x"], "column of its own"), (["--system", "nothing"], "NAME=VALUE"),
+    (["--system", "x=/nowhere"], "is not a folder"), (["--only", "everything"], "invalid choice")])
+def test_wrong_input_is_refused(standing: tuple[Path, Path], more: list[str], told: str,
+                                capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        probed(standing, *more)
+    assert caught.value.code == 2 and told in capsys.readouterr().err
+
+
+def test_without_a_voice_there_is_nothing_to_judge(standing: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch,
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
+    with pytest.raises(SystemExit):
+        PROBE.main("gesticulator probe", ["motion", "--bundle", str(standing[1])])
+    assert "no voice to gesture for" in capsys.readouterr().err
