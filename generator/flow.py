@@ -231,8 +231,10 @@ class FlowGenerator(nn.Module):
         return {"flow": total / c.draws}
 
     def component_weights(self) -> Tensor:
-        """[n] what an error of each coefficient weighs: its deviation, so that large movements count, mean 1."""
-        return self.basis.scale / self.basis.scale.mean()
+        """[n] what an error of each coefficient weighs: its share of its part's deviation, so that large movements
+        count; mean 1."""
+        weight = self.basis.scale * self.basis.weight
+        return weight / weight.mean()
 
     def temperature(self, progress: float) -> float:
         """Of the Gumbel choice: geometric from `temperature_start` to `temperature_end`."""

@@ -81,12 +81,12 @@ def encoder(sizes: Sizes) -> SpeechEncoder:
 def parts_of_body(config: Config) -> dict[str, tuple[int, ...]]:
     """Part of the body -> its numbers of D_m under these settings."""
     from data_module.motion.movement import body_parts
-    from data_module.motion.skeletons import CHARACTER
+    from data_module.motion.skeletons import CHARACTERS
 
     representation = representation_of(config)
     if representation.name != "rotations":
         return {"body": tuple(range(representation.width))}
-    return body_parts(CHARACTER.names)
+    return body_parts(CHARACTERS[config.motion.joints].names)
 
 
 def lexicon(sizes: Sizes) -> Lexicon | MovementLexicon:

@@ -26,7 +26,6 @@ class MovementLexicon(nn.Module):
     """Basis and codebooks over blocks [B, K, D_m] with their pasts."""
 
     vectors: Tensor
-    weight: Tensor
     examples: Tensor
 
     def __init__(self, config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> None:
@@ -38,7 +37,6 @@ class MovementLexicon(nn.Module):
             for level, size in enumerate(config.levels):
                 self.register_buffer(f"level_{part}_{level}", torch.zeros(size, width))
         self.register_buffer("vectors", torch.zeros(config.size, self.basis.width))
-        self.register_buffer("weight", torch.ones(self.basis.width))  # of a coefficient in the latent
         self.register_buffer("examples", torch.zeros(config.size, PAST, self.basis.motion_width))
 
     @property
@@ -48,7 +46,7 @@ class MovementLexicon(nn.Module):
 
     def distances(self, coefficients: Tensor) -> Tensor:
         """Squared distances [B, S] of the latents of coefficients [B, n] from the lexemes."""
-        own, codes = coefficients * self.weight, self.vectors
+        own, codes = coefficients * self.basis.weight, self.vectors
         return (own.pow(2).sum(-1, keepdim=True) - 2 * own @ codes.T + codes.pow(2).sum(-1)).clamp_min(0)
 
     def nearest(self, coefficients: Tensor) -> Tensor:
@@ -78,7 +76,7 @@ class MovementLexicon(nn.Module):
 
     def added(self, lexemes: Tensor) -> Tensor:
         """Coefficients [B, n] of lexemes [B]."""
-        return self.vectors[lexemes] / self.weight
+        return self.vectors[lexemes] / self.basis.weight
 
     @torch.no_grad()
     def shown(self) -> Tensor:
@@ -96,9 +94,7 @@ class MovementLexicon(nn.Module):
     def fit(self, motion: Tensor, past: Pasts, mask: Tensor, seed: int) -> None:
         """Basis and codebooks from blocks [N, K, D_m] with their pasts; mask: [N, D_m] 1 where the source has it."""
         coefficients = self.basis.fit(motion, past, mask)
-        for at in self.basis.slices():
-            self.weight[at] = 1.0 / self.basis.scale[at].pow(2).sum().sqrt()
-        weight = self.weight.double().numpy()
+        weight = self.basis.weight.double().numpy()
         points = coefficients.double().numpy()
         self.vectors.copy_(torch.as_tensor(_means(points * weight, self.size, seed)))
         rest = coefficients - self.added(self.nearest(coefficients))

@@ -30,6 +30,8 @@ _TORSO = ("Hips", "Spine")
 _HEAD = ("Neck", "Head")
 _FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky", "Little")
 _LEAST_SCALE = 1e-6
+_FINGERS_SHARE = 0.3
+"""Of what an arm weighs: fingers have four times as many numbers, and nobody names a gesture by them."""
 LIMITS = (0.03, 99.97)
 """Percent: between these the coefficients of training blocks lie, but for the wildest six in ten thousand."""
 
@@ -88,6 +90,7 @@ class MovementBasis(nn.Module):
     """W and U of every part, over blocks [..., K, D_m] and their pasts."""
 
     scale: Tensor
+    weight: Tensor
     limits: Tensor
 
     def __init__(self, frames: int, parts: Mapping[str, tuple[int, ...]], components: Mapping[str, int]) -> None:
@@ -101,6 +104,7 @@ class MovementBasis(nn.Module):
             self.register_buffer(f"predictor_{index}", torch.zeros(3 * len(columns) + 1, frames * len(columns)))
             self.register_buffer(f"components_{index}", torch.zeros(frames * len(columns), width))
         self.register_buffer("scale", torch.ones(self.width))  # deviation of each coefficient
+        self.register_buffer("weight", torch.ones(self.width))  # of a coefficient where parts are compared
         self.register_buffer("limits", torch.zeros(2, self.width))
 
     @property
@@ -160,19 +164,21 @@ class MovementBasis(nn.Module):
 
     @torch.no_grad()
     def fit(self, motion: Tensor, past: Pasts, mask: Tensor) -> Tensor:
-        """W, U, scale and limits from blocks [N, K, D_m] with their pasts; mask: [N, D_m] 1 where the source has it.
+        """W, U, scale, weight and limits from blocks [N, K, D_m] with their pasts; mask: [N, D_m] 1 where the source has it.
 
         A part is fitted on the blocks of sources that have it. Gives the coefficients [N, n], 0 where it is lacking.
         """
         known = self.known(mask) > 0
         coefficients = torch.zeros(len(motion), self.width, dtype=torch.float64)
-        for part, at in enumerate(self.slices()):
+        for part, (name, at) in enumerate(zip(self.parts, self.slices(), strict=True)):
             rows = known[:, at.start].nonzero()[:, 0]
             if not len(rows):
                 continue
             own = self._fit_part(part, motion[rows], past[rows])
             coefficients[rows, at] = own
             self.scale[at] = own.std(0, correction=0).clamp_min(_LEAST_SCALE).float()
+            share = _FINGERS_SHARE if name.endswith("fingers") else 1.0
+            self.weight[at] = share / self.scale[at].pow(2).sum().sqrt()  # each part's variance is then its share's
             self.limits[:, at] = torch.as_tensor(np.percentile(own.numpy(), LIMITS, axis=0)).float()
         return coefficients.float()
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import torch
 
+from generator.model import Generator
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.stages.base import Figures, Run, Stage
@@ -22,8 +23,9 @@ _HELD = 10
 
 def _train(run: Run, model: StyleInterpreter, folder: Path, stage: Stage[StyleInterpreter], text: bool) -> Figures:
     config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
-    codes = run.get(GENERATOR).styles
-    assert codes is not None
+    generator = run.get(GENERATOR)
+    assert isinstance(generator, Generator) and generator.styles is not None
+    codes = generator.styles
     table = codes.table.weight.detach()
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers, text)
     held = parts[::_HELD] if len(parts) >= _HELD else []
@@ -47,10 +49,11 @@ def _train(run: Run, model: StyleInterpreter, folder: Path, stage: Stage[StyleIn
 STYLE: Stage[StyleInterpreter] = Stage(
     "style", settings=(lambda config: config.style.without_text(), "window"),
     needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR), schedule="style",
-    wanted=lambda config: config.tokens == "lexicon", part="style", build=lambda run: models.style(model_sizes(run)),
+    wanted=lambda config: config.tokens == "lexicon" and config.generator.styled, part="style", build=lambda run: models.style(model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, STYLE, False))
 STYLE_TEXT: Stage[StyleInterpreter] = Stage(
     "style_text", settings=("style", "window", "text"), needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR),
     schedule="style", part="style_text", build=lambda run: models.style_text(model_sizes(run)),
-    wanted=lambda config: config.tokens == "lexicon" and bool(config.text.encoder) and config.style.text_features > 0,
+    wanted=lambda config: (config.tokens == "lexicon" and config.generator.styled and bool(config.text.encoder)
+                           and config.style.text_features > 0),
     train=lambda run, model, folder: _train(run, model, folder, STYLE_TEXT, True))
