@@ -217,9 +217,9 @@ class FlowGenerator(nn.Module):
         lexeme = nearest(y.flatten(0, 1)).unflatten(0, y.shape[:2])
         some = torch.rand(2, len(motion), device=u.device)
         lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
+        asked = batch["control"][:, 1:] if self.control_width and "control" in batch else None
         given = FlowInputs(batch["audio"][:, 1:], lexeme, before, ratio, batch["circumstances"][:, 1:],
-                           batch["speaker"], batch["control"][:, 1:] if self.control_width and "control" in batch else None,
-                           some[1] < deaf)
+                           batch["speaker"], asked, some[1] < deaf)
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
         weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]
