@@ -197,8 +197,8 @@ class FlowGenerator(nn.Module):
         """The flow matching loss |v - (u - e)|^2 on windows of N blocks after a seed block.
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], ratio [B, N + 1], circumstances [B, N + 1, 8],
-        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] where something is asked. nearest: the
-        lexicon's arg min over coefficients; a shifted past changes what a block adds to it, and so its lexeme.
+        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] where anything is asked. nearest:
+        the lexicon's arg min over coefficients; a shifted past changes what a block adds to it, and so its lexeme.
         left_out: chances that a window hears nothing, that it is told no lexeme, and that a block is not told what the
         one before added; those of the settings where None.
         """
