@@ -139,7 +139,7 @@ class Shifts:
             self._postures.append(before + (chosen - before) * min(max(1.0, s.least / length), s.most / length))
 
 
-_HEAD_SHIFT = ShiftStyle(every=0.66, jitter=0.18, tau=0.085, spread=(1.5, 1.5), least=1.2, most=2.2)
+_HEAD_SHIFT = ShiftStyle(every=0.62, jitter=0.14, tau=0.085, spread=(1.5, 1.5), least=1.4, most=2.2)
 """Of a unit of pitch and of roll, see `_SHIFTED`: a head that is not looked at moves so about once a second."""
 _GAZE = ShiftStyle(every=2.9, jitter=0.35, tau=0.09, spread=(6.0, 2.5), least=0.8, most=2.5)
 """Degrees of yaw and of pitch."""

@@ -11,7 +11,8 @@ Three questions, each answered from the past and from what is known of the next 
    the speed that were shown. `Idle` life is laid over it; in speech faintly, and wholly where the head would stand.
 
 The stop from pose x with velocity v takes T seconds along the cubic that ends at x + v T / 3 with velocity 0, so that
-the speed falls as v (1 - t / T)^2.
+the speed falls as v (1 - t / T)^2. A hand that is coming down already comes down: its cubic ends at rest, or 2 v T / 3
+on the way there.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import Representation
 from data_module.types import Array
 from gesticulator.features import SpeechFeatures, Statistics
-from gesticulator.life import HEAD, Idle, uniform
+from gesticulator.life import HEAD, SIDES, Idle, uniform
 
 Flags = NDArray[np.bool_]
 
-REAL = 0.45
+REAL = 0.55
 """Seconds of silence that make a pause; a shorter one is a breath, in which gestures go on."""
 SEEN = 0.3
 """Seconds of silence that are enough where it goes on as far as is known."""
@@ -41,20 +42,29 @@ LEAD = 0.1
 """Seconds before the voice at which the body wakes: a hand sets out before the word."""
 HOLD = 1.6
 """Seconds that the hands stay where they stopped; in talks they come down in pauses longer than this."""
-SINKING = 0.055
-"""m/s, the greatest speed of a hand that sinks into rest: with the life on it less than a quarter of a hand's mean
-speed in speech (0.34 to 0.45 m/s)."""
+SINKING = 0.065
+"""m/s, the greatest speed of a hand that sinks into rest (0.043 in the mean): with the life on it less than a quarter
+of a hand's mean speed in speech (0.34 to 0.45 m/s)."""
 LONGEST_PHRASE = 3.0
 """Seconds of speech without a pause after which a new phrase begins (talks: 2.6 s in the mean)."""
 
 _LONGEST_STOP, _SHORTEST_STOP = 0.42, 0.22
 _STOP_WITHIN = 0.12
 """Metres in which a hand stops, where the shortest stop allows it."""
+_RETRACTS = 0.42
+"""Seconds in which a hand that is on its way to rest arrives there, or stops as near as it may."""
+_REACH = 0.66
+"""Of speed x time: as far goes a hand whose speed falls as 1 - (t / T)^2, without getting faster first."""
+_FARTHEST = 0.2
+"""Metres that such a hand still goes."""
+_TOWARDS = 0.3, 0.8
+"""Cosines between a hand's velocity and its way to rest: below the first it is not coming down, above the second it
+is."""
 _LEAST_FADE = 0.2
 """Seconds in which a join can be made; where a block has less left, the body wakes with the next."""
 _FAINT = 0.25
 """Share of the idle life that is left in speech, where the generator moves the body."""
-_HEAD_STANDS, _HEAD_MOVES = 0.015, 0.045
+_HEAD_STANDS, _HEAD_MOVES = 0.025, 0.06
 """m/s of the generated head up to which there is all of the life, and from which on the faint share alone."""
 _GAIN_TAU = 0.25
 """Seconds in which life grows and fades."""
@@ -195,25 +205,28 @@ class Phrases:
 
 @dataclass
 class _Stop:
-    """A way into rest: from a pose with a velocity at `begin` seconds to a stop, and from there to the resting pose."""
+    """A way into rest: from a pose with a velocity at `begin` seconds to a stop, and from there to the resting pose.
+
+    stops_in: [D] seconds, for each dimension; sinks_in: seconds.
+    """
 
     begin: float
     pose: Array
     velocity: Array
     stopped: Array
-    stops_in: float
+    stops_in: Array
     rest: Array
     sinks_in: float
 
     def at(self, time: float) -> Array:
-        s = min((time - self.begin) / self.stops_in, 1.0)
+        s = np.minimum((time - self.begin) / self.stops_in, 1.0)
         stopped = _hermite(s, self.pose, self.velocity * self.stops_in, self.stopped)
         u = min(max((time - self.begin - HOLD) / self.sinks_in, 0.0), 1.0)
         way: Array = stopped + u * u * (3.0 - 2.0 * u) * (self.rest - stopped)
         return way
 
 
-def _hermite(s: float, start: Array, slope: Array, end: Array) -> Array:
+def _hermite(s: Array | float, start: Array, slope: Array, end: Array) -> Array:
     """The cubic from `start` with this slope to `end` with slope 0, at s of the way."""
     return (2 * s**3 - 3 * s**2 + 1) * start + (s**3 - 2 * s**2 + s) * slope + (3 * s**2 - 2 * s**3) * end
 
@@ -239,7 +252,8 @@ class RestingPart:
     def __init__(self, rest: Array, bounds: Array, way: _Way) -> None:
         """rest: [D] the resting pose; bounds: [2, D] the least and the most; way: how long it takes."""
         self.rest, self.bounds, self._way = rest, bounds, way
-        self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, 1.0, rest, 1.0)
+        self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, np.ones_like(rest),
+                                                rest, 1.0)
         self._join: _Join | None = None
         self._last = [(-1.0, rest), (0.0, rest)]
 
@@ -270,8 +284,8 @@ class RestingPart:
     def _stopping(self) -> _Stop:
         (_, _), (now, pose) = self._last
         velocity = self._velocity()
-        stops_in = self._way.stop_seconds(pose, velocity)
-        stopped = np.clip(pose + velocity * stops_in / 3.0, *self.bounds)
+        stopped, stops_in = self._way.stop(pose, velocity, self.rest)
+        stopped = np.clip(stopped, *self.bounds)
         return _Stop(now, pose, velocity, stopped, stops_in, self.rest, self._way.sink_seconds(stopped, self.rest))
 
     def _joining(self, before: Array, first: Array, time: float, end: float) -> _Join:
@@ -280,19 +294,31 @@ class RestingPart:
 
 
 class _Way:
-    """How long a part takes: as told by its hands, or, for a part without hands, as long as it may."""
+    """How a part stops and sinks: as told by its hands, or, for a part without hands, as slowly as it may."""
 
     def __init__(self, hands_of: _Hands | None = None) -> None:
         self._hands_of = hands_of
 
-    def stop_seconds(self, pose: Array, velocity: Array) -> float:
-        """Seconds to stop in."""
+    def stop(self, pose: Array, velocity: Array, rest: Array) -> tuple[Array, Array]:
+        """Where it stops, [D], and in how many seconds, [D], from a pose with a velocity."""
+        seconds = np.full(len(pose), _LONGEST_STOP)
         if self._hands_of is None:
-            return _LONGEST_STOP
+            return pose + velocity * seconds / 3.0, seconds
         tiny = 1e-3
-        ends = self._hands_of(np.stack([pose, pose + velocity * tiny]))
-        speed = float(np.linalg.norm(ends[1] - ends[0], axis=-1).max()) / tiny
-        return min(max(3.0 * _STOP_WITHIN / max(speed, 1e-6), _SHORTEST_STOP), _LONGEST_STOP)
+        now, then, end = self._hands_of(np.stack([pose, pose + velocity * tiny, rest]))
+        moves, ahead = (then - now) / tiny, end - now
+        speeds, ways = np.linalg.norm(moves, axis=-1), np.linalg.norm(ahead, axis=-1)
+        seconds[:] = np.clip(3.0 * _STOP_WITHIN / max(float(speeds.max()), 1e-6), _SHORTEST_STOP, _LONGEST_STOP)
+        stopped = pose + velocity * seconds / 3.0
+        for side, columns in enumerate(self._hands_of.arms):
+            cosine = float(moves[side] @ ahead[side]) / max(float(speeds[side] * ways[side]), 1e-9)
+            comes = min(max((cosine - _TOWARDS[0]) / (_TOWARDS[1] - _TOWARDS[0]), 0.0), 1.0)
+            goes = min(_REACH * float(speeds[side]) * _RETRACTS, _FARTHEST)
+            near = min(goes / max(float(ways[side]), 1e-9), 1.0)
+            there = pose[columns] + near * (rest[columns] - pose[columns])
+            stopped[columns] += comes * (there - stopped[columns])
+            seconds[columns] += comes * (_RETRACTS - seconds[columns])
+        return stopped, seconds
 
     def sink_seconds(self, pose: Array, rest: Array) -> float:
         """Seconds in which no hand is faster than `SINKING` on the straight way from a pose to the resting pose."""
@@ -305,14 +331,17 @@ class _Way:
 
 
 class _Hands:
-    """Where the hands are, from the dimensions of the body without the head."""
+    """Where the hands are, the right first, from the dimensions of the body without the head. arms: of each side's arm
+    and fingers, which of these dimensions they are."""
 
     def __init__(self, representation: Representation, statistics: Statistics, speaker: int, columns: NDArray[np.int64]
                  ) -> None:
         self._representation, self._statistics, self._speaker = representation, statistics, speaker
         self._columns = columns
         skeleton = representation.motion(statistics.rest_pose[speaker][None], 1.0).skeleton
-        self._joints = [skeleton.index(side + "Hand") for side in ("Right", "Left")]
+        self._joints = [skeleton.index(side + "Hand") for side in SIDES]
+        names = [skeleton.names[column // 3] for column in columns]
+        self.arms = [np.flatnonzero([name.startswith(side) for name in names]) for side in SIDES]
 
     def __call__(self, features: Array) -> Array:
         """[M, 2, 3] metres of features [M, D] of the part."""

@@ -68,11 +68,11 @@ def test_shifts_settle_on_their_postures_and_jump_nowhere() -> None:
     np.testing.assert_allclose(Shifts(4, 0, style).at(np.array([35.0])), shifts.at(np.array([35.0])))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_body_that_does_nothing_lives(seed: int) -> None:
     at = places(seed)
     speed = smoothed_speed(at[:, [CHARACTER.index(name) for name in ("RightHand", "LeftHand", "Head")]])
-    assert longest(speed[:, 2] < 0.02) < 0.8, "the head stands nowhere"
+    assert longest(speed[:, 2] < 0.02) < 0.7, "the head stands nowhere"
     assert speed[:, :2].min() > 1e-5 and speed[:, :2].max() < 0.09
     assert 0.01 < np.median(speed[:, :2]) < 0.03
     assert np.ptp(at[:, CHARACTER.index("RightHand")], axis=0).max() < 0.12, "and wanders nowhere"

@@ -177,6 +177,36 @@ def test_neither_stopping_nor_waking_jumps_in_place_or_speed(begin: float) -> No
     assert steps[2] < 0.3 * steps[0] and bends[2] < 0.35 * bends[0]
 
 
+def raised(speed: float) -> tuple[Array, Array]:
+    """times [T], heights of the right hand [T] of an arm that stands level and turns at so many radians a second, up
+    where it is positive, until a pause begins at 2 s."""
+    own = statistics()
+    rest = Rest(own, ROTATIONS, 0, 1.0, seed=1)
+    shown, asked = [], spans([(2.0, 8.0)], 8.0)
+    for span in asked:
+        rest.hear(span)
+        poses = np.repeat(own.rest_pose, K, axis=0)
+        poses[:, ARM + 2] = -speed * (span.times - 2.0)
+        shown.append(rest.step(own.normalise(poses, 0)))
+    features = np.concatenate(shown)
+    return np.concatenate([span.times for span in asked]), positions_of(
+        from_vector(own.denormalise(features, 0), 25.0))[:, HANDS[0], 1]
+
+
+def test_a_hand_that_rises_goes_on_a_little_and_one_that_comes_down_comes_down() -> None:
+    arm = 0.53  # metres from the shoulder to the hand
+    times, up = raised(1.2)
+    begin = np.searchsorted(times, 2.0 - 1e-6)
+    stop = up[(times > 2.5) & (times < 2.0 + HOLD - 0.02)]
+    # x + v T / 3 with the T that stops within 0.12 m, at most 0.42 s.
+    assert np.ptp(stop) < 1e-9 and stop[0] - up[begin] == pytest.approx(arm * 1.2 * 0.42 / 3, abs=0.02)
+    assert (np.diff(up[begin - 3:begin + 12]) > -1e-9).all(), "it does not turn back"
+    times, down = raised(-1.2)
+    lower = down[(times > 2.5) & (times < 2.0 + HOLD - 0.02)]
+    assert np.ptp(lower) < 1e-9 and down[begin] - lower[0] > 0.15
+    assert (np.diff(down[begin - 3:begin + 12]) < 1e-9).all()
+
+
 def test_outside_of_pauses_nothing_is_touched() -> None:
     times, shown = performed([(4.0, 6.0)], 12.0)
     own = gestures(times)
