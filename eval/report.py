@@ -48,8 +48,8 @@ PICTURES = {
 CHAPTERS = ("metrics.joint_error", "metrics.fgd", "metrics.gesture_features", "metrics.pmb", "metrics.diversity",
             "metrics.accuracy", "metrics.smoothness", "metrics.beat_consistency", "metrics.mismatch",
             "metrics.evaluate", "metrics.audio_clusters", "metrics.eye", "metrics.eye.body", "metrics.eye.hands",
-            "metrics.eye.trunk", "metrics.eye.strokes", "metrics.eye.voice", "metrics.eye.frechet", "unit_selection",
-            "baselines", "stats")
+            "metrics.eye.trunk", "metrics.eye.strokes", "metrics.eye.voice", "metrics.eye.frechet", "corpus_bounds",
+            "style_from_sound", "planned_strokes", "unit_selection", "baselines", "stats")
 """The modules of `eval` whose docstrings are the chapters."""
 COMMANDS = """\
 gesticulator build performer --out STORE                   # a corpus, or see `gesticulator build --help`

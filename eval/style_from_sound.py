@@ -1,9 +1,10 @@
 """Can a style be heard? Amplitude, tempo and hand speed told from 8 s of sound, on recordings that were left out.
 
-Theory: ridge regression from what a listener has (loudness, its contrast, the spectrum's tilt, how often vowels begin,
-how much and how long there is silence) to the style that was asked for and to log(hand speed + 2 cm/s), both over the
-same 8 s. Each recording is told by a fit on all others, so its text was never heard; the penalty is chosen on the
-others alone. R2 is 1 less the squared error over the squared distance from the mean of the others, over all windows.
+Theory: ridge regression from what a listener has (loudness, its contrast, the spectrum's shape against it, how often
+vowels begin, how much and how long there is silence) to the style that was asked for in the middle of 8 s, and to
+log(hand speed + 2 cm/s) over them. Each recording is told by a fit on all others, so its text was never heard; the
+penalty is chosen on the others alone. R2 is 1 less the squared error over the squared distance from the mean of the
+others, over all windows.
 
 - by sound alone: nothing else is known. This is what an acceptance may claim.
 - voice known: the fit also knows which voice it is, so it may learn how that voice sounds in general.
@@ -95,7 +96,7 @@ def _window(bands: Array, middle: Array, active: NDArray[np.bool_], peaks: NDArr
     flux = np.abs(np.diff(bands[:, span], axis=1))[:, spoken[1:]].mean(axis=1)
     pauses = _runs(~active[span])
     return np.concatenate([
-        own.mean(axis=1), own.std(axis=1), flux,
+        own.mean(axis=1) - level.mean(), own.std(axis=1), flux,
         [level.mean(), level.std(), np.percentile(level, 90) - np.percentile(level, 30), np.log(rate + 0.5),
          np.log(flux.mean()), 1.0 - active[span].mean(), len(begins), np.log(0.1 + max(pauses, default=0.0)),
          np.log(0.1 + (float(np.mean(pauses)) if pauses else 0.0))]])

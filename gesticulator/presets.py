@@ -133,8 +133,9 @@ def default() -> Config:
             lexicon=FitSettings(steps=0, batch=1),  # fitted in closed form
             generator=FitSettings(steps=4_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
             # Trained apart and stopped early: beyond a few epochs it knows the corpus by heart.
-            interpreter=FitSettings(steps=1_000, batch=32, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
-                                    patience=3)),
+            interpreter=FitSettings(steps=1_000, batch=64, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
+                                    validations=20, patience=5),
+            interpreter_text=dataclasses.replace(paper.schedules.interpreter_text, validations=20, patience=5)),
         front_end=FrontEndConfig(name="mel", bands=40),
         # One degree, so that the trunk counts; the smoothing takes away no speed (it did at 0.05).
         motion=MotionConfig(joints=46, least_deviation=0.0175, smoothing=0.02),
@@ -142,8 +143,11 @@ def default() -> Config:
         generator=GeneratorConfig(
             head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=0, position_width=8,
             hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True),
-        interpreter=dataclasses.replace(paper.interpreter, pose_features=64, memory=8, history_dropout=0.2,
-                                        dropout=0.3),
+        # Block by block, the lexemes by vectors of its own. Its past is spoiled at random instead of being its own
+        # (scheduled sampling): what it would have drawn is not known here.
+        interpreter=dataclasses.replace(
+            paper.interpreter, audio_features=8, dropout=0.3, own_past_most=0.0, pose_features=96, pose_noise=0.1,
+            memory=8, reads_by="block", lexeme_features=48, history_dropout=0.2),
         silence=SilenceConfig(rest="life", augmentation=0.0, mask=False, hint=False),
         selection=SelectionConfig(temperature=1.0, guidance=2.0))
 
@@ -166,7 +170,8 @@ def tiny() -> Config:
                                   position_width=8, hidden=48, groups=4, classes=8, lstm_width=48, lstm_layers=1,
                                   style_rate=5e-2, swap_share=0.25, use_control=True),
         interpreter=LstmConfig(audio_features=8, audio_bottleneck=8, text_features=8, text_bottleneck=8,
-                               use_control=True, width=48),
+                               use_control=True, width=48, pose_features=8, memory=4, reads_by="block",
+                               lexeme_features=8, history_dropout=0.1),
         style=StyleConfig(audio_features=8, audio_bottleneck=8, text_features=4, text_bottleneck=8, width=32),
         gate=GateConfig(audio_features=4, audio_bottleneck=8, width=16),
         reward=RewardConfig(width=16, projection=8, window=4, longest=6), episodes=EpisodeConfig(prefix=2),

@@ -20,9 +20,10 @@ from data_module.build_report import Outcome
 from data_module.corpora import CORPORA, STROKE_SOURCES
 from data_module.files import lock
 from data_module.intervals import LONGEST, STEP, Intervals, measure
-from data_module.motion import kinematics
+from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.motion_beats import motion_beats
+from data_module.motion.skeletons import FINGER_JOINTS, WHOLE_BODY
 from data_module.speech.audio import write_flac
 from data_module.store import Store
 from data_module.types import Speech
@@ -30,6 +31,8 @@ from data_module.types import Speech
 TINY = ["performer", "--preset", "tiny", "--seed", "5"]
 """As the fixture `tiny_store` builds it."""
 ROOT = Path(__file__).parent.parent
+FILLED = WHOLE_BODY.names[16:]
+"""What the tiny preset's puppet lacks: fingers and legs."""
 
 
 def _command(*arguments: str) -> list[str]:
@@ -49,6 +52,20 @@ def test_tiny_store(tiny_store: Path) -> None:
         assert recording.motion.fps == 60 and recording.speech.words and recording.truth is not None
         assert abs(recording.motion.duration - recording.speech.duration) <= 1 / 60
         assert recording.truth.strokes and recording.truth.syllables and recording.truth.phrases
+
+
+def test_a_store_of_the_performer_stands_on_the_floor_and_its_fingers_live(tiny_store: Path) -> None:
+    store = Store.open(tiny_store)
+    for info in store.recordings[:3]:
+        assert info.filled == FILLED and info.absent == ()
+        motion = store.load(info.name, 54).motion
+        feet = [WHOLE_BODY.index(side + part) for side in ("Left", "Right") for part in ("Foot", "ToeBase")]
+        assert np.ptp(kinematics.positions_of(motion)[:, feet], axis=0).max() < 0.01
+        fingers = [WHOLE_BODY.index(joint) for joint in FINGER_JOINTS]
+        speed = np.degrees(rotation.angle_between(motion.rotations[1:, fingers], motion.rotations[:-1, fingers])) * 60
+        assert (speed.mean(axis=0) > 0.5).all() and speed.max() < 250.0
+        small = store.load(info.name).motion
+        assert len(small.skeleton) == 16 and np.array_equal(small.rotations, motion.rotations[:, :16])
 
 
 def test_strokes_kept_for_test_are_played_there_alone(tiny_store: Path) -> None:
@@ -90,7 +107,8 @@ def test_the_data_set_beside_the_store_gives_the_same_store(tiny_store: Path, tm
     for before, after in zip(made.recordings, read.recordings, strict=True):
         assert (before.split, before.speaker, before.voice, before.language) == (
             after.split, after.speaker, after.voice, after.language)
-    one, two = made.load(made.names[0]), read.load(made.names[0])
+    one, two = made.load(made.names[0], 54), read.load(made.names[0], 54)
+    assert (one.motion.absent, one.motion.filled) == (two.motion.absent, two.motion.filled) == ((), FILLED)
     assert np.array_equal(one.speech.samples, two.speech.samples) and one.speech.words == two.speech.words
     assert one.truth == two.truth
     apart = kinematics.positions_of(one.motion) - kinematics.positions_of(two.motion)

@@ -29,6 +29,7 @@ from data_module.motion.skeletons import (
     to_vector,
     upper_body,
 )
+from data_module.motion.smplx import read_smplx
 from data_module.types import Array, Motion, Skeleton
 
 DATA = os.environ.get("GESTICULATOR_DATA", "")
@@ -175,6 +176,24 @@ def test_a_real_beat_take_has_living_fingers_that_survive_a_file(tmp_path: Path)
     assert (bends.std(axis=0) > 0.5).mean() > 0.9 and bends.max() < 120.0
     write_bvh(tmp_path / "take.bvh", there)
     assert angles(to_character(read_bvh(tmp_path / "take.bvh"), skeleton=WHOLE_BODY), there).max() < 0.01
+
+
+@pytest.mark.parametrize(("columns", "first"), [(55, 25), (52, 22), (22, None)])
+def test_smplx_fingers_are_read_where_the_file_has_them(columns: int, first: int | None, tmp_path: Path) -> None:
+    poses = np.zeros((5, columns, 3))
+    if first is not None:
+        poses[:, first + 7, 2] = -0.6  # left_pinky2
+        poses[:, first + 27, 1] = 0.4  # right_thumb1
+    np.savez(tmp_path / "a.npz", poses=poses.reshape(5, -1), trans=np.zeros((5, 3)), mocap_frame_rate=30.0)
+    there = to_character(read_smplx(tmp_path / "a.npz"), skeleton=FINGERED)
+    maps = rotation.to_exponential_map(there.rotations)
+    if first is None:
+        assert set(there.absent) >= set(FINGER_JOINTS) and not np.abs(maps).max() > 1e-9
+        return
+    assert not set(there.absent) & set(FINGER_JOINTS)
+    assert np.allclose(maps[:, FINGERED.index("LeftHandPinky2")], [0.0, 0.0, -0.6])
+    assert np.allclose(maps[:, FINGERED.index("RightHandThumb1")], [0.0, 0.4, 0.0])
+    assert np.count_nonzero(np.abs(maps).max(axis=(0, 2)) > 1e-9) == 2
 
 
 @settings(max_examples=20, deadline=None)

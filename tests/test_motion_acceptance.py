@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,21 +16,30 @@ from hypothesis import given
 from hypothesis import strategies as st
 from performances import perform
 from torch import Tensor
+from untrained import PLAIN, untrained
 
 from data_module.blocks import cut
 from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
+from data_module.motion.movement import Pasts, joined
 from data_module.motion.skeletons import CHARACTER
+from data_module.store import StoreWriter
 from data_module.types import Array, Motion, Speech, Word
 from eval import baselines
+from eval.commands import PROBE
 from eval.eye_table import EyeSample
 from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
+from eval.probes import motion as probe
 from eval.probes.motion import movements, rest, seen, steering
 from eval.probes.motion.clauses import ANY, Bound, Clause, at_least, at_most, clause_table, summary
 from eval.probes.motion.movements import ALL, ALONE, HeldOut
 from eval.probes.motion.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.probes.motion.rest import Rested
 from eval.stats import Interval
+from eval.table import load
+from gesticulator import bundle as bundles
+from lexicon.movement import MovementLexicon
+from lexicon.settings import LexiconConfig
 
 HZ = 60.0
 
@@ -304,17 +314,17 @@ def held(seed: int, blocks: int = 40) -> HeldOut:
 
 def test_decoding_that_is_right_that_holds_still_and_that_names_postures() -> None:
     recordings = [held(seed) for seed in range(4)]
-    right = movements.lexicon_clauses(recordings, {ALL: lambda blocks, before, ratio: blocks})
+    right = movements.lexicon_clauses(recordings, {ALL: lambda blocks, past: blocks})
     assert all(named(right, f"{kind} of strokes, all levels, open").value.mean == pytest.approx(1.0)
                for kind in ("within-block R2", "displacement R2"))
     assert all(clause.holds is True for clause in right if "open" in clause.name)
     assert all(clause.holds is None for clause in right if "closed" in clause.name)
-    stays = movements.lexicon_clauses(recordings, {ALL: lambda blocks, before, ratio: before[:, -1:].expand_as(blocks)})
+    stays = movements.lexicon_clauses(recordings, {ALL: lambda blocks, past: past.frames[:, -1:].expand_as(blocks)})
     for kind in ("within-block R2", "displacement R2"):
         clause = named(stays, f"{kind} of strokes, all levels, open")
         assert clause.value.mean == pytest.approx(0.0, abs=1e-6) and clause.holds is False
     posture = movements.lexicon_clauses(
-        recordings, {ALL: lambda blocks, before, ratio: blocks.mean(1, keepdim=True).expand_as(blocks)})
+        recordings, {ALL: lambda blocks, past: blocks.mean(1, keepdim=True).expand_as(blocks)})
     assert named(posture, "within-block R2 of strokes, all levels, open").value.mean == pytest.approx(0.0, abs=1e-6)
     assert named(posture, "displacement R2 of strokes, all levels, open").value.mean > 0.5
 
@@ -322,9 +332,9 @@ def test_decoding_that_is_right_that_holds_still_and_that_names_postures() -> No
 def test_closed_loop_feeds_back_what_was_decoded() -> None:
     one = held(0)
 
-    def lagging(blocks: Tensor, before: Tensor, ratio: Tensor) -> Tensor:
+    def lagging(blocks: Tensor, past: Pasts) -> Tensor:
         """Half of every step from the last frame that is told."""
-        return before[:, -1:] + 0.5 * (blocks - before[:, -1:])
+        return past.frames[:, -1:] + 0.5 * (blocks - past.frames[:, -1:])
 
     told = movements.closed_loop(lagging, [one])[0]
     last = one.first
@@ -344,7 +354,7 @@ def test_closed_loop_feeds_back_what_was_decoded() -> None:
 def test_hands_that_are_decoded_as_one_break_the_tie_between_them() -> None:
     right, left = (3 * CHARACTER.index(side + "Hand") + 1 for side in ("Right", "Left"))
 
-    def as_one(blocks: Tensor, before: Tensor, ratio: Tensor) -> Tensor:
+    def as_one(blocks: Tensor, past: Pasts) -> Tensor:
         told = blocks.clone()
         told[..., left] = told[..., right]
         return told
@@ -405,64 +415,43 @@ def test_silent_lexemes_are_looked_at_after_another_silent_one() -> None:
     assert movements.silent_clause([made], np.array([2]), ["a"]).holds is None
 
 
-@dataclass(frozen=True)
-class Pasts:
-    """As the lexicon of movements is told them."""
-
-    frames: Tensor
-    ratio: Tensor
-
-
-def pasts_of(motion: Tensor, durations: Tensor, first: Tensor) -> Pasts:
-    """Of one recording."""
-    before = torch.cat([first.expand(1, 3, -1), motion[:-1, -3:]])
-    return Pasts(before, durations / torch.cat([durations[:1], durations[:-1]]))
-
-
-class Steps:
-    """A lexicon of two movements, by hand: to the last pose, or a metre up from it in the first feature."""
-
-    by_past = True
-
-    def coefficients(self, motion: Tensor, past: Pasts) -> Tensor:
-        """[B, 1] how far the first feature rises."""
-        return (motion - past.frames[:, -1:])[:, -1, :1]
-
-    def quantised(self, coefficients: Tensor, levels: int | None = None) -> Tensor:
-        """0 or 1 by the lexeme alone, as it was by all levels."""
-        return (coefficients > 0.5).float() if levels == 0 else coefficients
-
-    def compose(self, coefficients: Tensor, past: Pasts) -> Tensor:
-        """[B, K, 2] at once where it is to be."""
-        told = past.frames[:, -1:].repeat(1, K, 1)
-        told[..., :1] += coefficients[:, None]
-        return told
-
-    def ranks(self, motion: Tensor, past: Pasts, lexemes: Tensor) -> Tensor:
-        """0 where the nearer movement was asked for."""
-        return (self.quantised(self.coefficients(motion, past), 0)[:, 0].long() != lexemes).long()
+def movement_lexicon(recordings: list[HeldOut]) -> MovementLexicon:
+    """Fitted on these, one part of all numbers."""
+    width = recordings[0].motion.shape[-1]
+    lexicon = MovementLexicon(LexiconConfig(kind="movement", size=12, levels=(8,)), K, {"body": tuple(range(width))})
+    motion = torch.cat([own.motion for own in recordings])
+    lexicon.fit(motion, joined(own.pasts() for own in recordings), torch.ones(len(motion), width), seed=0)
+    return lexicon
 
 
 def test_a_lexicon_of_movements_is_told_the_past() -> None:
-    rises = torch.tensor([0.0, 1.2, 0.1, 0.9])
-    motion = torch.zeros(4, K, 2)
-    motion[..., 0] = torch.cumsum(rises, 0)[:, None]
-    one = HeldOut("one", motion, torch.full((4,), 0.3), torch.zeros(2), lambda own: own.numpy()[..., None])
-    codes = movements.codes_of(Steps())
-    torch.testing.assert_close(movements.open_loop(codes[ALL], one), motion)
-    torch.testing.assert_close(movements.closed_loop(codes[ALL], [one])[0], motion)
-    alone = movements.closed_loop(codes[ALONE], [one])[0]
-    torch.testing.assert_close(alone[:, -1, 0], torch.tensor([0.0, 1.0, 1.0, 2.0]))
+    recordings = [held(seed) for seed in range(3)]
+    lexicon = movement_lexicon(recordings)
+    codes = movements.codes_of(lexicon)
+    one = recordings[0]
+    labels = lexicon.label(one.motion, one.pasts())
+    torch.testing.assert_close(movements.open_loop(codes[ALONE], one),
+                               lexicon.basis.compose(lexicon.added(labels), one.pasts()))
+    found = movements.lexicon_clauses(recordings, codes)
+    every, alone = (named(found, f"displacement R2 of strokes, {name}, open").value.mean for name in (ALL, ALONE))
+    assert every > alone > 0.0, "more codes tell more, and a lexeme tells something"
+    # What was drawn by the codewords themselves, block after block on its own past, is what was asked for.
+    asked = np.random.default_rng(0).integers(lexicon.size, size=20)
+    past, blocks = Pasts(torch.zeros(1, 3, one.motion.shape[-1]), torch.ones(1)), []
+    for lexeme in asked:
+        blocks.append(lexicon.basis.compose(lexicon.added(torch.tensor([lexeme])), past)[0])
+        past = Pasts(blocks[-1][None, -3:], torch.ones(1))
 
-    class Held:
-        lexicon = Steps()
+    class Played:
+        block_models = SimpleNamespace(lexicon=lexicon)
 
         def rest_feature(self, speaker: int) -> Tensor:
-            return torch.zeros(2)
+            return torch.zeros(one.motion.shape[-1])
 
-    made = Rendering(moved(1.0, np.ones(60)), np.arange(5) * 0.3, lexemes=np.array([0, 1, 0, 0]),
-                     drawn=motion.numpy())
-    assert movements.encode(Held(), made, 0).tolist() == [0, 0, 0, 1]  # type: ignore[arg-type]
+    made = Rendering(moved(1.0, np.ones(60)), np.arange(21) * 0.3, lexemes=asked, drawn=torch.stack(blocks).numpy())
+    assert movements.encode(Played(), made, 0).tolist() == [0] * 20  # type: ignore[arg-type]
+    other = replace(made, lexemes=(asked + 1) % lexicon.size)
+    assert (movements.encode(Played(), other, 0) > 0).all()  # type: ignore[arg-type]
 
 
 # ---------------------------------------------------------------------------------------------------------- steering
@@ -535,3 +524,89 @@ def test_motion_files_are_a_system_with_the_blocks_of_their_plan(tmp_path: Path)
     assert len(system.pairs(AcceptanceVoice("talk", speech, TEST), [0])) == 1
     assert system.pairs(AcceptanceVoice("other", speech, TEST), [0]) == []
     assert all(a.motion.fps == HZ for (a, _), _ in itertools.product(found, [0]))
+
+
+# --------------------------------------------------------------------------------------------------------- the probe
+
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A store of bursts of noise and free arms, and a bundle that nobody trained."""
+    folder = tmp_path_factory.mktemp("acceptance")
+    writer = StoreWriter(folder / "store", "folder", {}, 1, "free")
+    for seed, name in enumerate(("train", "first", "second")):
+        writer.add(recording(name, seed, 21.0, "train" if name == "train" else "test"))
+    writer.finish(["train", "first", "second"])
+    bundles.save(untrained(*PLAIN), folder / "bundle", "a card")
+    return folder / "store", folder / "bundle"
+
+
+def probed(standing: tuple[Path, Path], *more: str) -> int:
+    store, bundle = standing
+    return PROBE.main("gesticulator probe", ["motion", "--store", str(store), "--bundle", str(bundle), *more])
+
+
+def test_every_group_is_judged_and_a_second_run_says_the_same(standing: tuple[Path, Path], tmp_path: Path,
+                                                              monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
+    work, out = tmp_path / "work", tmp_path / "motion.json"
+    told = ["--work", str(work), "--renderings", "1", "--out", str(out)]
+    assert probed(standing, *told, "--only", "motion", "lexicon") == 0
+    some = load(out)
+    assert list(some[0].rows) == [probe.TITLES["motion"], probe.TITLES["lexicon"]]
+    assert probed(standing, *told, "--only", "rest", "controls", "--write", str(tmp_path / "made")) == 0
+    every = load(out)
+    assert list(every[0].rows) == list(probe.TITLES.values()), "what was run before is shown beside"
+    entries = every[0].facts["clauses"]
+    names = [entry["name"] for entry in entries]
+    assert len(set(names)) == len(names) > 60
+    assert set(entries[0]) == {"name", "value", "low", "high", "n", "bound", "holds", "reason"}
+    assert all(entry["holds"] in (True, False) for entry in entries if entry["bound"])
+    by_name = {entry["name"]: entry for entry in entries}
+    assert by_name["interpreter statistical runs"]["holds"] is True
+    assert by_name["interpreter cql runs"]["holds"] is False and "not in the bundle" in by_name[
+        "interpreter cql runs"]["reason"]
+    assert by_name["faults of the plan (--explain)"]["holds"] is True
+    assert by_name["hand controls are heard"]["holds"] is False
+    assert list(every[2].columns) == ["ours", "unit selection", "corpus"]
+    before = {file.name: file.stat().st_mtime_ns for file in (work / "renderings").iterdir()}
+    first = out.read_bytes()
+    assert probed(standing, *told, "--only", "motion", "lexicon", "rest") == 0
+    assert {file.name: file.stat().st_mtime_ns for file in (work / "renderings").iterdir()} == before
+    assert out.read_bytes() == first
+    # What was written is another system, and as good as ours but for rounding.
+    assert probed(standing, *told[:4], "--only", "motion", "--system", f"again={tmp_path / 'made'}", "--out", str(
+        tmp_path / "again.json")) == 0
+    figures = load(tmp_path / "again.json")[2].facts["figures"]
+    for row, value in figures["ours"].items():
+        if "rolled" not in row:
+            assert figures["again"][row]["mean"] == pytest.approx(value["mean"], rel=2e-3, abs=2e-3, nan_ok=True), row
+
+
+def test_a_bundle_can_stand_beside_another(standing: tuple[Path, Path], tmp_path: Path,
+                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
+    bundles.save(untrained(*PLAIN, seed=1), tmp_path / "other", "a card")
+    assert probed(standing, "--work", str(tmp_path / "work"), "--only", "motion", "--renderings", "1", "--limit", "1",
+                  "--system", f"regressing={tmp_path / 'other'}", "--out", str(tmp_path / "motion.json")) == 0
+    table = load(tmp_path / "motion.json")[2]
+    assert list(table.columns) == ["ours", "regressing", "unit selection", "corpus"]
+    assert table.facts["figures"]["ours"]["eye_speed_50"] != table.facts["figures"]["regressing"]["eye_speed_50"]
+
+
+@pytest.mark.parametrize(("more", "told"), [
+    (["--renderings", "0"], "give 1 or more"), (["--limit", "0"], "give 1 or more"),
+    (["--system", "ours=x"], "column of its own"), (["--system", "nothing"], "NAME=VALUE"),
+    (["--system", "x=/nowhere"], "is not a folder"), (["--only", "everything"], "invalid choice")])
+def test_wrong_input_is_refused(standing: tuple[Path, Path], more: list[str], told: str,
+                                capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        probed(standing, *more)
+    assert caught.value.code == 2 and told in capsys.readouterr().err
+
+
+def test_without_a_voice_there_is_nothing_to_judge(standing: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch,
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
+    with pytest.raises(SystemExit):
+        PROBE.main("gesticulator probe", ["motion", "--bundle", str(standing[1])])
+    assert "no voice to gesture for" in capsys.readouterr().err

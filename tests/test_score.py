@@ -303,7 +303,7 @@ def in_three_formats(motion: Motion, folder: Path) -> None:
                  offsets=CHARACTER.offsets * 100,
                  end_sites={joint: 100 * tip for joint, tip in CHARACTER.end_sites.items()})
     smplx = NAME_TABLES["smplx"]
-    ours = {theirs: CHARACTER.index(name) for name, theirs in smplx.items()}
+    ours = {theirs: CHARACTER.index(name) for name, theirs in smplx.items() if name in CHARACTER.names}
     world, turned = global_rotations(CHARACTER, motion.rotations), np.zeros((len(motion), len(SMPLX), 4))
     for joint, name in enumerate(SMPLX.names):
         parent = turned[:, SMPLX.parents[joint]] if joint else world[:, 0]

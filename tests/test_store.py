@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from data_module import store as stores
 from data_module.errors import InputError
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGER_JOINTS, FINGERED, WHOLE_BODY, resized
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
 from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Motion, Speech, Word
@@ -59,6 +59,39 @@ def test_round_trip(tmp_path: Path) -> None:
         assert after.motion.fps == 60 and after.motion.absent == ("Spine3",)
         assert after.speech.words == before.speech.words and after.truth == before.truth
         assert after.info == replace(before.info, seconds=1.5, frames=90, fps=60.0, absent=("Spine3",))
+
+
+def test_the_whole_body_is_kept_and_read_in_any_size(tmp_path: Path) -> None:
+    small = _recording("a")
+    motion = resized(small.motion, WHOLE_BODY)
+    turns = Rotation.random(90 * 54, random_state=4).as_quat(scalar_first=True).reshape(90, 54, 4)
+    motion = replace(motion, rotations=turns, absent=("Spine3", "LeftToeBase"), filled=FINGER_JOINTS)
+    store = _store(tmp_path / "s", replace(small, motion=motion))
+    assert store.recordings[0].absent == motion.absent and store.recordings[0].filled == FINGER_JOINTS
+    for joints, absent, filled in ((54, motion.absent, FINGER_JOINTS), (46, ("Spine3",), FINGER_JOINTS),
+                                   (16, ("Spine3",), ())):
+        read = store.load("a", joints).motion
+        assert read.skeleton is CHARACTERS[joints] and (read.absent, read.filled) == (absent, filled)
+        assert np.abs(np.sum(read.rotations * turns[:, :joints], axis=-1)).min() > 1 - 1e-12
+    assert len(store.load("a").motion.skeleton) == 16
+    # What a store of the papers' joints has not is at rest and absent.
+    grown = _store(tmp_path / "old", small).load("a", 46).motion
+    assert grown.absent == ("Spine3", *FINGERED.names[16:]) and (grown.rotations[:, 16:, 0] == 1).all()
+
+
+def test_a_store_of_format_2_is_still_read(tmp_path: Path) -> None:
+    store = _store(tmp_path / "s", _recording("a"))
+
+    def older(content: dict[str, Any]) -> None:
+        content["format"] = 2
+        del content["recordings"][0]["filled"]
+
+    _listing(store, older)
+    old = Store.open(store.path)
+    assert old.recordings[0].filled == () and old.load("a").motion.absent == ("Spine3",)
+    _listing(store, lambda content: content.update(format=1))
+    with pytest.raises(InputError, match="format 1, and this version reads format 3"):
+        Store.open(store.path)
 
 
 def test_no_words_and_unknown_words_are_not_the_same(tmp_path: Path) -> None:

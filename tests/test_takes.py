@@ -9,10 +9,11 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED
 from data_module.performer import takes
 from data_module.performer.chaining import chain, seam_ratio
 from data_module.performer.inertialisation import quintic_offset
+from data_module.performer.living_fingers import living_fingers
 from data_module.performer.takes import FPS, HIPS, SKULL, SPINE, Library, MotionRange, RealTake
 from data_module.types import Array
 
@@ -169,6 +170,38 @@ def test_a_chain_is_the_same_twice_and_needs_two_pieces() -> None:
         chain(pieces[:1], 20.0, np.random.default_rng(1))
 
 
+def test_fingers_go_with_the_stretches_they_belong_to() -> None:
+    """A chain of stretches with fingers has the arms of one without, and the fingers of the frames that it plays."""
+    bare = [moving(9.0, seed) for seed in range(4)]
+    fingers = [np.broadcast_to(np.float64(seed), (len(logs), 30, 3)) for seed, logs in enumerate(bare)]
+    whole = [np.concatenate([logs, own], axis=1) for logs, own in zip(bare, fingers, strict=True)]
+    one, two = (chain(pieces, 20.0, np.random.default_rng(2)) for pieces in (bare, whole))
+    assert two.used == one.used and np.array_equal(two.edges, one.edges)
+    assert np.allclose(two.logs[:, :16], one.logs) and two.logs.shape[1] == 46
+    last = [round(edge * FPS) - 1 for edge in two.edges[1:]]
+    # At its end each stretch has come to its own fingers: the old one's have died away.
+    assert [round(float(two.logs[at, 20, 0]), 3) for at in last] == [float(k) for k in two.used]
+    flipped = takes.mirrored(two.logs)
+    left, right = FINGERED.index("LeftHandRing2"), FINGERED.index("RightHandRing2")
+    assert np.array_equal(flipped[:, left], two.logs[:, right] * [1, -1, -1])
+
+
+def test_played_fingers_stay_within_a_hand_and_are_never_still() -> None:
+    rng = np.random.default_rng(0)
+    times = np.arange(600) / FPS
+    wild = 3.0 * np.sin(2 * np.pi * 0.5 * times)[:, None, None] * rng.uniform(-1, 1, (1, 15, 3))
+    wild[300] += 2.0
+    out = living_fingers(wild, 0)
+    assert np.degrees(np.linalg.norm(out, axis=-1)).max() < 97.5
+    assert np.abs(np.diff(out, axis=0)).max() < 0.5, "a frame that jumps is smoothed"
+    gentle = 0.3 * np.sin(2 * np.pi * 0.5 * times)[:, None, None] * np.ones((1, 15, 3)) / np.sqrt(3)
+    assert np.abs(living_fingers(gentle, 1) - gentle).max() < np.radians(5.0), "an ordinary hand is left as it is"
+    rest = living_fingers(np.zeros((600, 15, 3)), 1)
+    speed = np.degrees(np.linalg.norm(np.diff(rest, axis=0), axis=-1)).max(axis=1) * FPS
+    assert speed.min() > 0.3 and speed.max() < 5.0
+    assert living_fingers(np.zeros((10, 0, 3)), 0).shape == (10, 0, 3)
+
+
 def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
     folder = outside_data / "free_motion"
     if not (folder / "manifest.csv").is_file():
@@ -179,6 +212,12 @@ def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
     places = kinematics.joint_positions(CHARACTER, lib.rest[None])[0]
     for wrist, side in zip(takes.WRISTS, (1.0, -1.0), strict=True):
         assert places[wrist, 1] < 0.06 and 0.1 < side * places[wrist, 0] < 0.4, "the rest pose hangs"
+    # Whose fingers were recorded keeps them; the others' hands open and close with their arms.
+    fingers = [FINGERED.index(joint) for joint in FINGER_JOINTS]
+    for take in talks:
+        assert take.filled == (FINGER_JOINTS if take.name.startswith("cmu") else ()), take.name
+        assert take.logs.shape[1] == 46 and (take.logs[:, fingers].std(axis=0).max(axis=1) > 0.005).mean() > 0.8
+        assert np.degrees(np.linalg.norm(take.logs[:, fingers], axis=-1)).max() < 180.0
     # Slow turning is gone, and hands stay in range.
     for take in talks[:12]:
         for logs in takes.stretches(lib, take, MotionRange(0.5, 1.0)):

@@ -2,11 +2,10 @@
 
 `NAME.bvh` (any rig whose joints have known names) goes with `NAME.flac`, `.wav`, `.mp3` or `.ogg`. What is said may
 lie beside them as `NAME.TextGrid`, `.json` (words with their times), `.srt`, `.vtt` or `.txt` (plain); without any the
-words are unknown. `NAME.json` may also tell split, performer, voice, language and the truth of a scripted performance;
-
-without it the split goes by the order of the names, in shares of 80/10/10 or as `Options.split` says, and the performer
-is what stands before the first "_" of the names where several recordings share it, else the folder, or what
-`Options.speaker` says.
+words are unknown. `NAME.json` may also tell split, performer, voice, language, whether whoever moves stands in one
+place (`stands`), joints whose motion was made up (`filled`) and the truth of a scripted performance; without it the
+split goes by the order of the names, in shares of 80/10/10 or as `Options.split` says, and the performer is what stands
+before the first "_" of the names where several recordings share it, else the folder, or what `Options.speaker` says.
 """
 
 from __future__ import annotations
@@ -101,7 +100,10 @@ class Folder:
             raise DroppedError(str(error)) from None
         except (KeyError, TypeError, ValueError) as error:
             raise DroppedError(f"{self._source / name}.json: {error!r} does not belong there") from None
-        return Imported(item.info, speech, motion, truth, unit=unit, words=timing)
+        filled = told.get("filled")
+        if isinstance(filled, list):
+            motion = replace(motion, filled=tuple(joint for joint in motion.skeleton.names if joint in filled))
+        return Imported(item.info, speech, motion, truth, told.get("stands") is True, unit=unit, words=timing)
 
     def notes(self) -> Sequence[str]:
         lines = [f"{name}: has no sound of the same name" for name in self._alone]
@@ -203,7 +205,7 @@ def write_recording(folder: Path, recording: Recording) -> None:
     told: dict[str, Any] = {
         "words": [asdict(word) for word in words] if words is not None else None,
         "performer": info.speaker, "voice": info.voice, "language": info.language, "split": info.split,
-        "group": info.group,
+        "group": info.group, "stands": recording.stands, "filled": list(recording.motion.filled),
     }
     if recording.truth is not None:
         told |= recording.truth.to_json()

@@ -166,7 +166,8 @@ class MovementBasis(nn.Module):
     def fit(self, motion: Tensor, past: Pasts, mask: Tensor) -> Tensor:
         """W, U, scale, weight and limits from blocks [N, K, D_m] with their pasts.
 
-        mask: [N, D_m] 1 where the source has it; a part is fitted on the blocks of sources that have it. Gives the coefficients [N, n], 0 where it is lacking.
+        mask: [N, D_m] 1 where the source has it; a part is fitted on the blocks of sources that have it. Gives the
+        coefficients [N, n], 0 where it is lacking.
         """
         known = self.known(mask) > 0
         coefficients = torch.zeros(len(motion), self.width, dtype=torch.float64)

@@ -18,6 +18,7 @@ from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE
+from data_module.motion.skeletons import FINGERED
 from data_module.types import Motion, Skeleton
 
 # Name, parent, offset in metres: the first 22 of SMPL-X's 55 joints, in its order.
@@ -46,6 +47,9 @@ _BODY = [
     ("right_wrist", "right_elbow", (-0.250, 0.0, 0.0)),
 ]
 _TIPS = {"head": (0.0, 0.170, 0.020), "left_wrist": (0.160, 0.0, 0.0), "right_wrist": (-0.160, 0.0, 0.0)}
+# Which column of a pose the first finger joint is: SMPL-X has a jaw and two eyes before it, SMPL-H has not.
+_FINGERS_AT = {55: 25, 52: 22}
+_FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 JOINTS = 55
 _PELVIS_BELOW_ORIGIN = 0.35
 """Metres: `trans` moves the body's origin, which lies about the breastbone, and our root is the pelvis."""
@@ -58,10 +62,21 @@ _FARTHEST = 1e6
 
 
 def _build() -> Skeleton:
-    names = tuple(name for name, _, _ in _BODY)
-    parents = tuple(-1 if parent is None else names.index(parent) for _, parent, _ in _BODY)
-    tips = {names.index(name): np.array(tip) for name, tip in _TIPS.items()}
-    return Skeleton(names, parents, np.array([offset for _, _, offset in _BODY]), tips)
+    """The body, then both hands in SMPL-X's order, with our character's fingers."""
+    rows = [(name, parent, np.array(offset)) for name, parent, offset in _BODY]
+    tips = {name: np.array(tip) for name, tip in _TIPS.items() if not name.endswith("wrist")}
+    for side in ("left", "right"):
+        for finger in _FINGERS:
+            for place in (1, 2, 3):
+                ours = FINGERED.index(f"{side.title()}Hand{finger.title()}{place}")
+                name, above = f"{side}_{finger}{place}", f"{side}_{finger}{place - 1}" if place > 1 else f"{side}_wrist"
+                rows.append((name, above, FINGERED.offsets[ours]))
+                if place == 3:
+                    tips[name] = FINGERED.end_sites[ours]
+    names = tuple(name for name, _, _ in rows)
+    parents = tuple(-1 if parent is None else names.index(parent) for _, parent, _ in rows)
+    return Skeleton(names, parents, np.array([offset for _, _, offset in rows]),
+                    {names.index(name): tip for name, tip in tips.items()})
 
 
 SKELETON: Skeleton = _build()
@@ -70,15 +85,16 @@ SKELETON: Skeleton = _build()
 def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Motion:
     """Read `poses` [T, 165] or [T, 66 or more], `trans` [T, 3] and `mocap_frame_rate` of an SMPL-X `.npz`.
 
-    fps: the frame rate, where the file has none or a wrong one. InputError names the file that is absent, is no .npz,
-    lacks an array, or holds another shape. Nothing in it is unpickled.
+    Fingers are read of 165 numbers, or of SMPL-H's 156, as turns against a flat hand, and are absent of fewer. fps: the
+    frame rate, where the file has none or a wrong one. InputError names the file that is absent, is no .npz, lacks an
+    array, or holds another shape. Nothing in it is unpickled.
     """
     arrays = read_npz(path, ("poses", "trans", *_RATES), "fetch it again")
     for name in ("poses", "trans"):
         if name not in arrays or arrays[name].dtype.kind not in "fiu":
             raise InputError(path, f"has no numbers called {name}", "SMPL-X files have poses and trans")
     poses, trans = arrays["poses"], arrays["trans"]
-    frames, joints = len(poses) if poses.ndim else 0, len(SKELETON)
+    frames, joints = len(poses) if poses.ndim else 0, len(_BODY)
     if poses.ndim < 2 or frames == 0 or poses.reshape(frames, -1).shape[1] < joints * 3:
         raise InputError(path, f"has poses of shape {poses.shape}", f"SMPL-X has [T, {JOINTS * 3}]")
     if trans.shape != (frames, 3):
@@ -86,14 +102,19 @@ def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Mot
     rate = fps if fps is not None else _rate(arrays)
     if rate is None or not 0 < rate < 1000:
         raise InputError(path, "has no usable mocap_frame_rate", FRAME_RATE_ADVICE)
-    values = as_floats(poses.reshape(frames, -1)[:, :joints * 3])
+    flat = poses.reshape(frames, -1)
+    hands = _FINGERS_AT.get(flat.shape[1] // 3) if flat.shape[1] % 3 == 0 else None
+    fingers = 3 * (len(SKELETON) - joints)
+    values = as_floats(np.concatenate([flat[:, :3 * joints], flat[:, 3 * hands:3 * hands + fingers] if hands else
+                                       np.zeros((frames, fingers))], axis=1))
     root = as_floats(trans)
     if not (np.isfinite(values).all() and np.isfinite(root).all()):
         raise InputError(path, "has poses that are not numbers", "export it again")
     if np.abs(values).max() > _MOST_TURN or np.abs(root).max() > _FARTHEST:
         raise InputError(path, "has poses that are not angles, or a body far away", "export it in radians and metres")
-    turns = rotation.continuous(rotation.from_exponential_map(values.reshape(frames, joints, 3)))
-    return Motion(SKELETON, turns, root - np.array([0.0, _PELVIS_BELOW_ORIGIN, 0.0]), rate)
+    turns = rotation.continuous(rotation.from_exponential_map(values.reshape(frames, len(SKELETON), 3)))
+    return Motion(SKELETON, turns, root - np.array([0.0, _PELVIS_BELOW_ORIGIN, 0.0]), rate,
+                  () if hands else SKELETON.names[joints:])
 
 
 def _rate(arrays: Mapping[str, NDArray[Any]]) -> float | None:

@@ -39,7 +39,7 @@ _RECENT = 3
 """Clips of a performer's past that are not repeated at once."""
 _RECENT_WEIGHT = 0.1
 """Times as likely as others they are chosen."""
-_SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.36, 0.4, 0.25, 0.9
+_SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
 """Log of the gain by the vigour of the syllable and by amplitude; log of the speed, and eagerness, by tempo."""
 _LARGEST = 1.75
 """Gain beyond which elbows fold and hands come near the face."""

@@ -20,6 +20,7 @@ from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
 from data_module.performer.hands import Manner, waiting_levels
 from data_module.performer.inertialisation import quintic_offset
+from data_module.performer.living_fingers import living_fingers
 from data_module.performer.plan import BRAKE, Casting, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
 from data_module.performer.styles import NEUTRAL, StyleTrack
@@ -645,7 +646,8 @@ def _followed(p: Planned, side: int, beat: float, accent: float, times: Array, h
     held = p.stroke.arm_at(side, np.array([p.stroke.beat]), _REACHING)[0]
     reach = home[:held.size]
     up = float(held @ reach) / max(float(reach @ reach), 1e-9)
-    path = p.gain * p.uneven[side] * (path + max(0.0, 0.6 - up) * home)
+    # Fingers are told as they were: a fist played larger would be no hand.
+    path[:, :held.size] = p.gain * p.uneven[side] * (path + max(0.0, 0.6 - up) * home)[:, :held.size]
     peak, stop = beat - BRAKE * _FALL, beat + (1.0 - BRAKE) * _FALL
     raised = _pulse(times, peak - 0.26, peak) - _pulse(times, peak, stop)
     path[:, :held.size] *= 1.0 + accent * raised[:, None]
@@ -752,8 +754,10 @@ def _assemble(score: _Score, arms: Array) -> Motion:
     for k, joint in enumerate(figure.trunk):
         rotations[:, joint] = _turned(figure.rest[joint], score.trunk[:, k])
     for side in (LEFT, RIGHT):
+        logs = arms[side].reshape(score.frames, -1, 3)
+        logs = np.concatenate([logs[:, :_REACHING], living_fingers(logs[:, _REACHING:], side)], axis=1)
         for k, joint in enumerate(figure.arms[side]):
-            rotations[:, joint] = _turned(figure.rest[joint], arms[side][:, 3 * k:3 * k + 3])
+            rotations[:, joint] = _turned(figure.rest[joint], logs[:, k])
     # The feet stay where they are: the legs take back what the hips turn, and the hips turn about their sockets.
     still = rotation.multiply(rotation.conjugate(rotations[:, 0]), figure.rest[0][None])
     legs = [joint for joint, name in enumerate(skeleton.names) if name.endswith("UpLeg")]

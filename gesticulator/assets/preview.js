@@ -355,11 +355,15 @@ class Figure {
     this.limb(frame, point(0.058, -0.018, 0.056), point(0.090, -0.026, 0.063), 0.0105 * s, 0.0085 * s, "skin");
   }
 
-  /** Legs that stand still: the data knows nothing below the hips. */
+  /** Legs that stand still where the data knows nothing below the hips, and move where it does. */
   buildLegs() {
     const { Vector3, Group } = this.THREE;
     this.legs = new Group();
     this.group.add(this.legs);
+    if (this.bone("LeftUpLeg")) {
+      for (const side of ["Left", "Right"]) this.buildLeg(side);
+      return;
+    }
     for (const x of [-1, 1]) {
       const hip = new Vector3(x * 0.080, 0.89, 0), knee = new Vector3(x * 0.098, 0.50, 0.012), ankle = new Vector3(x * 0.106, 0.09, -0.02);
       this.limb(this.legs, hip, knee, 0.084, 0.056, "trousers");
@@ -367,6 +371,16 @@ class Figure {
       const shoe = this.limb(this.legs, new Vector3(x * 0.106, 0.043, -0.035), new Vector3(x * 0.128, 0.036, 0.115), 0.043, 0.036, "shoe");
       shoe.castShadow = true;
     }
+  }
+
+  buildLeg(side) {
+    const { Vector3 } = this.THREE;
+    const zero = new Vector3(), joint = (part) => this.bone(side + part);
+    this.limb(joint("UpLeg"), zero, this.offset(side + "Leg"), 0.084, 0.056, "trousers");
+    this.limb(joint("Leg"), zero, this.offset(side + "Foot"), 0.056, 0.044, "trousers");
+    const ball = this.offset(side + "ToeBase");
+    this.limb(joint("Foot"), new Vector3(0, ball.y * 0.62, -0.035), new Vector3(ball.x, ball.y * 0.75, ball.z * 0.95), 0.043, 0.037, "shoe");
+    this.limb(joint("ToeBase"), new Vector3(0, 0.014, -0.02), new Vector3(0, 0.012, 0.045), 0.036, 0.030, "shoe");
   }
 
   paint() {

@@ -149,16 +149,16 @@ def _opened(arguments: argparse.Namespace) -> tuple[Acceptance, Path | None]:
         if name in places:
             raise InputError(f"--system {name}", "is the name of a column of its own", "choose another")
     store = Store.open(arguments.store) if arguments.store else None
-    take = real_take(HZ)
-    voices = [] if take is None else [AcceptanceVoice("take", take[1], TAKE, take[0])]
-    if store is not None:
-        voices += held_out_voices(store, arguments.limit)
-    if not voices:
-        raise InputError("probe motion", "has no voice to gesture for", "give --store, or set GESTICULATOR_DATA")
     work = arguments.work or (None if store is None else Path(f"{store.path}.work") / "acceptance")
     kept = KeptRenderings(None if work is None else work / "renderings")
     ours = BundleSystem(OURS, arguments.bundle or bundles.SHIPPED, kept)
     _ = ours.bundle.block_models  # a bundle of RACER's own codec has no lexemes that blocks are drawn by
+    take = real_take(HZ)
+    voices = [] if take is None else [AcceptanceVoice("take", take[1], TAKE, take[0])]
+    if store is not None:
+        voices += held_out_voices(store, arguments.limit, ours.bundle.config.motion.joints)
+    if not voices:
+        raise InputError("probe motion", "has no voice to gesture for", "give --store, or set GESTICULATOR_DATA")
     others = [system_at(name, Path(place), kept) for name, place in places.items()]
     if store is not None:
         others.append(UnitSystem(UNITS, store, work, kept))

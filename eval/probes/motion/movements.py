@@ -17,10 +17,9 @@ beside it stands the share that the most frequent lexeme would reach.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 import torch
@@ -29,6 +28,7 @@ from torch import Tensor
 
 from data_module import blocks as block_module
 from data_module.motion.kinematics import positions_of
+from data_module.motion.movement import Pasts, joined, pasts_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Store
 from data_module.types import Array, Motion
@@ -41,9 +41,9 @@ from eval.stats import Interval
 from eval.table import Table
 from gesticulator.bundle import Bundle
 from gesticulator.features import representation_of
+from lexicon.autoencoder import Lexicon
+from lexicon.movement import MovementLexicon
 
-PAST = 3
-"""Frames before a block that it may be told from."""
 OBEYED, AMONG = 0.60, 0.85
 """Shares of blocks whose lexeme is the one that was asked for, and among the best `BEST`."""
 BEST = 5
@@ -52,9 +52,8 @@ RESTS = 0.2
 """m/s: hands in a block of a silent lexeme that follows another one."""
 ALL, ALONE = "all levels", "the lexeme alone"
 
-Decode = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""Blocks [B, K, D_m], the three frames before each [B, 3, D_m], and each block's duration over that of the one before
-[B], to the blocks as their codes tell them."""
+Decode = Callable[[Tensor, Pasts], Tensor]
+"""Blocks [B, K, D_m] and what came before each, to the blocks as their codes tell them."""
 
 
 @dataclass(frozen=True)
@@ -68,55 +67,44 @@ class HeldOut:
     first: Tensor
     positions: Callable[[Tensor], Array]
 
-    def ratios(self) -> Tensor:
-        """[N] durations over those before; 1 for the first."""
-        return self.durations / torch.cat([self.durations[:1], self.durations[:-1]])
-
-    def before(self) -> Tensor:
-        """[N, 3, D_m] the true frames before each block; before the first it stands still."""
-        return torch.cat([self.first.expand(1, PAST, -1), self.motion[:-1, -PAST:]])
+    def pasts(self) -> Pasts:
+        """The true frames before each block; before the first it stands still."""
+        return pasts_of(self.motion, self.durations, self.first)
 
 
-def codes_of(lexicon: Any) -> dict[str, Decode]:
+def codes_of(lexicon: Lexicon | MovementLexicon) -> dict[str, Decode]:
     """What a lexicon makes of blocks by all of its codes, and by the lexeme alone."""
-    if getattr(lexicon, "by_past", False):
-        pasts = importlib.import_module(type(lexicon).__module__).Pasts
-
-        def by_past(levels: int | None) -> Decode:
-            @torch.no_grad()
-            def decode(blocks: Tensor, before: Tensor, ratio: Tensor) -> Tensor:
-                past = pasts(before, ratio)
-                told: Tensor = lexicon.compose(lexicon.quantised(lexicon.coefficients(blocks, past), levels), past)
-                return told
-
-            return decode
-
-        return {ALL: by_past(None), ALONE: by_past(0)}
-
-    @torch.no_grad()
-    def poses(blocks: Tensor, before: Tensor, ratio: Tensor) -> Tensor:
-        told: Tensor = lexicon.decode(lexicon.vectors[lexicon.label(blocks)])
-        return told
-
+    if isinstance(lexicon, MovementLexicon):
+        return {ALL: partial(_movements, lexicon, None), ALONE: partial(_movements, lexicon, 0)}
     # A lexicon of poses has one level.
-    return {ALL: poses, ALONE: poses}
+    return {ALL: partial(_poses, lexicon), ALONE: partial(_poses, lexicon)}
+
+
+@torch.no_grad()
+def _movements(lexicon: MovementLexicon, levels: int | None, blocks: Tensor, past: Pasts) -> Tensor:
+    return lexicon.basis.compose(lexicon.quantised(lexicon.basis.coefficients(blocks, past), levels), past)
+
+
+@torch.no_grad()
+def _poses(lexicon: Lexicon, blocks: Tensor, past: Pasts) -> Tensor:
+    return lexicon.decode(lexicon.vectors[lexicon.label(blocks)])
 
 
 def open_loop(decode: Decode, held: HeldOut) -> Tensor:
     """[N, K, D_m] every block after the true frames before it."""
-    return decode(held.motion, held.before(), held.ratios())
+    return decode(held.motion, held.pasts())
 
 
 def closed_loop(decode: Decode, recordings: Sequence[HeldOut]) -> list[Tensor]:
     """[N, K, D_m] of each recording: every block after what was decoded before it."""
     made: list[list[Tensor]] = [[] for _ in recordings]
-    before = torch.stack([held.first.expand(PAST, -1) for held in recordings])
-    ratios = [held.ratios() for held in recordings]
+    true = [held.pasts() for held in recordings]
+    before = joined(past[:1] for past in true).frames
     for at in range(max(len(held.motion) for held in recordings)):
         on = [k for k, held in enumerate(recordings) if at < len(held.motion)]
-        told = decode(torch.stack([recordings[k].motion[at] for k in on]), before[on],
-                      torch.stack([ratios[k][at] for k in on]))
-        before[on] = told[:, -PAST:]
+        ratio = torch.stack([true[k].ratio[at] for k in on])
+        told = decode(torch.stack([recordings[k].motion[at] for k in on]), Pasts(before[on], ratio))
+        before[on] = told[:, -before.shape[1]:]
         for k, block in zip(on, told, strict=True):
             made[k].append(block)
     return [torch.stack(blocks) for blocks in made]
@@ -198,16 +186,14 @@ def absent_clause(decoded: Sequence[Tensor], present: Tensor) -> Clause:
 @torch.no_grad()
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
     """[N] ranks of what was asked for: how many lexemes are nearer to each drawn block than the one that was played."""
-    lexicon: Any = bundle.lexicon
+    lexicon = bundle.block_models.lexicon
     blocks, asked = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
-    if getattr(lexicon, "by_past", False):
-        assert rendering.edges is not None
-        made = importlib.import_module(type(lexicon).__module__)
-        durations = torch.as_tensor(np.diff(rendering.edges), dtype=torch.float32)
-        pasts = made.pasts_of(blocks, durations, bundle.rest_feature(speaker))
-        ranks: NDArray[np.int64] = lexicon.ranks(blocks, pasts, asked).numpy()
-        return ranks
-    return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), asked)
+    if isinstance(lexicon, Lexicon):
+        return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), asked)
+    assert rendering.edges is not None
+    durations = torch.as_tensor(np.diff(rendering.edges), dtype=torch.float32)
+    ranks = lexicon.ranks(blocks, pasts_of(blocks, durations, bundle.rest_feature(speaker)), asked)
+    return np.asarray(ranks.numpy(), dtype=np.int64)
 
 
 def ranks_of(distances: Tensor, asked: Tensor) -> NDArray[np.int64]:
@@ -260,7 +246,7 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
     representation, statistics = representation_of(bundle.config), bundle.statistics
     out = []
     for info in store.of_split("test"):
-        recording = store.load(info.name)
+        recording = store.load(info.name, bundle.config.motion.joints)
         blocks = block_module.cut(recording.speech, bundle.config.rhythm)
         if len(blocks) < 2:
             continue
@@ -287,7 +273,7 @@ def run(ours: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoic
     """Everything of this group."""
     if store is None:
         return [Clause.skipped("lexicon and obedience", "no store was given (--store)")], []
-    recordings, codes = held_out(ours.bundle, store), codes_of(ours.bundle.lexicon)
+    recordings, codes = held_out(ours.bundle, store), codes_of(ours.bundle.block_models.lexicon)
     clauses = lexicon_clauses(recordings, codes)
     clauses.append(absent_clause([open_loop(codes[ALL], held) for held in recordings], ours.bundle.statistics.present))
     made = [ours.render(voice, k % renderings) for k, voice in enumerate(voices)]

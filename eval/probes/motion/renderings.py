@@ -76,14 +76,15 @@ class AcceptanceVoice:
         return told.hexdigest()
 
 
-def held_out_voices(store: Store, limit: int | None = None) -> list[AcceptanceVoice]:
-    """The middle minute of every recording of the test split that lasts long enough, with its performer's motion."""
+def held_out_voices(store: Store, limit: int | None, joints: int) -> list[AcceptanceVoice]:
+    """The middle minute of every recording of the test split that lasts long enough, with its performer's motion in
+    so many joints."""
     chosen = [info for info in store.of_split("test") if info.seconds >= SHORTEST][:limit]
     if not chosen:
         raise InputError(store.path, f"has no test recording of {SHORTEST:g} s or more", "build a larger store")
     out = []
     for info in chosen:
-        piece = excerpt(store.load(info.name), SECONDS)
+        piece = excerpt(store.load(info.name, joints), SECONDS)
         out.append(AcceptanceVoice(info.name, piece.speech, TEST, piece.motion, info.speaker,
                                    info.group or info.name))
     return out

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, amplified, resample
 from data_module.speech.silence import FRAME, frame_levels, pauses, silent_frames
 from data_module.types import Array, Motion, Speech
@@ -339,12 +340,13 @@ def heard_of(voice: AcceptanceVoice, seconds: float) -> Speech:
 
 
 def _activity(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Clause]:
-    if "gate" not in ours.bundle.parts:
-        return [Clause.judged("activity is heard", 0.0, at_least(1.0), digits=0, reason="the bundle has no gate")]
     sounds = [made(voice, "asked", heard_of(voice, ASKED)) for voice in voices]
     found = np.empty((2, len(ACTIVITIES), len(sounds)))
     for (row, activity), (column, sound) in itertools.product(enumerate(ACTIVITIES), enumerate(sounds)):
-        own = ours.render(sound, 0, activity=activity)
+        try:
+            own = ours.render(sound, 0, activity=activity)
+        except InputError as error:
+            return [Clause.judged("activity is heard", 0.0, at_least(1.0), digits=0, reason=str(error))]
         found[:, row, column] = shares_of(own, ours.bundle.silent, ~own.silent)
     return activity_clauses(found[0], found[1])
 

@@ -1,0 +1,166 @@
+"""The flow head: that it samples instead of averaging, obeys what it is given, and can be guided beyond it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from data_module.motion.movement import MovementBasis, pasts_of
+from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, circumstances
+from generator.model import GeneratorConfig, GeneratorWidths
+from gesticulator.drawing import Keys
+
+FRAMES, WIDTH, AUDIO = 4, 3, 5
+CONFIG = GeneratorConfig(head="flow", motion_features=8, audio_features=4, style_width=0, position_width=4, hidden=16,
+                         groups=2, classes=4, lstm_layers=1, blocks=4, context=32, lexeme_width=16, flow_width=64,
+                         flow_layers=2, dropout=0.0, past_noise=0.0, velocity_noise=0.0)
+TWO = 2
+
+
+def made(motion: torch.Tensor) -> FlowGenerator:
+    """An untrained generator whose basis is fitted on blocks [N, K, D]."""
+    torch.manual_seed(0)
+    basis = MovementBasis(FRAMES, {"body": tuple(range(WIDTH))}, {"body": 6})
+    durations = torch.full((len(motion),), 0.3, dtype=torch.float64)
+    past = pasts_of(motion, durations, motion[0, 0])
+    y = basis.fit(motion, past, torch.ones(len(motion), WIDTH))
+    generator = FlowGenerator(CONFIG, GeneratorWidths(FRAMES, WIDTH, AUDIO, 6, 0, TWO, 1),
+                              MovementBasis(FRAMES, basis.parts, {"body": 6}))
+    generator.adopt(basis, y)
+    return generator
+
+
+def swings(count: int, heard: bool, seed: int = 0) -> dict[str, torch.Tensor]:
+    """Windows of a body that in every block swings out and back, to one side or the other, at random.
+
+    heard: the audio of a block tells the side; else it is noise.
+    """
+    rng = np.random.default_rng(seed)
+    side = torch.as_tensor(rng.choice([-1.0, 1.0], (count, CONFIG.blocks + 1)), dtype=torch.float32)
+    shape = torch.sin(torch.pi * torch.arange(1, FRAMES + 1) / FRAMES)
+    way = torch.tensor([1.0, 0.5, -0.3])
+    motion = side[..., None, None] * shape[:, None] * way
+    motion = motion + 0.02 * torch.as_tensor(rng.normal(size=motion.shape), dtype=torch.float32)
+    audio = torch.as_tensor(rng.normal(size=(count, CONFIG.blocks + 1, 3 * FRAMES, AUDIO)), dtype=torch.float32) * 0.1
+    if heard:
+        audio[..., 0] = side[..., None]
+    ones = torch.ones(count, CONFIG.blocks + 1)
+    return {"motion": motion, "audio": audio, "ratio": ones, "valid": ones, "mask": torch.ones(count, WIDTH),
+            "circumstances": torch.zeros(count, CONFIG.blocks + 1, CIRCUMSTANCES), "speaker": torch.ones(count, 1),
+            "side": side}
+
+
+def trained(heard: bool, named: bool, steps: int = 250) -> FlowGenerator:
+    """named: lexeme 0 is one side and lexeme 1 the other; else lexemes are drawn at random."""
+    generator = made(swings(100, heard)["motion"].flatten(0, 1))
+    rest = torch.zeros(2, FRAMES, WIDTH)
+    shape = torch.sin(torch.pi * torch.arange(1, FRAMES + 1) / FRAMES)
+    sides = torch.tensor([-1.0, 1.0])[:, None, None] * shape[:, None] * torch.tensor([1.0, 0.5, -0.3])
+    still = pasts_of(rest, torch.full((2,), 0.3, dtype=torch.float64), torch.zeros(WIDTH))
+    codes = generator.basis.coefficients(sides, still)
+
+    def nearest(y: torch.Tensor) -> torch.Tensor:
+        if not named:
+            return torch.randint(0, 2, (len(y),))
+        return torch.cdist(y, codes).argmin(-1)
+
+    optimiser = torch.optim.Adam(generator.parameters(), 5e-3)
+    for step in range(steps):
+        torch.manual_seed(step)
+        loss = generator.losses(swings(32, heard, step), step / steps, nearest)["flow"]
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    return generator.eval()
+
+
+def drawn(generator: FlowGenerator, lexeme: int, side: float, gains: tuple[float, float] = (0.0, 0.0), count: int = 200
+          ) -> np.ndarray:
+    """[count] how far to the one side blocks from rest go, of all the way."""
+    before = torch.zeros(3, 1, FRAMES, WIDTH)
+    audio = torch.zeros(3, 1, 3 * FRAMES, AUDIO)
+    audio[..., 0] = side
+    given = FlowInputs(audio, torch.tensor([[lexeme], [lexeme], [TWO]]), before, torch.ones(3, 1),
+                       torch.zeros(3, 1, CIRCUMSTANCES), torch.ones(3, 1), deaf=torch.tensor([False, True, False]))
+    with torch.no_grad():
+        context, _ = generator.contexts(given, torch.zeros(3, 1, generator.basis.width))
+        y = generator.draw(context[:, 0], gains, Keys(1).noise(0, (count, generator.basis.width)), 6)
+        block = generator.basis.compose(y, given.past[:1, 0][torch.zeros(count, dtype=torch.long)])
+    found: np.ndarray = block[:, FRAMES // 2 - 1, 0].numpy()
+    return found
+
+
+def test_it_draws_either_side_and_never_the_mean() -> None:
+    """A regression would draw 0, which nobody ever does."""
+    found = drawn(trained(heard=False, named=False), 0, 0.0)
+    assert (np.abs(found) > 0.5).mean() > 0.8
+    assert 0.25 < (found > 0).mean() < 0.75
+
+
+def test_it_draws_the_lexeme_that_it_is_told() -> None:
+    generator = trained(heard=False, named=True)
+    assert (drawn(generator, 0, 0.0) < -0.5).mean() > 0.9
+    assert (drawn(generator, 1, 0.0) > 0.5).mean() > 0.9
+    both = drawn(generator, TWO, 0.0)
+    assert 0.2 < (both > 0).mean() < 0.8
+
+
+def test_it_hears_the_side_and_guidance_goes_beyond() -> None:
+    """A faint voice tells little; guidance makes more of it."""
+    generator = trained(heard=True, named=False)
+    assert (drawn(generator, 0, 1.0) > 0.5).mean() > 0.9
+    assert (drawn(generator, 0, -1.0) < -0.5).mean() > 0.9
+    faint = [(drawn(generator, 0, 0.08, (gain, 0.0)) > 0).mean() for gain in (0.0, 2.0)]
+    assert faint[1] > faint[0]
+
+
+def test_squeezing_is_undone_and_held_within_what_was_done() -> None:
+    motion = swings(50, False)["motion"].flatten(0, 1)
+    generator = made(motion)
+    low, high = generator.basis.limits
+    y = low + (high - low) * torch.rand(40, len(low))
+    torch.testing.assert_close(generator.stretch(generator.squeeze(y)), y, atol=1e-4, rtol=1e-4)
+    assert (generator.stretch(100 * torch.ones(1, len(low))) <= high).all()
+
+
+def test_what_no_source_has_weighs_nothing() -> None:
+    batch = swings(8, False)
+    generator = made(batch["motion"].flatten(0, 1))
+    batch["mask"] = torch.zeros(8, WIDTH)
+    assert float(generator.losses(batch, 0.0, lambda y: torch.zeros(len(y), dtype=torch.long))["flow"]) == 0.0
+
+
+def test_blocks_that_fill_a_short_window_up_weigh_nothing() -> None:
+    batch = swings(8, False)
+    generator = made(batch["motion"].flatten(0, 1)).eval()
+
+    def loss() -> float:
+        torch.manual_seed(3)
+        return float(generator.losses(batch, 1.0, lambda y: torch.zeros(len(y), dtype=torch.long), (0, 0, 0))["flow"])
+
+    batch["valid"] = torch.ones(8, CONFIG.blocks + 1)
+    batch["valid"][:, -1] = 0
+    before = loss()
+    batch["motion"] = batch["motion"].clone()
+    batch["motion"][:, -1] += 5.0
+    assert loss() == pytest.approx(before)
+    batch["valid"][:, -1] = 1
+    assert loss() > 1.5 * before
+
+
+def test_noise_is_a_blocks_own() -> None:
+    first = Keys(3).noise(7, (4, 5))
+    assert torch.equal(first, Keys(3).noise(7, (4, 5)))
+    for other in (Keys(4).noise(7, (4, 5)), Keys(3, 1).noise(7, (4, 5)), Keys(3).noise(8, (4, 5))):
+        assert not torch.equal(first, other)
+
+
+def test_circumstances_tell_tempo_silence_and_how_long() -> None:
+    durations = torch.tensor([0.3, 0.6, 0.15, 0.3], dtype=torch.float64)
+    found = circumstances(durations, torch.tensor([True, True, False, False]))
+    assert found.shape == (4, CIRCUMSTANCES)
+    np.testing.assert_allclose(found[1, :3], np.log([1.0, 2.0, 0.5]), atol=1e-6)
+    assert found[1, 3:6].tolist() == [1, 1, 0]
+    np.testing.assert_allclose(found[:, 6], np.log1p([1, 2, 0, 0]), atol=1e-6)
+    np.testing.assert_allclose(found[:, 7], np.log1p([0, 0, 1, 2]) / 3, atol=1e-6)
