@@ -1,15 +1,17 @@
 """What is in the lexicon, for the eye (RG Fig. 6): `gesticulator draw lexicon --data STORE --out FOLDER`.
 
-`latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents of blocks, coloured by lexeme:
-E(M), or the weighted coefficients of a lexicon of movements. What fools it: t-SNE tears and clumps; only who is near whom means anything, so the share of nearest neighbours
-with the same lexeme is printed, in the picture and among the latents themselves.
+`latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents of blocks (E(M), or the weighted
+coefficients of a lexicon of movements), coloured by lexeme. What fools it: t-SNE tears and clumps; only who is near
+whom means anything, so the share of nearest neighbours with the same lexeme is printed, in the picture and among the
+latents themselves.
 
 `lexicon.html`, one page with nothing outside it: for each lexeme a sample gesture (the performed block whose latent
-lies nearest to it) beside what the decoder makes of it (a movement from its start over its middle to its end), how often each performer uses it, how fast the hands are, how
-much of it lies in pauses, the words and the strokes that go with it, and whether it is silent. Ticking that writes
-the command that tells the bundle so (`gesticulator bundle silent`). `lexicon.json` has the same in numbers. What fools
-it: the decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not; the
-speed that counts is the performed one.
+lies nearest to it) beside what the decoder makes of it (a movement begins where the training block nearest to it
+began), how often each performer uses it, how fast the hands are, how much of it lies in pauses, the words and the
+strokes that go with it, and whether it is silent. Ticking that writes the command that tells the bundle so
+(`gesticulator bundle silent`). `lexicon.json` has the same in numbers. What fools it: the decoder alone has never been
+made to move smoothly, so a decoded lexeme may tremble where the block did not; the speed that counts is the performed
+one.
 """
 
 from __future__ import annotations

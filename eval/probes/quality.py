@@ -136,8 +136,9 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
     """Use of the codes and errors of reconstruction on the test split, in normalised features squared.
 
     PCA with as many components as a lexeme is wide, and k-means with as many means as there are lexemes, both fitted
-    on the training split, are what a linear method of the same size does without knowing what came before. Blocks in strokes that training showed and
-    in strokes that it did not are told apart. The real take is centred on its own mean pose, like every performer.
+    on the training split, are what a linear method of the same size does without knowing what came before. Blocks in
+    strokes that training showed and in strokes that it did not are told apart. The real take is centred on its own mean
+    pose, like every performer.
     """
     bundle, corpus = context.bundle, context.corpus
     train = torch.as_tensor(corpus.select("train"))

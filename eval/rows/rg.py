@@ -150,10 +150,10 @@ TABLES: dict[str, PaperTable] = {
 def ablation() -> Config:
     """`regression`, the paper's system, made short, for a row and seed in about three minutes of one core.
 
-    What is heard and the lexicon are those of `regression`, to the letter, so that a work folder that has them serves all
-    rows; their cost is paid once. Shorter and narrower: the generator (an LSTM of 1 x 128, 8 groups, 400 steps of 32
-    windows) and both interpreters (96 and 64 wide, 300, 500 and 300 steps of 32 windows). There is no gate and nothing
-    can be asked of the style: the paper's system has neither here.
+    What is heard and the lexicon are those of `regression`, to the letter, so that a work folder that has them serves
+    all rows; their cost is paid once. Shorter and narrower: the generator (an LSTM of 1 x 128, 8 groups, 400 steps of
+    32 windows) and both interpreters (96 and 64 wide, 300, 500 and 300 steps of 32 windows). There is no gate and
+    nothing can be asked of the style: the paper's system has neither here.
     """
     base = presets.regression()
     s = base.schedules
