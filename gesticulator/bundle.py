@@ -56,8 +56,11 @@ if TYPE_CHECKING:
     BlockLexicon = Lexicon | MovementLexicon
     Tokens = Lexicon | MovementLexicon | RacerCodec
 
-FORMAT = 4
-"""Format 3 knew other names of settings and tensors and no resting distances (see `gesticulator.upgrade`)."""
+FORMAT = 5
+"""Format 4 knew no lexicon of movements, no flow head and no fingers; format 3 had other names of settings and tensors
+and no resting distances (see `gesticulator.upgrade`)."""
+OLDER = (1, 2, 3, 4)
+"""Formats that `gesticulator bundle upgrade` can bring to this one."""
 INDEX = "bundle.json"
 CARD = "MODEL_CARD.md"
 SHIPPED = Path(__file__).parent / "assets" / "bundle"
@@ -424,7 +427,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
     index = read_json(file)
     version = index.get("format")
     if version != FORMAT or isinstance(version, bool):
-        advice = (f"run gesticulator bundle upgrade {folder} NEW" if version in (1, 2, 3)
+        advice = (f"run gesticulator bundle upgrade {folder} NEW" if version in OLDER
                   else "train it again or use the matching version")
         raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}", advice)
     lacking = [key for key in _KINDS if key not in index]

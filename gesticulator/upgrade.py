@@ -1,4 +1,4 @@
-"""Bundles of formats 1 to 3 brought to format 4, without training: names change, and resting distances are added.
+"""Bundles of formats 1 to 4 brought to format 5, without training: names change, and resting distances are added.
 
 The weights stay as they are, bit by bit, and so does the motion that comes of them.
 """
@@ -18,14 +18,24 @@ from safetensors.torch import load_file, save_file
 from data_module.errors import InputError
 from data_module.layers import freeze
 from gesticulator import models
-from gesticulator.bundle import CARD, FILES, INDEX, lexicon_hash, read_json, replace_folder, rest_distances, write_index
+from gesticulator.bundle import (
+    CARD,
+    FILES,
+    INDEX,
+    OLDER,
+    lexicon_hash,
+    read_json,
+    replace_folder,
+    rest_distances,
+    write_index,
+)
 from gesticulator.config import Config, from_dict, to_dict
 from gesticulator.features import Statistics, representation_of
 from gesticulator.models import Sizes
 
 SETTINGS = {("silence", "settle"): "rest_decay", ("interpreter", "text_reading"): "text_head",
             ("interpreter", "reading_dropout"): "text_head_dropout"}
-"""Settings that were renamed in format 4: group and old name -> new name."""
+"""Settings that were renamed in format 4 (format 5 only has more of them): group and old name -> new name."""
 TENSORS = {"lexeme_interpreter_text": ("reading.", "text_head.")}
 """File -> how the names of its tensors began, and begin now."""
 FIGURES = {"cross_entropy": "nll"}
@@ -33,13 +43,13 @@ STAGES = {"cql": "q_network"}
 
 
 def upgrade(source: Path, target: Path) -> None:
-    """Write the bundle of format 1, 2 or 3 in `source` as one of format 4 to `target`, whole or not at all.
+    """Write the bundle of format 1 to 4 in `source` as one of format 5 to `target`, whole or not at all.
 
     InputError for a bundle of another format, or one that is not what its hashes say.
     """
     index = read_json(source / INDEX)
-    if index.get("format") not in (1, 2, 3):
-        raise InputError(source, f"has format {str(index.get('format'))[:20]}", "only formats 1 to 3 can be upgraded")
+    if index.get("format") not in OLDER or isinstance(index.get("format"), bool):
+        raise InputError(source, f"has format {str(index.get('format'))[:20]}", "only formats 1 to 4 can be upgraded")
     try:
         files: dict[str, str] = index["files"]
         for name, expected in files.items():
@@ -79,8 +89,9 @@ def _write(source: Path, index: dict[str, Any], folder: Path) -> None:
     tokens.load_state_dict({key: value.float() if value.is_floating_point() else value
                             for key, value in load_file(source / "lexicon.safetensors").items()})
     freeze(tokens)
-    distances = rest_distances(tokens, statistics)
-    save_file({**tensors, "rest_distances": torch.as_tensor(distances)}, folder / "statistics.safetensors")
+    if "rest_distances" not in tensors:
+        tensors = {**tensors, "rest_distances": torch.as_tensor(rest_distances(tokens, statistics))}
+    save_file(tensors, folder / "statistics.safetensors")
     figures = {STAGES.get(stage, stage): {FIGURES.get(name, name): value for name, value in own.items()}
                for stage, own in index["figures"].items()}
     if (folder / CARD).is_file():
@@ -107,6 +118,8 @@ def _poses(tensors: dict[str, torch.Tensor], speakers: tuple[str, ...]) -> Stati
 
 def _levels(source: Path, index: dict[str, Any], config: Config, tensors: dict[str, torch.Tensor]) -> int:
     """One level of audio or two: the reward models' weights know, or else the normalisers."""
+    if "audio_levels" in index:
+        return int(index["audio_levels"])
     if f"{FILES['reward']}.safetensors" in index["files"]:
         with safe_open(source / f"{FILES['reward']}.safetensors", framework="pt") as opened:
             heard = opened.get_slice("read_audio.weight").get_shape()[1] // config.rhythm.frames

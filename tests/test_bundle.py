@@ -157,7 +157,7 @@ def test_format_3_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
     old = as_format_3(made, tmp_path / "old")
     assert "settle" in (old / "bundle.json").read_text() and "reading." in str(
         list(load_file(old / "lexeme_interpreter_text.safetensors")))
-    with pytest.raises(InputError, match=r"format 3, and this version reads format 4; run gesticulator bundle upgrade"):
+    with pytest.raises(InputError, match=r"format 3, and this version reads format 5; run gesticulator bundle upgrade"):
         bundles.load(old)
     upgrades.upgrade(old, tmp_path / "new")
     read = bundles.load(tmp_path / "new")
@@ -169,6 +169,25 @@ def test_format_3_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
                 for name in ("today", "new"))
     np.testing.assert_array_equal(one, two)
     assert all(made.rest_lexeme(k) == read.rest_lexeme(k) for k in range(len(made.speakers)))
+
+
+def test_format_4_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: Path) -> None:
+    made = untrained(*PLAIN, *SMALL)
+    bundles.save(made, tmp_path / "old", "a card")
+    index = json.loads((tmp_path / "old" / "bundle.json").read_text())
+    for group, names in (("motion", ("joints",)), ("lexicon", ("kind", "levels")), ("silence", ("rest",)),
+                         ("generator", ("head", "flow_width"))):
+        for name in names:
+            del index["config"][group][name]
+    (tmp_path / "old" / "bundle.json").write_text(json.dumps({**index, "format": 4}))
+    with pytest.raises(InputError, match=r"format 4, and this version reads format 5; run gesticulator bundle upgrade"):
+        bundles.load(tmp_path / "old")
+    upgrades.upgrade(tmp_path / "old", tmp_path / "new")
+    read = bundles.load(tmp_path / "new")
+    assert read.config == made.config
+    bundles.save(made, tmp_path / "today", "a card")
+    one, two = (Gesticulator.from_pretrained(tmp_path / name)(SPEECH).motion.rotations for name in ("today", "new"))
+    np.testing.assert_array_equal(one, two)
 
 
 def test_a_bundle_of_format_1_is_upgraded_and_gestures(tmp_path: Path) -> None:
@@ -192,7 +211,7 @@ def test_a_bundle_of_format_1_is_upgraded_and_gestures(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_upgraded_is_one_line_and_writes_nothing(whole: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has format 4"):
+    with pytest.raises(InputError, match="has format 5"):
         upgrades.upgrade(whole, tmp_path / "new")
     old = as_format_3(untrained(*PLAIN), tmp_path / "old")
     (old / "generator.safetensors").write_bytes(b"x")
@@ -217,7 +236,7 @@ def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) 
         _ = opened.q_network
 
 
-@pytest.mark.parametrize("number", [0, 5, 99, "2", None, True, 10**400])
+@pytest.mark.parametrize("number", [0, 6, 99, "2", None, True, 10**400])
 def test_an_unknown_format_is_refused_by_its_number(number: object, whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     edit(copy, format=number)
