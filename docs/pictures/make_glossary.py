@@ -24,11 +24,11 @@ from data_module.controls import controls_from
 from data_module.files import write_bytes
 from data_module.motion import kinematics
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
-from data_module.motion.representation import ROTATIONS
 from data_module.speech.audio import load_speech, resample
 from data_module.speech.beats import detect_onsets, onset_strength
 from data_module.types import Array, BeatFlag, Motion, Samples, Speech
 from gesticulator import Gesticulator, Performance
+from gesticulator.features import representation_of
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SAMPLE_RATE = 16000
@@ -138,9 +138,9 @@ def figure_of(axis: Axes, pose: Motion, frame: int, at: float, colour: str = INK
 def lexeme_motion(system: Gesticulator, lexeme: int, fps: float) -> Motion:
     """The block of motion that the decoder of the lexicon makes of a lexeme, as the default performer moves."""
     bundle = system.bundle
-    decoded = bundle.lexicon.decode(bundle.lexicon.vectors[[lexeme]]).detach().numpy().astype(np.float64)
+    decoded = bundle.block_models.lexicon.shown()[[lexeme]].numpy().astype(np.float64)
     who = system.speaker_index(None)
-    return ROTATIONS.motion(bundle.statistics.denormalise(decoded, who)[0], fps)
+    return representation_of(bundle.config).motion(bundle.statistics.denormalise(decoded, who)[0], fps)
 
 
 def hand_height(motion: Motion) -> tuple[Array, Array]:
@@ -248,7 +248,7 @@ def lexeme(s: Scene) -> Figure:
 
 def lexicon(s: Scene) -> Figure:
     """The codebook as t-SNE lays it out: neighbours are alike; the silent lexemes are marked."""
-    vectors = s.system.bundle.lexicon.vectors.detach().numpy()
+    vectors = s.system.bundle.vectors.numpy()
     flat = TSNE(perplexity=12, init="pca", random_state=0).fit_transform(vectors)
     figure, (axis,) = canvas((3.2,))
     silent = np.isin(np.arange(len(flat)), s.system.bundle.silent)
@@ -397,6 +397,9 @@ def main(folder: Path, names: Sequence[str]) -> None:
     drawn_from = scene()
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
+        if name == "style-code" and not drawn_from.system.bundle.code_width:
+            print("style-code: the shipped bundle has none; the picture that is there stays")
+            continue
         out = io.BytesIO()
         PICTURES[name](drawn_from).savefig(out, format="png", dpi=DPI, metadata={"Software": None})
         write_bytes(folder / f"{name}.png", out.getvalue())
