@@ -18,6 +18,7 @@ from data_module.store import Recording, Store
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.stages.lexicon import token_labels
 from lexicon.inventory import nearest_silent
 
 Lexemes = NDArray[np.int64]
@@ -25,7 +26,7 @@ Lexemes = NDArray[np.int64]
 
 def hinted_labels(bundle: bundles.Bundle, corpus: Corpus) -> Lexemes:
     """[N] lexemes of all blocks, silent blocks with the silent lexeme nearest to their own (RG 6.4.1)."""
-    labels = bundle.block_models.lexicon.label(corpus.motion).numpy()
+    labels = token_labels(bundle.block_models.lexicon, corpus)
     nearest = nearest_silent(bundle.vectors.double().numpy(), bundle.silent)
     return np.where(corpus.silent, nearest[labels], labels) if bundle.config.silence.hint else labels
 

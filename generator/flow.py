@@ -197,8 +197,8 @@ class FlowGenerator(nn.Module):
         """The flow matching loss |v - (u - e)|^2 on windows of N blocks after a seed block.
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], ratio [B, N + 1], circumstances [B, N + 1, 8],
-        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] where something is asked. nearest: the
-        lexicon's arg min over coefficients; a shifted past changes what a block adds to it, and so its lexeme.
+        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] where anything is asked. nearest:
+        the lexicon's arg min over coefficients; a shifted past changes what a block adds to it, and so its lexeme.
         left_out: chances that a window hears nothing, that it is told no lexeme, and that a block is not told what the
         one before added; those of the settings where None.
         """
@@ -217,9 +217,9 @@ class FlowGenerator(nn.Module):
         lexeme = nearest(y.flatten(0, 1)).unflatten(0, y.shape[:2])
         some = torch.rand(2, len(motion), device=u.device)
         lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
+        asked = batch["control"][:, 1:] if self.control_width and "control" in batch else None
         given = FlowInputs(batch["audio"][:, 1:], lexeme, before, ratio, batch["circumstances"][:, 1:],
-                           batch["speaker"], batch["control"][:, 1:] if self.control_width and "control" in batch else None,
-                           some[1] < deaf)
+                           batch["speaker"], asked, some[1] < deaf)
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
         weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]

@@ -44,26 +44,32 @@ _ALL_BITS = 0xFFFFFFFFFFFFFFFF
 _STEP_OF_BITS = np.uint64(0x9E3779B97F4A7C15)
 
 
-def mixed(seed: int, channel: int, numbers: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """64 well mixed bits for each number [...] of a channel (splitmix64, Steele et al. 2014): the same everywhere."""
+Channel = int | NDArray[np.int64]
+
+
+def mixed(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """64 well mixed bits for each number [...] of a channel (splitmix64, Steele et al. 2014): the same everywhere.
+
+    channel: one, or an array that broadcasts with the numbers.
+    """
     with np.errstate(over="ignore"):
-        key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * np.uint64(channel + 1))
+        key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * (np.asarray(channel) + 1).astype(np.uint64))
         return _scrambled(key + _STEP_OF_BITS * np.asarray(numbers).astype(np.uint64))
 
 
-def _scrambled(z: NDArray[np.uint64] | np.uint64) -> NDArray[np.uint64]:
+def _scrambled(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
     with np.errstate(over="ignore"):
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        return np.asarray(z ^ (z >> np.uint64(31)))
+        return z ^ (z >> np.uint64(31))
 
 
-def uniform(seed: int, channel: int, numbers: NDArray[np.int64]) -> Array:
+def uniform(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
     """Numbers in (0, 1) for each of `numbers` [...]."""
     return ((mixed(seed, channel, numbers) >> np.uint64(11)).astype(np.float64) + 0.5) / 2.0**53
 
 
-def normal(seed: int, channel: int, numbers: NDArray[np.int64]) -> Array:
+def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
     """Standard normal numbers for each of `numbers` [...] (Box and Muller)."""
     doubled = 2 * np.asarray(numbers, dtype=np.int64)
     one, two = uniform(seed, channel, doubled), uniform(seed, channel, doubled + 1)
@@ -71,13 +77,14 @@ def normal(seed: int, channel: int, numbers: NDArray[np.int64]) -> Array:
     return drawn
 
 
-def noise(seed: int, channel: int, times: Array, step: float) -> Array:
-    """Smooth noise of standard deviation 1 at `times` [T] seconds, a normal number every `step` seconds: [T]."""
-    where = np.asarray(times, dtype=np.float64) / step
+def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) -> Array:
+    """Smooth noise of standard deviation 1 at `times` [T] seconds, one for each of the channels [C], with a normal
+    number every `steps` [C] seconds: [T, C]."""
+    where = np.asarray(times, dtype=np.float64)[:, None] / steps
     first = np.floor(where).astype(np.int64)
     u = where - first
     weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6.0
-    values = normal(seed, channel, first[None] + np.arange(-1, 3)[:, None])
+    values = normal(seed, channels, first + np.arange(-1, 3)[:, None, None])
     return (weights * values).sum(axis=0) / _SPLINE_SPREAD
 
 
@@ -158,74 +165,66 @@ _SWAYED = {("Hips", 2): (1.0, 0), ("Spine", 2): (-0.5, 0), ("Hips", 0): (1.0, 1)
 """By joint and axis: the share of a weight shift (and of the sway), and which of its dimensions."""
 _SWAY, _SWAY_STEP = 0.35, 1.5
 """Degrees and seconds of the noise that is added to the weight shifts."""
-_DRIFT = {"Arm": (0.4, 1.3), "ForeArm": (0.6, 1.1), "Hand": (0.8, 0.9)}
+_DRIFT = {"Arm": (0.6, 1.2), "ForeArm": (0.9, 1.0), "Hand": (1.2, 0.9)}
 """Degrees and seconds of the noise on each axis of the arms' joints."""
 _CURL, _CURL_STEP = 2.0, 1.6
 """Degrees and seconds of the noise by which a hand opens and closes."""
-_SHIFT_CHANNEL, _GAZE_CHANNEL, _WEIGHT_CHANNEL, _BREATH_CHANNEL, _FIRST_FREE = 0, 2, 4, 6, 8
+_SHIFT_CHANNEL, _GAZE_CHANNEL, _WEIGHT_CHANNEL, _BREATH_CHANNEL, _NOISE_CHANNEL = 0, 2, 4, 6, 8
+_DRIFTS = [(side + part, axis, *_DRIFT[part]) for side in SIDES for part in _DRIFT for axis in range(3)]
+_SWAYS, _CURLS = 3, len(SIDES)
+_CHANNELS = np.append(_NOISE_CHANNEL + np.arange(_SWAYS + len(_DRIFTS) + _CURLS), _BREATH_CHANNEL)
+_STEPS = np.array([_SWAY_STEP] * _SWAYS + [step for *_, step in _DRIFTS] + [_CURL_STEP] * _CURLS + [_BREATH_STEP])
 
 
 class Idle:
-    """Idle life of a body with these joints, as a function of time."""
+    """Idle life of a body with these joints, as a function of time: drivers (shifts, gaze, breath, sway, drifts and
+    curls), mixed into the axes of the joints."""
 
     def __init__(self, seed: int, joints: Sequence[str], rest: Array) -> None:
         """seed: any whole number; joints: names; rest: [J, 3] the resting pose, exponential maps (which way fingers
         bend)."""
-        self.seed, self.joints = seed, {name: index for index, name in enumerate(joints)}
+        self.seed = seed
         self._shifts = Shifts(seed, _SHIFT_CHANNEL, _HEAD_SHIFT)
         self._gaze = Shifts(seed, _GAZE_CHANNEL, _GAZE)
         self._weight = Shifts(seed, _WEIGHT_CHANNEL, _WEIGHT)
-        self._bends = self._finger_bends(rest)
-
-    def _finger_bends(self, rest: Array) -> list[tuple[int, int, Array]]:
-        """For each finger's joint: its side, its index and the axis it is bent about at rest."""
-        found = []
-        for name, index in self.joints.items():
-            length = float(np.linalg.norm(rest[index]))
-            for number, side in enumerate(SIDES):
-                if name.startswith(side + "Hand") and name != side + "Hand" and length > 1e-6:
-                    found.append((number, index, rest[index] / length))
-        return found
+        self._begins = float(uniform(seed, _BREATH_CHANNEL + 1, np.zeros(1, np.int64))[0])
+        self._mixing = np.radians(_mixing(list(joints), rest)).reshape(-1, 3 * len(joints))
 
     def __call__(self, times: Array) -> Array:
         """[T, J, 3] radians to add to the exponential maps at `times` [T], seconds from 0."""
         times = np.asarray(times, dtype=np.float64)
-        out = np.zeros((len(times), len(self.joints), 3))
-        channel = _FIRST_FREE
-        shift, gaze = self._shifts.at(times), self._gaze.at(times)
-        for name, degrees in _SHIFTED.items():
-            self._add(out, name, 0, degrees * shift[:, 0])
-            self._add(out, name, 2, degrees * shift[:, 1])
-        for name, share in _LOOKED.items():
-            self._add(out, name, 1, share * gaze[:, 0])
-            self._add(out, name, 0, share * gaze[:, 1])
-        breath = self._breath(times)
-        for (name, axis), degrees in _INHALED.items():
-            self._add(out, name, axis, degrees * breath)
-        sway = self._weight.at(times)
-        for dimension in range(sway.shape[1]):
-            sway[:, dimension] += _SWAY * noise(self.seed, channel + dimension, times, _SWAY_STEP)
-        channel += sway.shape[1]
-        for (name, axis), (share, dimension) in _SWAYED.items():
-            self._add(out, name, axis, share * sway[:, dimension])
-        for side in SIDES:
-            for part, (degrees, step) in _DRIFT.items():
-                for axis in range(3):
-                    self._add(out, side + part, axis, degrees * noise(self.seed, channel, times, step))
-                    channel += 1
-        curls = [_CURL * noise(self.seed, channel + number, times, _CURL_STEP) for number in range(len(SIDES))]
-        for number, index, axis3 in self._bends:
-            out[:, index] += curls[number][:, None] * axis3
-        return np.radians(out)
+        smooth = noise(self.seed, _CHANNELS, times, _STEPS)
+        sway = self._weight.at(times) + _SWAY * smooth[:, :_SWAYS]
+        breath = self._breath(times, smooth[:, -1])
+        drivers = np.concatenate([self._shifts.at(times), self._gaze.at(times), breath[:, None], sway,
+                                  smooth[:, _SWAYS:-1]], axis=1)
+        life: Array = (drivers @ self._mixing).reshape(len(times), -1, 3)
+        return life
 
-    def _add(self, out: Array, name: str, axis: int, degrees: Array) -> None:
-        index = self.joints.get(name)
-        if index is not None:
-            out[:, index, axis] += degrees
-
-    def _breath(self, times: Array) -> Array:
+    def _breath(self, times: Array, wander: Array) -> Array:
         """-1 to 1, [T]; breathing out takes longer than breathing in."""
-        wander = _BREATH_WANDERS * noise(self.seed, _BREATH_CHANNEL, times, _BREATH_STEP)
-        phase = 2.0 * np.pi * (_BREATHS * times + wander + float(uniform(self.seed, _BREATH_CHANNEL + 1,
-                                                                         np.zeros(1, np.int64))[0]))
+        phase = 2.0 * np.pi * (_BREATHS * times + _BREATH_WANDERS * wander + self._begins)
         return np.sin(phase + 0.4 * np.sin(phase))
+
+
+def _mixing(joints: list[str], rest: Array) -> Array:
+    """[M, J, 3] degrees that each driver turns each axis by."""
+    gaze, breath, sway, drift = 2, 4, 5, 5 + _SWAYS
+    curl = drift + len(_DRIFTS)
+    rows = [(dimension, name, axis, degrees) for name, degrees in _SHIFTED.items()
+            for dimension, axis in ((0, 0), (1, 2))]
+    rows += [(gaze + dimension, name, axis, share) for name, share in _LOOKED.items()
+             for dimension, axis in ((0, 1), (1, 0))]
+    rows += [(breath, name, axis, degrees) for (name, axis), degrees in _INHALED.items()]
+    rows += [(sway + dimension, name, axis, share) for (name, axis), (share, dimension) in _SWAYED.items()]
+    rows += [(drift + number, name, axis, degrees) for number, (name, axis, degrees, _) in enumerate(_DRIFTS)]
+    out = np.zeros((curl + _CURLS, len(joints), 3))
+    for driver, name, axis, degrees in rows:
+        if name in joints:
+            out[driver, joints.index(name), axis] += degrees
+    for index, name in enumerate(joints):
+        length = float(np.linalg.norm(rest[index]))
+        for number, side in enumerate(SIDES):
+            if name.startswith(side + "Hand") and name != side + "Hand" and length > 1e-6:
+                out[curl + number, index] = _CURL * rest[index] / length  # along its own bend
+    return out

@@ -32,7 +32,7 @@ from gesticulator.life import HEAD, SIDES, Idle, uniform
 
 Flags = NDArray[np.bool_]
 
-REAL = 0.55
+REAL = 0.42
 """Seconds of silence that make a pause; a shorter one is a breath, in which gestures go on."""
 SEEN = 0.3
 """Seconds of silence that are enough where it goes on as far as is known."""

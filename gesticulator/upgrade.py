@@ -18,7 +18,17 @@ from safetensors.torch import load_file, save_file
 from data_module.errors import InputError
 from data_module.layers import freeze
 from gesticulator import models
-from gesticulator.bundle import CARD, FILES, INDEX, OLDER, lexicon_hash, read_json, replace_folder, rest_distances, write_index
+from gesticulator.bundle import (
+    CARD,
+    FILES,
+    INDEX,
+    OLDER,
+    lexicon_hash,
+    read_json,
+    replace_folder,
+    rest_distances,
+    write_index,
+)
 from gesticulator.config import Config, from_dict, to_dict
 from gesticulator.features import Statistics, representation_of
 from gesticulator.models import Sizes

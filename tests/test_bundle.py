@@ -175,8 +175,8 @@ def test_format_4_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
     made = untrained(*PLAIN, *SMALL)
     bundles.save(made, tmp_path / "old", "a card")
     index = json.loads((tmp_path / "old" / "bundle.json").read_text())
-    for group, names in (("motion", ("joints",)), ("lexicon", ("kind", "levels")), ("generator", ("head", "flow_width")),
-                         ("silence", ("rest",))):
+    for group, names in (("motion", ("joints",)), ("lexicon", ("kind", "levels")), ("silence", ("rest",)),
+                         ("generator", ("head", "flow_width"))):
         for name in names:
             del index["config"][group][name]
     (tmp_path / "old" / "bundle.json").write_text(json.dumps({**index, "format": 4}))

@@ -14,6 +14,8 @@ from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.performer.plan import rests_of
+from data_module.performer.talks import with_life
+from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
 from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
@@ -174,6 +176,14 @@ def test_of_strokes_the_begin_and_the_end_of_the_hold_are_seams() -> None:
     # A jump on the beat is the strokes' own, one between strokes is nobody's.
     assert _measured(_jumping(starts + 0.5), Truth(strokes)).figures[SEAM] < 1.0
     assert _measured(_jumping(starts + 2.2), Truth(strokes)).figures[SEAM] < 1.35
+
+
+def test_a_held_pose_of_a_real_take_does_not_freeze() -> None:
+    held = np.zeros((1200, len(CHARACTER), 3))
+    silence = Spoken("s", Speech(np.zeros(320000, dtype=np.float32), 16000), (), (), "nobody", "en")
+    for logs, still in ((held, True), (with_life(held, silence, np.random.default_rng(0)), False)):
+        motion = Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(logs)), np.zeros((1200, 3)), 60.0)
+        assert (_measured(motion).figures[FREEZE] > 1.0) == still
 
 
 # --- What the truth tells

@@ -16,10 +16,14 @@ from eval.metrics.diversity import longest_run, repetition, runs
 from eval.probes import evidence
 from eval.stats import Interval
 from eval.table import Table
+from eval.teacher import teacher_logits
 from gesticulator import presets
 from gesticulator.config import with_settings
 from gesticulator.features import Normaliser, Statistics
 from gesticulator.stages import BLOCKS, CORPUS, LABELS, LEXICON, TOKENS, Corpus, Labelled, Run
+from gesticulator.stages.q_network import features_of
+from gesticulator.stages.windows import Windows, sequences
+from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter
 
 SIZE, AUDIO, MOTION, SILENT = 4, 5, 3, 3
 SETTINGS = ("interpreter.pose_features=8", "interpreter.use_control=false", "interpreter.own_past_most=0",
@@ -99,6 +103,37 @@ def test_where_nothing_tells_nothing_is_gained_and_the_seeds_are_other_trainings
     assert len(kept) == 2 * 5
     first = own.first.folder(evidence.INTERPRETER)
     assert own.first.config.seed == 1 and first.name in kept
+
+
+@pytest.mark.parametrize("memory", [0, 3])
+def test_a_window_of_training_a_whole_recording_and_a_stream_tell_the_same(memory: int) -> None:
+    corpus, labels = made_up("pose")
+    corpus = dataclasses.replace(corpus, durations=np.random.default_rng(4).uniform(0.2, 0.5, len(labels)))
+    torch.manual_seed(5)
+    config = LstmConfig(audio_features=4, width=12, pose_features=6, memory=memory)
+    model = LstmInterpreter(config, torch.randn(SIZE, 6),
+                            InterpreterWidths(corpus.motion.shape[1], AUDIO, 1, motion=MOTION)).eval()
+    own = corpus.blocks_of(2)
+    whole = torch.log_softmax(teacher_logits(model, corpus, own, labels[own]), -1)
+    parts = sequences(corpus, labels, "train", np.zeros(len(labels), np.int64))
+    batch = Windows(corpus, parts, len(own) - 1).batch(np.array([[2, 0]]))
+    with torch.no_grad():
+        window, _ = model.scores(batch["lexeme_index"][:, :-1], batch["audio_high"][:, 1:], batch["speaker"],
+                                 pose=model.seen(batch))
+    torch.testing.assert_close(torch.log_softmax(window[0], -1), whole, atol=1e-5, rtol=1e-4)
+    features, state = features_of(corpus), model.start(0, int(labels[own[0]]))
+    for place, block in enumerate(own[1:]):
+        scores, state = model.step(state, features(int(block)), int(labels[block - 1]))
+        np.testing.assert_allclose(scores, whole[place].numpy(), atol=1e-5)
+
+
+def test_before_the_first_block_of_a_recording_its_first_pose_is_held() -> None:
+    corpus, _ = made_up("nothing")
+    corpus = dataclasses.replace(corpus, first=torch.arange(14.0)[:, None].expand(-1, MOTION),
+                                 durations=np.arange(1.0, 337.0))
+    motion, seconds = corpus.before(np.array([0, 24, 25]))
+    assert (motion[0] == 0).all() and (motion[1] == 1).all() and torch.equal(motion[2], corpus.motion[24])
+    assert seconds.tolist() == [[1, 1], [25, 25], [25, 26]]
 
 
 # ---------------------------------------------------------------------------------------------------- what is spoiled

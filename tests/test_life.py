@@ -45,11 +45,12 @@ def test_the_numbers_behind_it_are_the_same_everywhere() -> None:
 
 def test_noise_has_the_spread_that_it_says_and_nothing_fast() -> None:
     times = np.arange(0, 2000, 0.05)
-    made = noise(3, 5, times, step=1.0)
+    made, slow = noise(3, np.array([5, 6]), times, np.array([1.0, 4.0])).T
     assert made.std() == pytest.approx(1, abs=0.05) and abs(made.mean()) < 0.1
     power = np.abs(np.fft.rfft(made)) ** 2
     above = np.fft.rfftfreq(len(made), 0.05) > 1.0
     assert power[above].sum() < 1e-3 * power.sum()
+    assert abs(np.corrcoef(made, slow)[0, 1]) < 0.1 and np.abs(np.diff(slow)).max() < 0.5 * np.abs(np.diff(made)).max()
     again = np.correlate(made - made.mean(), made - made.mean(), "full")[len(made):] / (made.var() * len(made))
     assert np.abs(again[100:20_000]).max() < 0.2, "it never comes back"
 
@@ -100,9 +101,9 @@ def test_fingers_bend_along_their_own_bend_and_other_joints_are_found_by_name() 
     names = (*CHARACTER.names, "LeftHandIndex1", "RightHandIndex1", "LeftHandIndex2")
     bent = np.concatenate([HANGING, [[0.0, 0.0, -0.5], [0.0, 0.3, 0.4], [0.0, 0.0, 0.0]]])
     life = Idle(1, names, bent)(MINUTE)
-    np.testing.assert_array_equal(life[:, :16], Idle(1, CHARACTER.names, HANGING)(MINUTE))
+    np.testing.assert_allclose(life[:, :16], Idle(1, CHARACTER.names, HANGING)(MINUTE), atol=1e-12)
     assert np.abs(life[:, 16, 2]).max() > math.radians(1) and not life[:, 16, :2].any()
     np.testing.assert_allclose(life[:, 17, 1] * 4, life[:, 17, 2] * 3)
     assert not life[:, 18].any(), "nothing tells which way a straight finger bends"
     order = (*names[16:], *names[:16])
-    np.testing.assert_array_equal(Idle(1, order, np.roll(bent, 3, axis=0))(MINUTE), np.roll(life, 3, axis=1))
+    np.testing.assert_allclose(Idle(1, order, np.roll(bent, 3, axis=0))(MINUTE), np.roll(life, 3, axis=1), atol=1e-12)

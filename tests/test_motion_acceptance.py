@@ -31,7 +31,7 @@ from eval.eye_table import EyeSample
 from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
 from eval.probes import motion as probe
 from eval.probes.motion import movements, rest, seen, steering
-from eval.probes.motion.clauses import ANY, Bound, Clause, at_least, at_most, clause_table, summary
+from eval.probes.motion.clauses import ANY, Clause, ClauseBound, at_least, at_most, clause_table, summary
 from eval.probes.motion.movements import ALL, ALONE, HeldOut
 from eval.probes.motion.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.probes.motion.rest import Rested
@@ -76,10 +76,10 @@ def moved(seconds: float, size: Array, seed: int = 0) -> Motion:
 def test_a_bound_holds_at_its_ends_and_nothing_holds_nan() -> None:
     assert at_most(0.6).holds(0.6) and not at_most(0.6).holds(0.61)
     assert at_least(18.0).holds(18.0) and not at_least(18.0).holds(17.9)
-    assert not Bound(high=0.001, below=True).holds(0.001) and Bound(high=0.001, below=True).holds(0.0009)
+    assert not ClauseBound(high=0.001, below=True).holds(0.001) and ClauseBound(high=0.001, below=True).holds(0.0009)
     assert not ANY.holds(math.nan)
-    assert [bound.text(1) for bound in (at_most(2.0), at_least(3.0), Bound(1.0, 2.0), Bound(high=1.0, below=True), ANY)
-            ] == ["at most 2.0", "at least 3.0", "1.0 to 2.0", "below 1.0", ""]
+    bounds = (at_most(2.0), at_least(3.0), ClauseBound(1.0, 2.0), ClauseBound(high=1.0, below=True), ANY)
+    assert [bound.text(1) for bound in bounds] == ["at most 2.0", "at least 3.0", "1.0 to 2.0", "below 1.0", ""]
 
 
 def test_a_clause_is_judged_by_its_mean_and_what_is_undefined_is_broken() -> None:

@@ -12,7 +12,7 @@ recording, half a recording away (so voice, level, pauses and the length of bloc
 not); `another's sound`, the same from another recording, of the same performer where there is one; `no sound`, which
 hears nothing, not even how long a block is; `no pose`, which does not see the body. Rows of "Words": the interpreter
 that reads, and the one that was taught on the words of other recordings, both on top of the same one that hears. Spoken
-blocks alone count but for `NLL, all`: in a silence the lexeme is a silent one, which the sound tells at once.
+blocks alone count but for `NLL, all`: what is done in a silence is mostly rest, which the sound tells at once.
 
 "Loops", with a bundle: its free-running performances of the test recordings beside the performer's lexemes. An
 interpreter that hears its own past may fall into saying one thing again and again. Silent lexemes do not count: a rest

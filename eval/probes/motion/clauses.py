@@ -21,7 +21,7 @@ COLUMNS = {"value": Column("figure"), "bound": Column("bound"), "holds": Column(
 
 
 @dataclass(frozen=True)
-class Bound:
+class ClauseBound:
     """What a figure must be: between low and high, both included; below: less than high, not equal to it."""
 
     low: float = -math.inf
@@ -43,17 +43,17 @@ class Bound:
         return ""
 
 
-def at_most(high: float) -> Bound:
+def at_most(high: float) -> ClauseBound:
     """No more than that."""
-    return Bound(high=high)
+    return ClauseBound(high=high)
 
 
-def at_least(low: float) -> Bound:
+def at_least(low: float) -> ClauseBound:
     """No less than that."""
-    return Bound(low=low)
+    return ClauseBound(low=low)
 
 
-ANY = Bound()
+ANY = ClauseBound()
 """Shown, not judged."""
 
 
@@ -69,7 +69,7 @@ class Clause:
     digits: int = 2
 
     @classmethod
-    def judged(cls, name: str, value: Interval | float, bound: Bound = ANY, *, digits: int = 2, reason: str = ""
+    def judged(cls, name: str, value: Interval | float, bound: ClauseBound = ANY, *, digits: int = 2, reason: str = ""
                ) -> Clause:
         """By its mean. A value that is undefined breaks its bound."""
         own = value if isinstance(value, Interval) else Interval.exact(value, 1)

@@ -203,8 +203,10 @@ def ranks_of(distances: Tensor, asked: Tensor) -> NDArray[np.int64]:
 
 
 def obedience_clauses(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDArray[np.int64]],
-                      groups: Sequence[str]) -> list[Clause]:
-    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each."""
+                      groups: Sequence[str], bare: bool = False) -> list[Clause]:
+    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each. bare: of the generator alone,
+    which is shown and not judged."""
+    where = ", generator alone, without rest and life" if bare else ""
     sizes = [len(own) for own in ranks]
     every = np.concatenate(lexemes)
     common = float(np.bincount(every).max() / len(every))
@@ -214,9 +216,9 @@ def obedience_clauses(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDAr
 
     told = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; asking for the most frequent one always "
             f"would reach {common:.2f}")
-    return [Clause.judged("a drawn block is the lexeme that was asked for, share", share(1), at_least(OBEYED),
-                          reason=told),
-            Clause.judged(f"it is among the best {BEST}, share", share(BEST), at_least(AMONG))]
+    return [Clause.judged(f"a drawn block is the lexeme that was asked for, share{where}", share(1),
+                          ANY if bare else at_least(OBEYED), reason=told),
+            Clause.judged(f"it is among the best {BEST}, share{where}", share(BEST), ANY if bare else at_least(AMONG))]
 
 
 def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> float:
@@ -278,8 +280,18 @@ def run(ours: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoic
     clauses.append(absent_clause([open_loop(codes[ALL], held) for held in recordings], ours.bundle.statistics.present))
     made = [ours.render(voice, k % renderings) for k, voice in enumerate(voices)]
     groups = [voice.group or voice.name for voice in voices]
-    speakers = [ours.gesticulator.speaker_index(ours.speaker(voice)) for voice in voices]
-    ranks = [encode(ours.bundle, own, speaker) for own, speaker in zip(made, speakers, strict=True)]
-    clauses += obedience_clauses(ranks, [own.lexemes for own in made], groups)
+    clauses += _obedience(ours, voices, made)
+    if ours.bundle.config.silence.rest == "life":
+        bare = ours.bare()
+        clauses += _obedience(ours, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
+                              bare=True)
     clauses.append(silent_clause(made, ours.bundle.silent, groups))
     return clauses, []
+
+
+def _obedience(ours: BundleSystem, voices: Sequence[AcceptanceVoice], made: Sequence[Rendering], bare: bool = False
+               ) -> list[Clause]:
+    speakers = [ours.gesticulator.speaker_index(ours.speaker(voice)) for voice in voices]
+    ranks = [encode(ours.bundle, own, speaker) for own, speaker in zip(made, speakers, strict=True)]
+    groups = [voice.group or voice.name for voice in voices]
+    return obedience_clauses(ranks, [own.lexemes for own in made], groups, bare)

@@ -7,6 +7,7 @@ run gives the same to the digit.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import importlib.util
 import io
@@ -14,7 +15,7 @@ import json
 import time
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -38,6 +39,7 @@ from eval.probes.eye import edges_of_plan
 from eval.probes.style_editing import excerpt
 from eval.unit_selection import UnitDatabase, UnitSelection
 from gesticulator import bundle as bundles
+from gesticulator.config import with_settings
 from gesticulator.features import SpeechFeatures
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
@@ -200,6 +202,14 @@ class BundleSystem:
     def bundle(self) -> bundles.Bundle:
         """What is played."""
         return self.gesticulator.bundle
+
+    def bare(self) -> BundleSystem:
+        """The same without rest and life laid over what the generator draws."""
+        other = copy.copy(self)
+        config = with_settings(self.bundle.config, ["silence.rest=decay", "silence.rest_decay=0"])
+        other.gesticulator = _Listening(replace(self.bundle, config=config))
+        other.key, other._encoded = f"{self.key} bare", {}
+        return other
 
     @property
     def megabytes(self) -> float:

@@ -18,7 +18,7 @@ from eval.eye_table import CORPUS, POOLED, TO_CORPUS, EyeSample, heading
 from eval.metrics import EYE_METRICS, eye, pmb
 from eval.metrics.eye import ReferenceSpace, VoiceActivity, common_body, voice
 from eval.metrics.mismatch import Mismatch, mismatch, wrapped
-from eval.probes.motion.clauses import ANY, Bound, Clause, at_least, at_most, scaled
+from eval.probes.motion.clauses import ANY, Clause, ClauseBound, at_least, at_most, scaled
 from eval.probes.motion.renderings import TEST, AcceptanceVoice, Pair, RenderedSystem
 from eval.score import UNITS
 from eval.stats import Interval
@@ -93,12 +93,12 @@ def pooled_distance(sample: EyeSample, space: ReferenceSpace, other: EyeSample |
 def clauses(where: str, ours: Figures, corpus: Figures | None, units: Figures | None) -> list[Clause]:
     """What is asked of ours on some voices; where: their name. Without corpus or unit selection what is asked against
     them is not measured."""
-    def judged(name: str, bound: Bound, reason: str = "") -> Clause:
+    def judged(name: str, bound: ClauseBound, reason: str = "") -> Clause:
         return Clause.judged(f"{_title(name)}, {where}", ours[name], bound, digits=_digits(name), reason=reason)
 
     out = [judged("eye_hand_height_correlation", at_most(0.60)), judged("eye_hand_speed_correlation", at_most(0.68)),
            judged("eye_one_handed", at_least(18.0)), judged("eye_one_hanging", at_least(12.0)),
-           judged("eye_head", Bound(7.0, 14.0)), judged("eye_chest", Bound(4.0, 9.0)),
+           judged("eye_head", ClauseBound(7.0, 14.0)), judged("eye_chest", ClauseBound(4.0, 9.0)),
            *_against_corpus(where, ours, corpus),
            judged("eye_stroke_amplitude", at_least(20.0)), judged("eye_stroke_amplitude_90", at_least(38.0)),
            judged("eye_seam", at_most(1.20)), *_distances(where, ours, units), *_timing(where, ours, units),
@@ -127,7 +127,7 @@ def _against_corpus(where: str, ours: Figures, corpus: Figures | None) -> list[C
             out.append(Clause.skipped(name, "no store was given"))
         else:
             told = f"{ours[row].mean:.2f} and {corpus[row].mean:.2f}"
-            out.append(Clause.judged(name, scaled(ours[row], 1.0 / corpus[row].mean), Bound(1 - apart, 1 + apart),
+            out.append(Clause.judged(name, scaled(ours[row], 1.0 / corpus[row].mean), ClauseBound(1 - apart, 1 + apart),
                                      reason=told))
     name = f"{heading('eye_drift')}, {where}"
     out.append(Clause.skipped(name, "no store was given") if corpus is None else
@@ -206,7 +206,7 @@ def mismatch_clause(pieces: Sequence[tuple[Motion, VoiceActivity]]) -> Clause:
     told = (f"right {first.right:.0f} %, wrong {first.wrong:.0f} %, {first.difference.n} pieces; second detector p "
             f"{second.p_value:.4f}")
     return Clause.judged("mismatch test, p, first detector", Interval.exact(first.p_value, first.difference.n),
-                         Bound(high=0.001, below=True), digits=4, reason=first.reason or told)
+                         ClauseBound(high=0.001, below=True), digits=4, reason=first.reason or told)
 
 
 # ------------------------------------------------------------------------------------------------------------- group

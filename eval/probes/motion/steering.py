@@ -20,7 +20,7 @@ from data_module.controls import FEATURES, LEVELS
 from data_module.errors import InputError
 from data_module.types import Array, Speech, Word
 from eval import stats
-from eval.probes.motion.clauses import ANY, Bound, Clause, at_least, at_most
+from eval.probes.motion.clauses import ANY, Clause, ClauseBound, at_least, at_most
 from eval.probes.motion.renderings import AcceptanceVoice, BundleSystem
 from eval.probes.motion.rest import heard_of, spread_out
 from eval.probes.style_editing import realised
@@ -88,7 +88,7 @@ def other_words(speech: Speech, others: Sequence[Word]) -> Speech:
 def words_clause(changed: Sequence[float]) -> Clause:
     """Shares of blocks with another lexeme, of each voice."""
     return Clause.judged("blocks with another lexeme under other words, share", stats.mean_interval(changed),
-                         Bound(low=math.nextafter(OTHER_WORDS, 1.0)), reason="same sound, times and seed")
+                         ClauseBound(low=math.nextafter(OTHER_WORDS, 1.0)), reason="same sound, times and seed")
 
 
 # ------------------------------------------------------------------------------------------------------------- group
