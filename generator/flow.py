@@ -19,7 +19,7 @@ what keeps a long performance on course.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -255,14 +255,14 @@ class FlowGenerator(nn.Module):
     # -------------------------------------------------------------------------------------------------- drawing
 
     @torch.no_grad()
-    def draw(self, contexts: Tensor, gains: Sequence[float], noise: Tensor, steps: int) -> Tensor:
+    def draw(self, contexts: Tensor, gains: Tensor, noise: Tensor, steps: int) -> Tensor:
         """Coefficients [M, n] from noise [M, n], in so many steps of Heun's method.
 
-        contexts: [1 + G, C] of the block as it is, and with one thing left out each; gains: [G] how far to go from
-        those (classifier-free guidance).
+        contexts: [1 + G, C] of the block as it is, and with one thing left out each; gains: [G, n] how far each
+        coefficient goes from those (classifier-free guidance).
         """
         conditions = [layer[:, None].expand(-1, len(noise), -1) for layer in self.head.conditions(contexts)]
-        mix = noise.new_tensor([1.0 + sum(gains), *(-gain for gain in gains)])[:, None, None]
+        mix = torch.cat([1.0 + gains.sum(0, keepdim=True), -gains])[:, None]
 
         def v(u: Tensor, time: float) -> Tensor:
             wide = u.expand(len(contexts), -1, -1)

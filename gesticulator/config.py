@@ -189,8 +189,12 @@ class SelectionConfig:
     what it draws."""
     lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
     """The same for the lexeme."""
+    trunk_guidance: Share = 1.0
+    """What part of any guidance torso and head follow: guidance makes large turns of them larger than people's."""
     noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.95
     """Of the flow head: deviation of the noise that drawing starts from; below 1 is calmer."""
+    trunk_noise: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
+    """What the noise of torso and head is multiplied by."""
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
     """Of Heun's method, from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4

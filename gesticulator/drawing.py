@@ -87,6 +87,8 @@ class FlowDrawer:
         self.circumstances = circumstances(seconds, torch.as_tensor(encoded.blocks.silent)).to(self.device)
         self.speaker = torch.nn.functional.one_hot(torch.tensor([speaker], device=self.device),
                                                    len(bundle.speakers)).float()
+        self.share = self._of_trunk(self.chosen.trunk_guidance)
+        self.noise = self.chosen.noise * self._of_trunk(self.chosen.trunk_noise)
         self.state: tuple[Tensor, Tensor] | None = None
         self.told: Pasts | None = None
 
@@ -98,10 +100,17 @@ class FlowDrawer:
         self.told = Pasts(past[:, -PAST:], self.ratios[i:i + 1])
         given, gains = self._given(i, features, lexeme, past)
         context, self.state = self.generator.contexts(given, added.expand(len(given.audio), 1, -1), self.state)
-        noise = self.chosen.noise * self.keys.noise(i, (self.chosen.candidates, self.generator.basis.width))
-        drawn = self.generator.draw(context[:, 0], gains, noise.to(self.device), self.chosen.flow_steps)
+        noise = self.keys.noise(i, (self.chosen.candidates, self.generator.basis.width)).to(self.device) * self.noise
+        pull = torch.tensor(gains, device=self.device)[:, None] * self.share
+        drawn = self.generator.draw(context[:, 0], pull, noise, self.chosen.flow_steps)
         best = self._showing(lexeme, drawn)
         return self.generator.basis.compose(drawn[best:best + 1], self.told) * self.generator.present, past[:, :0, 0]
+
+    def _of_trunk(self, trunk: float) -> Tensor:
+        """[n] this value for the coefficients of torso and head, 1 for the others."""
+        basis = self.generator.basis
+        return torch.cat([torch.full((width,), trunk if name in ("torso", "head") else 1.0)
+                          for name, width in zip(basis.parts, basis.widths, strict=True)]).to(self.device)
 
     def _given(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[FlowInputs, list[float]]:
         """The block as it is, and once more for each thing that guides with this left out; and the guidance."""

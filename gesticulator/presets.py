@@ -149,7 +149,9 @@ def default() -> Config:
             paper.interpreter, audio_features=8, dropout=0.3, own_past_most=0.0, pose_features=96, pose_noise=0.1,
             memory=8, reads_by="block", lexeme_features=48, history_dropout=0.2),
         silence=SilenceConfig(rest="life", augmentation=0.0, mask=False, hint=False),
-        selection=SelectionConfig(temperature=1.0, guidance=2.0))
+        # Chosen on the validation split: the least guidance and noise with which strokes are as large as people's.
+        selection=SelectionConfig(temperature=1.0, guidance=2.0, audio_guidance=1.5, lexeme_guidance=1.5, noise=1.1,
+                                  trunk_guidance=0.15, trunk_noise=0.87))
 
 
 def tiny() -> Config:

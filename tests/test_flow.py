@@ -85,7 +85,8 @@ def drawn(generator: FlowGenerator, lexeme: int, side: float, gains: tuple[float
                        torch.zeros(3, 1, CIRCUMSTANCES), torch.ones(3, 1), deaf=torch.tensor([False, True, False]))
     with torch.no_grad():
         context, _ = generator.contexts(given, torch.zeros(3, 1, generator.basis.width))
-        y = generator.draw(context[:, 0], gains, Keys(1).noise(0, (count, generator.basis.width)), 6)
+        pull = torch.tensor(gains)[:, None].expand(-1, generator.basis.width)
+        y = generator.draw(context[:, 0], pull, Keys(1).noise(0, (count, generator.basis.width)), 6)
         block = generator.basis.compose(y, given.past[:1, 0][torch.zeros(count, dtype=torch.long)])
     found: np.ndarray = block[:, FRAMES // 2 - 1, 0].numpy()
     return found
