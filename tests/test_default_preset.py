@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from untrained import PLAIN, untrained
 
 from data_module.blocks import cut
 from data_module.motion.skeletons import CHARACTERS
@@ -81,12 +82,14 @@ def test_a_variation_keeps_beats_and_lexemes_and_moves_otherwise(system: Gesticu
     assert not np.allclose(one.motion.rotations, two.motion.rotations, atol=1e-3)
 
 
-def test_a_bundle_that_draws_in_one_way_has_no_variations(tiny_bundle: Path, recording: Recording, tmp_path: Path,
+def test_a_bundle_that_draws_in_one_way_has_no_variations(recording: Recording, tmp_path: Path,
                                                           capsys: pytest.CaptureFixture[str]) -> None:
+    bundles.save(untrained(*PLAIN), tmp_path / "regression", "# Never trained\n")
     sound = tmp_path / "speech.flac"
     write_flac(sound, recording.speech)
     with pytest.raises(SystemExit) as stopped:
-        infer([str(sound), "-o", str(tmp_path / "out.bvh"), "--bundle", str(tiny_bundle), "--variation", "1"])
+        infer([str(sound), "-o", str(tmp_path / "out.bvh"), "--bundle", str(tmp_path / "regression"),
+               "--variation", "1"])
     told = capsys.readouterr().err.strip()
     assert stopped.value.code == 2 and "variation 1 needs a generator that samples" in told and "\n" not in told
     assert not (tmp_path / "out.bvh").exists()
