@@ -91,7 +91,7 @@ def test_a_bundle_that_draws_in_one_way_has_no_variations(recording: Recording, 
         infer([str(sound), "-o", str(tmp_path / "out.bvh"), "--bundle", str(tmp_path / "regression"),
                "--variation", "1"])
     told = capsys.readouterr().err.strip()
-    assert stopped.value.code == 2 and "variation 1 needs a generator that samples" in told and "\n" not in told
+    assert stopped.value.code == 2 and "variation 1: needs a generator that samples" in told and "\n" not in told
     assert not (tmp_path / "out.bvh").exists()
 
 
