@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import torch
 
+from data_module.motion.skeletons import CHARACTERS
 from data_module.speech.audio import load_speech
 from gesticulator import bundle as bundles
 from gesticulator import rollout
 from gesticulator.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
 from gesticulator.pipeline import Gesticulator
 from gesticulator.presets import preset
-from gesticulator.stages.corpus import measured
+from gesticulator.stages.corpus import measured, resting
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "speech.flac"
 FRAMES = 10
@@ -123,3 +124,18 @@ def test_control_rows_are_standardised_and_say_what_is_asked() -> None:
     given = np.array([True, False, True])
     rows = control_rows(levels, levels.mean + 2 * levels.spread, given)
     np.testing.assert_allclose(rows, [2, 0, 2, 1, 0, 1], atol=1e-6)
+
+
+def test_a_body_that_lives_rests_with_its_hands_down() -> None:
+    """Of silences that end with the hands down and silences that end with them up, the former are rest."""
+    config = preset("default")
+    joints = CHARACTERS[46].names
+    down, up = np.zeros((2, 3 * len(joints)))
+    for side, sign in (("Left", -1.0), ("Right", 1.0)):
+        at = 3 * joints.index(side + "Arm")
+        down[at + 2], up[at + 2] = sign * 1.3, sign * -0.3
+    rng = np.random.default_rng(1)
+    poses = np.concatenate([np.tile(down, (40, 1)), np.tile(up, (60, 1))]) + 0.01 * rng.normal(size=(100, len(down)))
+    found = resting(poses, config)
+    assert np.abs(found - down).max() < 0.05
+    assert np.abs(resting(poses, preset("paper-trinity")) - poses.mean(axis=0)).max() < 1e-12

@@ -136,11 +136,11 @@ def figure_of(axis: Axes, pose: Motion, frame: int, at: float, colour: str = INK
 
 
 def lexeme_motion(system: Gesticulator, lexeme: int, fps: float) -> Motion:
-    """The block of motion that the decoder of the lexicon makes of a lexeme, as the default performer moves."""
+    """The block of motion that a lexeme looks like, as the default performer moves."""
     bundle = system.bundle
-    decoded = bundle.block_models.lexicon.shown()[[lexeme]].numpy().astype(np.float64)
+    shows = bundle.block_models.lexicon.shown()[[lexeme]].numpy().astype(np.float64)
     who = system.speaker_index(None)
-    return representation_of(bundle.config).motion(bundle.statistics.denormalise(decoded, who)[0], fps)
+    return representation_of(bundle.config).motion(bundle.statistics.denormalise(shows, who)[0], fps)
 
 
 def hand_height(motion: Motion) -> tuple[Array, Array]:
@@ -266,7 +266,7 @@ def silent_lexeme(s: Scene) -> Figure:
     """Speed of the hands in the example, its silent blocks shaded."""
     figure, (upper, lower) = canvas((0.6, 0.9))
     waveform(upper, s.sound)
-    label(upper, "waveform; shaded: silent blocks, where only silent lexemes may be chosen")
+    label(upper, "waveform; shaded: silent blocks")
     motion = s.made.motion
     curve(lower, np.arange(len(motion)) / motion.fps, acting_speed(acting_positions(motion), motion.fps), INK)
     for axis in (upper, lower):
@@ -276,20 +276,6 @@ def silent_lexeme(s: Scene) -> Figure:
     plain(lower)
     upper.tick_params(labelbottom=False)
     label(lower, "speed of hands and elbows")
-    return figure
-
-
-def style_code(s: Scene) -> Figure:
-    """The style codes of the blocks that are shown: a column of numbers for each block."""
-    assert s.made.codes is not None
-    figure, (axis,) = canvas((1.7,))
-    here = shown(s)
-    edges = [start for _, start, _ in here] + [here[-1][2]]
-    codes = s.made.codes[[i for i, _, _ in here]].T
-    limit = float(np.abs(codes).max())
-    axis.pcolormesh(edges, np.arange(len(codes) + 1), codes, cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=True)
-    plain(axis)
-    label(axis, f"style codes: {len(codes)} numbers for each block (red above zero, blue below)")
     return figure
 
 
@@ -387,8 +373,8 @@ def bundle(s: Scene) -> Figure:
 
 PICTURES: dict[str, Callable[[Scene], Figure]] = {
     "onset": onset, "beat": beat, "block": block, "stretching": stretching, "lexeme": lexeme, "lexicon": lexicon,
-    "silent-lexeme": silent_lexeme, "interpreter": interpreter, "style-code": style_code, "control": control,
-    "generator": generator, "matched-beats": matched_beats, "bundle": bundle}
+    "silent-lexeme": silent_lexeme, "interpreter": interpreter, "control": control, "generator": generator,
+    "matched-beats": matched_beats, "bundle": bundle}
 """Name of the file, without .png -> what draws it."""
 
 

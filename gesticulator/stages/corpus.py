@@ -25,7 +25,9 @@ from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
 from data_module.files import rename
+from data_module.motion.kinematics import positions_of
 from data_module.motion.movement import Pasts, joined, pasts_of
+from data_module.motion.skeletons import CHARACTER
 from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder, word_frames
@@ -339,7 +341,7 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
         silent = np.concatenate([arrays["silent"] for arrays in own])
         mean[speaker] = poses.mean(axis=(0, 1))
         still = settled(silent)
-        rest[speaker] = poses[still, -1].mean(axis=0) if still.any() else mean[speaker]
+        rest[speaker] = resting(poses[still, -1], config) if still.any() else mean[speaker]
         centred.append((poses - mean[speaker]).reshape(-1, width))
     deviation = np.concatenate(centred).std(axis=0)
     present = np.stack([loaded[i]["mask"] for i in train]).any(axis=0)
@@ -358,6 +360,22 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
         -1, len(controls.FEATURES)).astype(np.float64))
     return Statistics(speakers, mean, rest, deviation, bounds, normalisers[0], normalisers[1], silences[0],
                       silences[1], levels)
+
+
+LOWEST = 0.3
+"""Share of the poses that silences end in, those with the lowest hands, of which one is taken for rest."""
+
+
+def resting(poses: Array, config: Config) -> Array:
+    """[D_m] the pose of rest among those that silences end in, [n, D_m]: their mean; or, where a body that rests lives
+    (`silence.rest`), the one in the middle of those with the lowest hands, as a mean of poses with the hands down and
+    poses with the hands held up would have them half way."""
+    if config.silence.rest == "decay":
+        return np.asarray(poses.mean(axis=0))
+    places = positions_of(representation_of(config).motion(poses, config.rhythm.fps))
+    height = places[:, [CHARACTER.index("LeftHand"), CHARACTER.index("RightHand")], 1].mean(axis=1) - places[:, 0, 1]
+    low = poses[height <= np.quantile(height, LOWEST)]
+    return np.asarray(low[np.linalg.norm(low - low.mean(axis=0), axis=1).argmin()])
 
 
 def settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:
