@@ -28,8 +28,8 @@ BACK = 0.5
 """A hand whose end is nearer to its start than this share of its furthest point has gone there and back."""
 CLEAR = 0.45
 """A direction is told when it has this share of the way."""
-_WIDE, _TALL, _TITLE = 2.75, 1.62, 0.38
-"""Inches of a lexeme, and of its two lines of text."""
+_WIDE, _TALL, _TITLE = 2.75, 1.62, 0.55
+"""Inches of a lexeme, and of its three lines of text."""
 _LAYOUT = replace(STRIP, spacing=0.95, margin=0.7, low=0.72, high=1.98)
 
 
@@ -59,7 +59,7 @@ def _way(path: Array, outwards: float) -> str:
     length = float(np.linalg.norm(way))
     named = ((way[1], "up", "down"), (way[0] * outwards, "out", "in"), (way[2], "forward", "back"))
     words = [more if share > 0 else less for share, more, less in sorted(named, key=lambda own: -abs(own[0]))
-             if abs(share) >= CLEAR * length]
+             if abs(share) >= CLEAR * length][:2]
     return f"{100 * length:.0f} cm {' and '.join(words)}{', and back' if returns else ''}"
 
 
@@ -78,8 +78,8 @@ def sheet(lexemes: Sequence[int], motions: Sequence[Motion], titles: Sequence[st
                                 _TALL / down))
         draw_row(axis, motion, np.array([0.0, last / 2, last]), "front", _LAYOUT)
         axis.texts[0].remove()  # which view it is: all are the same
-        for line, (text, colour) in enumerate(((f"{lexeme}{' (silent)' if lexeme in silent else ''}", INK),
-                                               (titles[lexeme], SOFT))):
-            figure.text((column + 0.5) * _WIDE / across, 1 - (top + 0.1 + 0.17 * line) / down, text, fontsize=8,
-                        color=colour, ha="center", va="center")
+        for line, text in enumerate((f"{lexeme}{' (silent)' if lexeme in silent else ''}",
+                                     *titles[lexeme].split("; "))):
+            figure.text((column + 0.5) * _WIDE / across, 1 - (top + 0.1 + 0.16 * line) / down, text, fontsize=8,
+                        color=SOFT if line else INK, ha="center", va="center")
     return figure
