@@ -28,6 +28,7 @@ from generator import losses
 from gesticulator import config as configs
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages import Run
+from lexicon.movement import MovementLexicon
 
 SHORT = ("schedules.speech.steps=1", "schedules.contrast.steps=1", "schedules.lexicon.steps=20",
          "schedules.generator.steps=6", "schedules.interpreter.steps=4", "schedules.style.steps=4")
@@ -169,6 +170,17 @@ def test_the_listed_figures_are_those_that_are_drawn() -> None:
     assert tuple(paper.FIGURES) == ablate.FIGURES
     for figure in paper.FIGURES.values():
         assert set(figure.rows) <= {*ROWS, *REFERENCES}
+
+
+def test_movements_and_their_head_are_a_row_judged_as_all_others_are(context: AblationContext, tmp_path: Path) -> None:
+    bundle, _ = context.trained("flow", 1)
+    assert isinstance(bundle.lexicon, MovementLexicon) and bundle.style is None
+    facts = ablate.ablate(into(context, tmp_path / "a"), only=["flow"], seeds=1)
+    figures = facts["rows"]["flow"]["figures"]
+    assert math.isnan(figures["accuracy"].mean), "its lexemes are not those that all are judged by"
+    assert all(np.isfinite(figures[key].mean) for key in ("maje", "fgd", "diversity", "variance", "silence_speed"))
+    table = next(one for one in load(tmp_path / "a" / "table.json") if one.title == "Movements (test)")
+    assert [name.split(" (undecided")[0] for name in table.rows][2] == "movements, flow"
 
 
 def test_another_systems_motion_is_a_row(context: AblationContext, tmp_path: Path) -> None:

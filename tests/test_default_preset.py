@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from untrained import PLAIN, untrained
 
 from data_module.blocks import cut
 from data_module.motion.skeletons import CHARACTERS
@@ -81,14 +82,16 @@ def test_a_variation_keeps_beats_and_lexemes_and_moves_otherwise(system: Gesticu
     assert not np.allclose(one.motion.rotations, two.motion.rotations, atol=1e-3)
 
 
-def test_a_bundle_that_draws_in_one_way_has_no_variations(tiny_bundle: Path, recording: Recording, tmp_path: Path,
+def test_a_bundle_that_draws_in_one_way_has_no_variations(recording: Recording, tmp_path: Path,
                                                           capsys: pytest.CaptureFixture[str]) -> None:
+    bundles.save(untrained(*PLAIN), tmp_path / "regression", "# Never trained\n")
     sound = tmp_path / "speech.flac"
     write_flac(sound, recording.speech)
     with pytest.raises(SystemExit) as stopped:
-        infer([str(sound), "-o", str(tmp_path / "out.bvh"), "--bundle", str(tiny_bundle), "--variation", "1"])
+        infer([str(sound), "-o", str(tmp_path / "out.bvh"), "--bundle", str(tmp_path / "regression"),
+               "--variation", "1"])
     told = capsys.readouterr().err.strip()
-    assert stopped.value.code == 2 and "variation 1 needs a generator that samples" in told and "\n" not in told
+    assert stopped.value.code == 2 and "variation 1: needs a generator that samples" in told and "\n" not in told
     assert not (tmp_path / "out.bvh").exists()
 
 
@@ -127,9 +130,9 @@ def test_a_bundle_that_was_saved_again_plays_the_same_bytes(system: Gesticulator
 # ------------------------------------------------------------------------------------------------------ evaluation
 
 @pytest.fixture(scope="module")
-def context(tiny_store: Path, tiny_movement_bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> EvalContext:
-    return EvalContext(Store.open(tiny_store), bundles.load(tiny_movement_bundle),
-                       tmp_path_factory.mktemp("context"), progress=False)
+def context(tiny_store: Path, tiny_movement_bundle: Path) -> EvalContext:
+    work = tiny_movement_bundle.with_name(tiny_movement_bundle.name + ".work")  # what the training cut and heard
+    return EvalContext(Store.open(tiny_store), bundles.load(tiny_movement_bundle), work, progress=False)
 
 
 def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:
@@ -149,13 +152,13 @@ def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:
     assert (distances.argmin(1).numpy() == own.labels).mean() > 0.99
 
 
-def test_levels_and_lexemes_tell_more_than_the_past_alone(context: EvalContext, tmp_path: Path,
-                                                          monkeypatch: pytest.MonkeyPatch) -> None:
+def test_levels_and_lexemes_tell_more_than_the_past_alone(context: EvalContext, tiny_movement_bundle: Path,
+                                                          tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
     out = tmp_path / "quality.json"
     assert PROBE.main("gesticulator probe", [
-        "quality", "--data", str(context.store.path), "--bundle", _folder(context), "--work", str(context.work),
-        "--out", str(out), "--quiet"]) == 0
+        "quality", "--data", str(context.store.path), "--bundle", str(tiny_movement_bundle), "--work",
+        str(context.work), "--out", str(out), "--quiet"]) == 0
     rows = load(out)[0].rows
     error = {name: row["error"].mean for name, row in rows.items()}  # type: ignore[union-attr]
     assert error["unquantised"] < error["quantised"] < error["the lexeme alone"]
@@ -164,15 +167,8 @@ def test_levels_and_lexemes_tell_more_than_the_past_alone(context: EvalContext, 
     assert {"lstm", "statistical", "majority"} <= set(load(out)[1].rows)
 
 
-def _folder(context: EvalContext) -> str:
-    """The bundle of a context as the commands take it."""
-    folder = context.work / "bundle"
-    if not folder.exists():
-        bundles.save(context.bundle, folder, "# A copy\n")
-    return str(folder)
-
-
-def test_the_map_shows_movements_from_start_to_end(context: EvalContext, tmp_path: Path) -> None:
+def test_the_map_shows_movements_from_start_to_end(context: EvalContext, tiny_movement_bundle: Path, tmp_path: Path
+                                                   ) -> None:
     motions = lexicon_map.decoded(context.bundle)
     lexicon, frames = context.bundle.block_models.lexicon, context.bundle.config.rhythm.frames
     assert isinstance(lexicon, MovementLexicon)
@@ -182,7 +178,7 @@ def test_the_map_shows_movements_from_start_to_end(context: EvalContext, tmp_pat
     silent = context.bundle.silent
     assert way[silent].max() < way.max()
     assert DRAW.main("gesticulator draw", [
-        "lexicon", "--data", str(context.store.path), "--bundle", _folder(context), "--out", str(tmp_path),
+        "lexicon", "--data", str(context.store.path), "--bundle", str(tiny_movement_bundle), "--out", str(tmp_path),
         "--points", "30", "--split", "test"]) == 0
     told = json.loads((tmp_path / "lexicon.json").read_text())
     assert len(told["lexemes"]) == len(motions)

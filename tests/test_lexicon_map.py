@@ -26,6 +26,7 @@ from data_module.types import Blocks, Motion, Speech, Word
 from eval.commands import DRAW
 from eval.draw import embedding
 from eval.draw import lexicon_map as maps
+from eval.draw.lexicon_sheet import in_words
 from eval.encode import EncodedMotion, encode_motion
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
@@ -124,6 +125,21 @@ def test_survey_counts_and_measures() -> None:
     assert survey.entries([2], np.full(4, 7.0))[2].sample == "other, 0.00 s"
 
 
+@pytest.mark.parametrize(("end", "says"), [(-0.6, "up"), (0.6, "down"), (-1.5, "up and in"), (1.5, "down and in")])
+def test_a_lexeme_is_told_in_words(end: float, says: str) -> None:
+    """The right arm stands out to the side and is turned in the plane of the body."""
+    way = CHARACTER.offsets[CHARACTER.index("RightForeArm")] + CHARACTER.offsets[CHARACTER.index("RightHand")]
+    told = in_words(turning(1.0, 20.0, np.linspace(0, end, 20)))
+    chord = 100 * 2 * float(np.hypot(way[0], way[1])) * math.sin(abs(end) / 2)
+    assert told == f"right {chord:.0f} cm {says}; left rests"
+    back = in_words(turning(1.0, 20.0, np.concatenate([np.linspace(0, end, 10), np.linspace(end, 0, 10)])))
+    assert back == told.replace("; left", ", and back; left")
+
+
+def test_who_stands_still_rests() -> None:
+    assert in_words(still(1.0)) == "both rest"
+
+
 def test_frames_lie_in_their_blocks() -> None:
     got = maps.block_of_frames(np.array([0.0, 0.2, 1.0]), 12, 10.0)
     assert got.tolist() == [0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
@@ -211,6 +227,8 @@ def test_the_page_holds_the_lexicon_and_nothing_from_outside(made: Path) -> None
     assert "somebody <else>" in page.articles[0]["text"]
     assert 100 * len(text) / size < 5e6
     assert result["recordings"] == 2 and sum(e["blocks"] for e in result["lexemes"]) == result["blocks"]
+    assert all(e["does"] for e in result["lexemes"])
+    assert (made / "map" / "lexemes.png").read_bytes().startswith(b"\x89PNG")
     for suffix, head in (("png", b"\x89PNG"), ("svg", b"<?xml")):
         assert (made / "map" / f"latents.{suffix}").read_bytes().startswith(head)
 

@@ -92,7 +92,8 @@ def test_absent_joints_of_the_shipped_bundle_are_exactly_still_before_the_clamp(
     bundle = bundles.load(bundles.SHIPPED)
     present = bundle.statistics.present.numpy() > 0
     absent, blocks = np.flatnonzero(~present), list[torch.Tensor]()
-    assert len(absent) < 6, "of the fingers too some source has every joint"
+    trunk_and_arms = 3 * len(CHARACTERS[16].names)
+    assert (absent < trunk_and_arms).sum() < 6, "a finger may be a hinge, which turns about one axis alone"
     drawer_for = rollout.drawer_for
 
     def watched(*given: Any) -> Any:

@@ -383,9 +383,6 @@ def main(folder: Path, names: Sequence[str]) -> None:
     drawn_from = scene()
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
-        if name == "style-code" and not drawn_from.system.bundle.code_width:
-            print("style-code: the shipped bundle has none; the picture that is there stays")
-            continue
         out = io.BytesIO()
         PICTURES[name](drawn_from).savefig(out, format="png", dpi=DPI, metadata={"Software": None})
         write_bytes(folder / f"{name}.png", out.getvalue())

@@ -8,7 +8,8 @@ latents themselves.
 `lexicon.html`, one page with nothing outside it: for each lexeme a sample gesture (the performed block whose latent
 lies nearest to it) beside what the decoder makes of it (a movement begins where the training block nearest to it
 began), how often each performer uses it, how fast the hands are, how much of it lies in pauses, the words and the
-strokes that go with it, and whether it is silent. Ticking that writes the command that tells the bundle so
+strokes that go with it, what the hands do in words, and whether it is silent. `lexemes.png` has the most used ones in a
+picture, each at its start, middle and end. Ticking that writes the command that tells the bundle so
 (`gesticulator bundle silent`). `lexicon.json` has the same in numbers. What fools it: the decoder alone has never been
 made to move smoothly, so a decoded lexeme may tremble where the block did not; the speed that counts is the performed
 one.
@@ -22,7 +23,7 @@ import math
 import shlex
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -38,6 +39,7 @@ from data_module.store import SPLITS, Recording, RecordingInfo, Split, Store
 from data_module.types import Array, Blocks, Motion
 from eval.draw.embedding import NEIGHBOURS, Labels, embed, embedding_panels, neighbours_agree
 from eval.draw.lexicon_page import LexemeEntry, LexemeWord, page, pictures
+from eval.draw.lexicon_sheet import MOST, in_words, sheet
 from eval.draw.strips import save_strip
 from eval.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
@@ -217,7 +219,8 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     """Both pictures, the page and its numbers into the folder `out`; the numbers."""
     counts, latents, labels = survey(bundle, store, infos, progress)
     motions, size, silent = decoded(bundle), bundle.config.lexicon.size, bundle.silent.tolist()
-    entries = counts.entries(silent, np.array([float(hand_speeds(own).mean()) for own in motions]))
+    entries = [replace(own, does=in_words(motion)) for own, motion in zip(
+        counts.entries(silent, np.array([float(hand_speeds(own).mean()) for own in motions])), motions, strict=True)]
     few = np.sort(np.random.default_rng(0).permutation(len(labels))[:points])
     flat = embed(latents[few])
     shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])
@@ -229,6 +232,9 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     figure = embedding_panels({caption: (flat, labels[few])}, size, silent)
     for suffix in ("png", "svg"):
         save_strip(figure, out / f"latents.{suffix}")
+    order = sorted((own for own in entries if own.blocks), key=lambda own: (-own.blocks, own.lexeme))
+    save_strip(sheet([own.lexeme for own in order[:MOST]], motions, [own.does for own in entries], silent),
+               out / "lexemes.png", dpi=100)
     shipped = folder is None or Path(folder).resolve() == bundles.SHIPPED.resolve()
     command = (f"gesticulator bundle silent{'' if shipped else ' ' + shlex.quote(str(folder))}",
                " --out my-bundle" if shipped else "")
@@ -267,4 +273,5 @@ def run(arguments: argparse.Namespace) -> list[Path]:
     print(f"{result['blocks']} blocks, {sum(own['blocks'] > 0 for own in result['lexemes'])} of "
           f"{len(result['lexemes'])} lexemes used; {100 * result['neighbours_in_picture']:.0f} % of neighbours in the "
           f"picture share the lexeme, {100 * result['neighbours_in_latents']:.0f} % in latent space")
-    return [arguments.out / name for name in ("lexicon.html", "latents.png", "latents.svg", "lexicon.json")]
+    return [arguments.out / name for name in ("lexicon.html", "lexemes.png", "latents.png", "latents.svg",
+                                              "lexicon.json")]

@@ -38,7 +38,8 @@ class LexemeWord:
 class LexemeEntry:
     """One lexeme. share: of all blocks; shares: of each performer's; hand_speed: m/s on its blocks as performed (NaN
     where none was read); decoded_speed: m/s of the decoded lexeme in normalised time; in_silence: share of its blocks
-    that lie in a pause; strokes: shares of its blocks; sample: where its sample gesture is from."""
+    that lie in a pause; strokes: shares of its blocks; sample: where its sample gesture is from; does: what the hands
+    do in it as decoded, in words."""
 
     lexeme: int
     silent: bool
@@ -51,6 +52,7 @@ class LexemeEntry:
     words: tuple[LexemeWord, ...]
     strokes: dict[str, float]
     sample: str
+    does: str = ""
 
 
 def picture(motion: Motion, views: Sequence[str] = tuple(VIEWS)) -> str:
@@ -103,7 +105,8 @@ def card(entry: LexemeEntry, drawing: str, colour: str, widest: float) -> str:
     return (f'<article data-lexeme="{entry.lexeme}" data-share="{entry.share}" data-speed="{_plain(entry.hand_speed)}" '
             f'data-pause="{entry.in_silence}"><h2><i style="background:{colour}"></i>{entry.lexeme}<label>'
             f'<input type="checkbox"{" checked" if entry.silent else ""}> silent</label></h2>'
-            f'<div class="pictures">{drawing}</div><dl><dt>blocks</dt><dd>{entry.blocks} ({100 * entry.share:.1f} %), '
+            f'<div class="pictures">{drawing}</div><dl><dt>does</dt><dd>{html.escape(entry.does) or "-"}</dd>'
+            f'<dt>blocks</dt><dd>{entry.blocks} ({100 * entry.share:.1f} %), '
             f'{100 * entry.in_silence:.0f} % of them in pauses</dd>'
             f'<dt>hands</dt><dd>{speed}{entry.decoded_speed:.2f} as decoded</dd>'
             f'<dt>words</dt><dd>{words or "-"}</dd><dt>strokes</dt><dd>{strokes or "-"}</dd>'

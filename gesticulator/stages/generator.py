@@ -60,7 +60,7 @@ def _movements(run: Run) -> MovementLexicon:
 
 
 def _build(run: Run) -> Generator | FlowGenerator:
-    model = models.generator(model_sizes(run, training=run.config.generator.styled))
+    model = models.generator(model_sizes(run, training=run.config.generator.head == "regression"))
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
         known = torch.as_tensor(corpus.select("train"))
