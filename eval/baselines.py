@@ -293,7 +293,7 @@ class Majority:
 
     def __init__(self, bundle: Bundle) -> None:
         self._best = [int(own.argmax()) for own in bundle.frequencies]
-        self._size = bundle.lexicon.quantizer.size
+        self._size = len(bundle.vectors)
 
     def start(self, speaker: int, first_lexeme: int) -> int:
         """The state is the speaker."""

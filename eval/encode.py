@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module import blocks as block_module
-from data_module.types import Blocks, Motion, Speech
+from data_module.motion.movement import Pasts, pasts_of
+from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
 from gesticulator.features import Statistics, encode_speech, front_end_for, representation_of
+from gesticulator.stages.lexicon import BlockLexicon
+from lexicon.movement import MovementLexicon
 
 
 @dataclass(frozen=True)
@@ -59,28 +62,56 @@ class EncodedMotion:
 
 
 def normalised_blocks(config: Config, statistics: Statistics, motion: Motion, blocks: Blocks, speaker: str = ""
-                      ) -> Tensor:
-    """[N, K, D_m] a motion in given blocks, in the features of a lexicon; see the module for unknown performers.
+                      ) -> tuple[Tensor, Pasts]:
+    """[N, K, D_m] a motion in given blocks, in the features of a lexicon, and what came before each block; see the
+    module for unknown performers.
 
     Joints of the lexicon that the motion has not at all (fingers) are where they are on average.
     """
     representation = representation_of(config)
     poses = block_module.normalise_motion(motion, blocks, representation)
-    if speaker in statistics.speakers:
-        features = statistics.normalise(poses, statistics.speakers.index(speaker))
-    else:
-        features = (poses - poses.mean(axis=(0, 1))) / statistics.deviation
-    if config.motion.representation == "rotations":
-        features = features * (np.arange(features.shape[-1]) < 3 * len(motion.skeleton))
-    return torch.as_tensor(features, dtype=torch.float32)
+    known = speaker in statistics.speakers
+    mean = statistics.mean_pose[statistics.speakers.index(speaker)] if known else poses.mean(axis=(0, 1))
+
+    def features(values: Array) -> Tensor:
+        own = (values - mean) / statistics.deviation
+        if config.motion.representation == "rotations":
+            own = own * (np.arange(own.shape[-1]) < 3 * len(motion.skeleton))
+        return torch.as_tensor(own, dtype=torch.float32)
+
+    made = features(poses)
+    seconds = torch.as_tensor(blocks.durations, dtype=torch.float32)
+    return made, pasts_of(made, seconds, features(block_module.first_pose(motion, representation)))
 
 
 @torch.no_grad()
+def latents_of(lexicon: BlockLexicon, motion: Tensor, past: Pasts) -> Tensor:
+    """[N, D_s] blocks [N, K, D_m] where the lexicon compares them with its codebook: E(M) of the paper's lexicon (RG
+    Eq. 4), the weighted coefficients of movements."""
+    if isinstance(lexicon, MovementLexicon):
+        return lexicon.basis.coefficients(motion, past) * lexicon.basis.weight
+    return lexicon.latents(motion)
+
+
+@torch.no_grad()
+def labels_of(lexicon: BlockLexicon, latents: Tensor) -> NDArray[np.int64]:
+    """[N] the lexeme nearest to each of the latents [N, D_s]."""
+    if isinstance(lexicon, MovementLexicon):
+        return np.asarray(lexicon.nearest(latents / lexicon.basis.weight).numpy())
+    return np.asarray(lexicon.quantizer.labels(latents).numpy())
+
+
+def read_motion(lexicon: BlockLexicon, config: Config, statistics: Statistics, motion: Motion, blocks: Blocks,
+                speaker: str = "") -> EncodedMotion:
+    """A motion in given blocks as a lexicon of these settings reads it."""
+    own, past = normalised_blocks(config, statistics, motion, blocks, speaker)
+    latents = latents_of(lexicon, own, past)
+    return EncodedMotion(blocks, own, latents, labels_of(lexicon, latents))
+
+
 def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
-    """The latents E(M) and nearest lexemes of a motion in given blocks (RG Eq. 4)."""
-    own = normalised_blocks(bundle.config, bundle.statistics, motion, blocks, speaker)
-    latents = bundle.block_models.lexicon.latents(own)
-    return EncodedMotion(blocks, own, latents, bundle.lexicon.quantizer.labels(latents).numpy())
+    """The latents and nearest lexemes of a motion in given blocks."""
+    return read_motion(bundle.block_models.lexicon, bundle.config, bundle.statistics, motion, blocks, speaker)
 
 
 @torch.no_grad()

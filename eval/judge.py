@@ -21,13 +21,13 @@ from data_module.speech.beats import detect_onsets
 from data_module.types import Array, Blocks, Motion, Speech
 from eval import stats
 from eval.clip import measure, motion_values
-from eval.encode import normalised_blocks
+from eval.encode import labels_of, read_motion
 from eval.metrics import fgd, gesture_features, pmb
 from eval.metrics.diversity import diversity, motion_variance
 from eval.rows.row import COLUMNS, PAPERS_DELTA
 from gesticulator.config import Config
 from gesticulator.features import Statistics
-from lexicon.autoencoder import Lexicon
+from gesticulator.stages.lexicon import BlockLexicon
 
 Lexemes = NDArray[np.int64]
 Values = dict[str, float]
@@ -98,7 +98,7 @@ class Judge:
 
     config: Config
     statistics: Statistics
-    lexicon: Lexicon
+    lexicon: BlockLexicon
     by: Sequence[gesture_features.Features]
 
     @torch.no_grad()
@@ -109,16 +109,15 @@ class Judge:
         values = motion_values(clip, motion, motion if truth is None else truth, seed=place)
         if truth is None:
             values |= {"maje": float("nan"), "mad": float("nan")}
-        latents = self.lexicon.latents(normalised_blocks(self.config, self.statistics, motion, speech.blocks,
-                                                         played.speaker))
-        lexemes = nearest = self.lexicon.quantizer.labels(latents).numpy()
+        read = read_motion(self.lexicon, self.config, self.statistics, motion, speech.blocks, played.speaker)
+        lexemes = nearest = read.labels
         conditioned = played.lexemes is not None and len(played.lexemes) == len(nearest)
         if played.lexemes is not None and conditioned:
             lexemes = played.lexemes
         values |= {"pmb": pmb.pmb(clip.beats, clip.onsets, PAPERS_DELTA), "conditioned": float(conditioned)}
         return JudgedClip(
             played.name, {**dict.fromkeys(COLUMNS, float("nan")), **values, **(played.values or {})},
-            latents.double().numpy(), lexemes, features_of(motion, self.by),
+            read.latents.double().numpy(), lexemes, features_of(motion, self.by),
             pmb.delta_curve(clip.beats, clip.onsets).percent, clip.beats, clip.onsets,
             speech.blocks.edges if played.edges is None else played.edges)
 
@@ -131,8 +130,7 @@ class Judge:
         variance is about the lexemes that it was made of, where those are the judge's (RG 7.4.2).
         """
         vectors = self.lexicon.vectors.double().numpy()
-        read = [self.lexicon.quantizer.labels(torch.as_tensor(clip.latents, dtype=torch.float32)).numpy()
-                for clip in clips]
+        read = [labels_of(self.lexicon, torch.as_tensor(clip.latents, dtype=torch.float32)) for clip in clips]
 
         def variety(chosen: list[int]) -> float:
             return diversity(np.concatenate([read[k] for k in chosen]), len(vectors)).nats

@@ -145,8 +145,9 @@ class AblationContext:
         judged_by = [[one.sha256, one.name, one.frames] for one in self.by]
         if group == "racer":
             parts = self.racer.bundle.block_models
-            return configs.digest(VERSION, self.racer.shapes, weights_hash(parts.generator), weights_hash(parts.style),
-                                  judged_by, self.limit, policy_training.MOTION)
+            style = weights_hash(parts.style) if parts.style else ""
+            return configs.digest(VERSION, self.racer.shapes, weights_hash(parts.generator), style, judged_by,
+                                  self.limit, policy_training.MOTION)
         return configs.digest(VERSION, self.store.fingerprint, self.first.config, self.first.key(LEXICON),
                               self.first.key(CORPUS), judged_by, self.limit)
 

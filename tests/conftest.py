@@ -47,3 +47,28 @@ def tiny_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     out = tmp_path_factory.mktemp("trained") / "bundle"
     assert main(["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet"]) == 0
     return out
+
+
+@pytest.fixture(scope="session")
+def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The `default` preset (movements, flow head, 46 joints) at toy size, trained once by the real command."""
+    from gesticulator.train import main
+
+    out = tmp_path_factory.mktemp("moving") / "bundle"
+    short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "reward": 10, "cql": 10}
+    settings = [*(f"schedules.{stage}.steps={steps}" for stage, steps in short.items()),
+                *(f"schedules.{stage}.batch=8" for stage in short), "schedules.interpreter.validations=2", *(
+        "text.encoder=", "interpreter.text_head=0", "front_end.bands=16", "lexicon.size=24", "lexicon.levels=[8]",
+        "lexicon.trunk_components=6", "lexicon.arm_components=10", "lexicon.finger_components=3",
+        "generator.motion_features=12", "generator.audio_features=8", "generator.audio_bottleneck=8",
+        "generator.hidden=32", "generator.groups=4", "generator.classes=8", "generator.blocks=8",
+        "generator.context=48", "generator.lexeme_width=12", "generator.flow_width=48", "generator.flow_layers=1",
+        "interpreter.audio_bottleneck=8", "interpreter.pose_features=12", "interpreter.lexeme_features=8",
+        "interpreter.width=32", "interpreter.memory=4", "gate.width=16", "gate.audio_features=4",
+        "gate.audio_bottleneck=8", "reward.width=16", "reward.projection=8", "reward.window=4", "reward.longest=6",
+        "cql.width=16", "cql.heads=2", "cql.layers=2", "cql.decisions=6", "cql.audio_features=4",
+        "cql.audio_bottleneck=8", "cql.copy_every=5", "episodes.prefix=2")]
+    given = [part for setting in settings for part in ("--set", setting)]
+    assert main(["--data", str(tiny_store), "--out", str(out), "--preset", "default", "--threads", "1", "--quiet",
+                 *given]) == 0
+    return out

@@ -121,10 +121,10 @@ def context_of(config: configs.Config) -> AblationContext:
     return AblationContext(Run(config, store, Path()), [], Path())  # type: ignore[arg-type]
 
 
-def test_the_preset_hears_and_names_as_the_default_does() -> None:
-    ours, theirs = (context_of(config).first for config in (rg.ablation(), presets.preset("default")))
+def test_the_preset_hears_and_names_as_the_papers_system_does() -> None:
+    ours, theirs = (context_of(config).first for config in (rg.ablation(), presets.preset("regression")))
     for name in ("speech", "contrast", "lexicon"):
-        assert ours.key(STAGES[name]) == theirs.key(STAGES[name]), "a finished stage of the default serves"
+        assert ours.key(STAGES[name]) == theirs.key(STAGES[name]), "a finished stage of the preset serves"
     for stage in (GENERATOR, INTERPRETER, INTERPRETER_TEXT, STYLE):
         assert ours.key(stage) != theirs.key(stage)
         assert ours.schedule(stage).steps < theirs.schedule(stage).steps
@@ -138,6 +138,8 @@ def test_the_preset_hears_and_names_as_the_default_does() -> None:
     ("statistical", "generator style interpreter lexicon", ""),
     ("no-hint", "lexicon", "interpreter"),
     ("no-augmentation", "interpreter lexicon", "generator style"),
+    ("pose-aware", "generator style lexicon", "interpreter"),
+    ("flow", "", "lexicon generator interpreter"),
     ("no-segmentation", "", "lexicon generator interpreter style"),
     ("no-lexemes", "", "lexicon generator interpreter style")])
 def test_a_row_trains_what_its_settings_change_and_nothing_else(row: str, same: str, other: str) -> None:
@@ -160,6 +162,21 @@ def test_a_seed_shares_speech_levels_and_lexicon_and_nothing_that_another_comman
     alone = context_of(configured(config, "no-segmentation")).first
     assert cut.key(GENERATOR) != alone.key(GENERATOR), "it hears through the speech encoder of all rows"
     assert one.seed(GENERATOR) != two.seed(GENERATOR)
+
+
+@pytest.mark.parametrize("preset", list(rg.PRESETS))
+def test_the_row_of_movements_is_the_shipped_systems_and_all_others_are_the_papers(preset: str) -> None:
+    base, shipped = rg.PRESETS[preset](), presets.preset("default")
+    ours = configured(base, "flow")
+    for read in (lambda c: c.lexicon.kind, lambda c: c.lexicon.size, lambda c: c.generator.head,
+                 lambda c: c.generator.styled, lambda c: c.motion.least_deviation, lambda c: c.motion.smoothing,
+                 lambda c: c.silence.hint, lambda c: c.silence.mask, lambda c: c.interpreter.pose_features,
+                 lambda c: c.interpreter.memory, lambda c: c.schedules.style.steps):
+        assert read(ours) == read(shipped)
+    assert ours.front_end == base.front_end and ours.schedules.generator.steps == base.schedules.generator.steps
+    for name in rg.ROWS:
+        other = configured(base, name)
+        assert name == "flow" or (other.lexicon.kind, other.generator.head) == ("pose", "regression")
 
 
 # -------------------------------------------------------------------------------------------------------------- cells

@@ -138,7 +138,7 @@ def figure_of(axis: Axes, pose: Motion, frame: int, at: float, colour: str = INK
 def lexeme_motion(system: Gesticulator, lexeme: int, fps: float) -> Motion:
     """The block of motion that a lexeme looks like, as the default performer moves."""
     bundle = system.bundle
-    shows = bundle.block_models.lexicon.shown()[[lexeme]].detach().numpy().astype(np.float64)
+    shows = bundle.block_models.lexicon.shown()[[lexeme]].numpy().astype(np.float64)
     who = system.speaker_index(None)
     return representation_of(bundle.config).motion(bundle.statistics.denormalise(shows, who)[0], fps)
 
@@ -248,7 +248,7 @@ def lexeme(s: Scene) -> Figure:
 
 def lexicon(s: Scene) -> Figure:
     """The codebook as t-SNE lays it out: neighbours are alike; the silent lexemes are marked."""
-    vectors = s.system.bundle.lexicon.vectors.detach().numpy()
+    vectors = s.system.bundle.vectors.numpy()
     flat = TSNE(perplexity=12, init="pca", random_state=0).fit_transform(vectors)
     figure, (axis,) = canvas((3.2,))
     silent = np.isin(np.arange(len(flat)), s.system.bundle.silent)
@@ -383,6 +383,9 @@ def main(folder: Path, names: Sequence[str]) -> None:
     drawn_from = scene()
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
+        if name == "style-code" and not drawn_from.system.bundle.code_width:
+            print("style-code: the shipped bundle has none; the picture that is there stays")
+            continue
         out = io.BytesIO()
         PICTURES[name](drawn_from).savefig(out, format="png", dpi=DPI, metadata={"Software": None})
         write_bytes(folder / f"{name}.png", out.getvalue())

@@ -1,15 +1,17 @@
 """What is in the lexicon, for the eye (RG Fig. 6): `gesticulator draw lexicon --data STORE --out FOLDER`.
 
-`latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents E(M) of blocks, coloured by
-lexeme. What fools it: t-SNE tears and clumps; only who is near whom means anything, so the share of nearest neighbours
-with the same lexeme is printed, in the picture and among the latents themselves.
+`latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents of blocks (E(M), or the weighted
+coefficients of a lexicon of movements), coloured by lexeme. What fools it: t-SNE tears and clumps; only who is near
+whom means anything, so the share of nearest neighbours with the same lexeme is printed, in the picture and among the
+latents themselves.
 
 `lexicon.html`, one page with nothing outside it: for each lexeme a sample gesture (the performed block whose latent
-lies nearest to it) beside what the decoder makes of it, how often each performer uses it, how fast the hands are, how
-much of it lies in pauses, the words and the strokes that go with it, and whether it is silent. Ticking that writes
-the command that tells the bundle so (`gesticulator bundle silent`). `lexicon.json` has the same in numbers. What fools
-it: the decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not; the
-speed that counts is the performed one.
+lies nearest to it) beside what the decoder makes of it (a movement begins where the training block nearest to it
+began), how often each performer uses it, how fast the hands are, how much of it lies in pauses, the words and the
+strokes that go with it, and whether it is silent. Ticking that writes the command that tells the bundle so
+(`gesticulator bundle silent`). `lexicon.json` has the same in numbers. What fools it: the decoder alone has never been
+made to move smoothly, so a decoded lexeme may tremble where the block did not; the speed that counts is the performed
+one.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from eval.metrics.smoothness import hand_speeds
 from gesticulator import bundle as bundles
 from gesticulator.bundle import Bundle
 from gesticulator.features import representation_of
+from lexicon.movement import MovementLexicon
 
 LEAST, SURE, PRIOR = 5, 3.0, 500.0
 """A word is listed when it stands on a lexeme's blocks this often and this many standard errors too often; the strength
@@ -179,9 +182,15 @@ def _stretch(motion: Motion, start: float, end: float) -> Motion:
 
 @torch.no_grad()
 def decoded(bundle: Bundle) -> list[Motion]:
-    """Each lexeme through the decoder, on the mean pose of all performers: K frames of normalised time."""
-    blocks = bundle.lexicon.shown().double().numpy()
-    poses = blocks * bundle.statistics.deviation + bundle.statistics.mean_pose.mean(axis=0)
+    """Each lexeme through the decoder, on the mean pose of all performers: K frames of normalised time.
+
+    A movement begins where the training block nearest to it began: its first frame is the pose before that block.
+    """
+    lexicon = bundle.block_models.lexicon
+    blocks = lexicon.shown()
+    if isinstance(lexicon, MovementLexicon):
+        blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
+    poses = blocks.double().numpy() * bundle.statistics.deviation + bundle.statistics.mean_pose.mean(axis=0)
     representation = representation_of(bundle.config)
     return [representation.motion(own, bundle.config.rhythm.fps) for own in poses]
 
@@ -196,7 +205,7 @@ def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], progres
         recording = store.load(info.name, bundle.config.motion.joints)
         blocks = cut(recording.speech, bundle.config.rhythm)
         read = encode_motion(bundle, recording.motion, blocks, info.speaker)
-        nearest = bundle.lexicon.vectors[torch.as_tensor(read.labels)]
+        nearest = bundle.vectors[torch.as_tensor(read.labels)]
         counts.add(recording, read.blocks, read.labels, (read.latents - nearest).square().sum(1).double().numpy())
         latents.append(read.latents.double().numpy())
         labels.append(read.labels)
@@ -213,7 +222,8 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     flat = embed(latents[few])
     shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])
     used = sum(own.blocks > 0 for own in entries)
-    caption = (f"E(M) by t-SNE; {used} of {size} lexemes are used, x silent\n{100 * shown:.0f} % of the "
+    told = "movements" if isinstance(bundle.lexicon, MovementLexicon) else "E(M)"
+    caption = (f"{told} by t-SNE; {used} of {size} lexemes are used, x silent\n{100 * shown:.0f} % of the "
                f"{NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space")
     out.mkdir(parents=True, exist_ok=True)
     figure = embedding_panels({caption: (flat, labels[few])}, size, silent)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from data_module import intervals
 from data_module.blocks import cut
@@ -29,6 +30,7 @@ from eval.draw.embedding import NEIGHBOURS, embed, embedding_panels, joint_embed
 from eval.draw.lexicon_map import evenly
 from eval.draw.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
 from eval.draw.strips import STRIP, Source, draw_page, frame_times, save_strip
+from eval.encode import latents_of
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.diversity import nearest_lexemes
 from eval.probes import style_editing
@@ -104,7 +106,8 @@ def lexicon(source: FigureSource) -> Drawn:
     """RG Fig. 6 and 8b."""
     judge, labelled, corpus = source.context.judge.lexicon, source.context.first.get(LABELS), source.context.corpus
     few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
-    latents = judge.latents(corpus.motion[few]).double().numpy()
+    rows = torch.as_tensor(few)
+    latents = latents_of(judge, corpus.motion[rows], corpus.pasts[rows]).double().numpy()
     labels = np.asarray(labelled.labels)[few]
     flat = embed(latents)
     shown, true = neighbours_agree(flat, labels), neighbours_agree(latents, labels)

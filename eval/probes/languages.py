@@ -223,7 +223,7 @@ def tables(systems: dict[str, Gesticulator], heard: Sequence[Passage], interpret
         # Of the lexicon that plays: RACER's own codec has another size than the setting of ours.
         out.append(player_table(f"{name}, {who}", tqdm(heard, desc=name, disable=not progress),
                                 functools.partial(played_by, system, interpreter=who, takes=takes),
-                                system.bundle.lexicon.quantizer.size))
+                                len(system.bundle.vectors)))
     first = next(table for table in out if table.title != RULE)
     claim = [row["above_chance"].to_dict() for group, row in first.rows.items()
              if not group.startswith("English") and isinstance(row["above_chance"], Interval)]

@@ -30,6 +30,7 @@ from gesticulator import presets
 from gesticulator.pipeline import FPS
 from gesticulator.stages import BLOCKS, LEXICON, Run
 from gesticulator.stages.corpus import Corpus
+from gesticulator.stages.lexicon import token_labels
 
 RIDGE = 10.0
 """Weight of the ridge: poses are of variance 1, and a lexeme that occurs ten times counts for half."""
@@ -62,7 +63,7 @@ def measured(config: configs.Config, store: Store, work: Path, split: str) -> di
     """PMB above chance of the performer and of the roll-out, percent, over the talks of a split."""
     stages = Run(config, store, work, progress=False)
     corpus, lexicon = stages.get(BLOCKS), stages.get(LEXICON)
-    labels, size = lexicon.label(corpus.motion).numpy(), config.lexicon.size
+    labels, size = token_labels(lexicon, corpus), config.lexicon.size
     weights, statistics = regression(corpus, labels, size), corpus.statistics
     above: dict[str, list[float]] = {"performer": [], "lexemes": []}
     for recording in corpus.recordings(split):

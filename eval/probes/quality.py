@@ -7,7 +7,7 @@ speaker's most frequent lexeme, and, where GESTICULATOR_DATA is set, a real take
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,21 +17,23 @@ from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
 from tqdm import tqdm
 
-from data_module.blocks import cut, normalise_motion
+from data_module.blocks import cut
+from data_module.motion.movement import Pasts
 from data_module.store import Recording
 from data_module.types import Array, Motion, Speech
 from eval import stats
 from eval.baselines import Bigram, Majority
 from eval.clip import ClipMeasurement, measure, real_take
 from eval.context import EvalContext
+from eval.encode import normalised_blocks
 from eval.policy import Decisions, accuracy
 from eval.table import Cell, Column, Table
 from gesticulator import bundle as bundles
-from gesticulator.features import representation_of
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.stages.lexicon import lexicon_figures
+from gesticulator.stages.lexicon import BlockLexicon, lexicon_figures, movement_figures
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter
+from lexicon.movement import MovementLexicon
 
 FIT_BLOCKS = 20_000
 """Blocks that PCA and k-means are fitted on: more changes their errors in the third digit."""
@@ -40,6 +42,7 @@ DELTAS = (0.05, 0.1, 0.2)
 QUANTILES = (5, 25, 50, 75, 95, 99)
 """Percentiles of hand speed."""
 HEIGHTS = (5, 50, 95)
+FREQUENT, ALONE, PREDICTED = "always the most frequent lexeme", "the lexeme alone", "predicted from the past alone"
 Rows = dict[str, dict[str, Cell]]
 
 
@@ -94,34 +97,59 @@ def stroke_kinds(recording: Recording, edges: Array) -> NDArray[np.int64]:
 
 
 @torch.no_grad()
-def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor) -> dict[str, NDArray[np.float32]]:
-    """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m]."""
-    latents = bundle.block_models.lexicon.latents(motion)
-    labels = bundle.lexicon.quantizer.labels(latents)
+def retold(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts, frequent: int
+           ) -> Iterator[tuple[str, torch.Tensor]]:
+    """Blocks [N, K, D_m] by what a lexicon keeps of them, and by the lexeme `frequent` throughout.
+
+    Movements are told from the true frames before each block: by their lexeme alone, and quantised, with the residual
+    levels below it; "predicted" is what the body would do if nothing new came. Poses take no notice of the past.
+    """
+    if isinstance(lexicon, MovementLexicon):
+        true, always = lexicon.basis.coefficients(motion, past), torch.full((len(motion),), frequent)
+        for name, told in (("unquantised", true), ("quantised", lexicon.quantised(true)),
+                           (ALONE, lexicon.quantised(true, 0)), (FREQUENT, lexicon.added(always)),
+                           (PREDICTED, torch.zeros_like(true))):
+            yield name, lexicon.basis.compose(told, past)
+        return
+    latents = lexicon.latents(motion)
+    labels = lexicon.quantizer.labels(latents)
+    for name, codes in (("unquantised", latents), ("quantised", lexicon.vectors[labels]),
+                        (FREQUENT, lexicon.vectors[torch.full_like(labels, frequent)])):
+        yield name, torch.cat([lexicon.decode(part) for part in codes.split(4096)])
+
+
+def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor, past: Pasts) -> dict[str, NDArray[np.float32]]:
+    """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m] and what came before each."""
     one = int(bundle.frequencies.mean(axis=0).argmax())
-    codes = {"unquantised": latents, "quantised": bundle.vectors[labels],
-             "always the most frequent lexeme": bundle.vectors[torch.full_like(labels, one)]}
-    return {name: ((torch.cat([bundle.lexicon.decode(part) for part in own.split(4096)]) - motion) ** 2
-                   ).mean(dim=(1, 2)).numpy() for name, own in codes.items()}
+    return {name: ((made - motion) ** 2).mean(dim=(1, 2)).numpy()
+            for name, made in retold(bundle.block_models.lexicon, motion, past, one)}
+
+
+def use_of_codes(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts) -> dict[str, float]:
+    """Share of the lexemes in use and their perplexity, with the mean errors."""
+    if isinstance(lexicon, MovementLexicon):
+        return movement_figures(lexicon, motion, past)
+    return lexicon_figures(lexicon, motion)
 
 
 def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: tuple[Motion, Speech] | None) -> Table:
     """Use of the codes and errors of reconstruction on the test split, in normalised features squared.
 
     PCA with as many components as a lexeme is wide, and k-means with as many means as there are lexemes, both fitted
-    on the training split, are what a linear method of the same size does. Blocks in strokes that training showed and
-    in strokes that it did not are told apart. The real take is centred on its own mean pose, like every performer.
+    on the training split, are what a linear method of the same size does without knowing what came before. Blocks in
+    strokes that training showed and in strokes that it did not are told apart. The real take is centred on its own mean
+    pose, like every performer.
     """
     bundle, corpus = context.bundle, context.corpus
     train = torch.as_tensor(corpus.select("train"))
     test = torch.as_tensor(np.concatenate([corpus.blocks_of(number) for number in context.numbers()]))
     known, unknown = (corpus.motion[part].flatten(1).numpy().astype(np.float64) for part in (train, test))
     few = known[np.random.default_rng(0).permutation(len(known))[:FIT_BLOCKS]]
-    linear = PCA(min(bundle.config.lexicon.code_width, *few.shape), random_state=0).fit(few)
+    linear = PCA(min(bundle.vectors.shape[1], *few.shape), random_state=0).fit(few)
     means = KMeans(min(bundle.config.lexicon.size, len(few)), n_init=3, random_state=0).fit(few)
     errors = {"PCA": ((linear.inverse_transform(linear.transform(unknown)) - unknown) ** 2).mean(1),
               "k-means": ((means.cluster_centers_[means.predict(unknown)] - unknown) ** 2).mean(1),
-              **reconstructions(bundle, corpus.motion[test])}
+              **reconstructions(bundle, corpus.motion[test], corpus.pasts[test])}
     kinds = np.concatenate([stroke_kinds(one, cut(one.speech, bundle.config.rhythm).edges) for one in recordings])
     for name, kind in (("quantised, strokes seen in training", 0), ("quantised, strokes never seen", 1)):
         errors[name] = np.where(kinds == kind, errors["quantised"], np.nan)
@@ -130,16 +158,17 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
         np.nanmean(error[owner == clip]) if np.isfinite(error[owner == clip]).any() else np.nan
         for clip in np.unique(owner)])} for name, error in errors.items()}
     if take is not None:
-        blocks = normalise_motion(take[0], cut(take[1], bundle.config.rhythm), representation_of(bundle.config))
-        centred = (blocks - blocks.mean(axis=(0, 1))) / bundle.statistics.deviation
+        own, past = normalised_blocks(bundle.config, bundle.statistics, take[0], cut(take[1], bundle.config.rhythm))
         rows |= {f"real take (BEAT), {name}": {"error": float(error.mean())} for name, error in
-                 reconstructions(bundle, torch.as_tensor(centred, dtype=torch.float32)).items()}
-    used = lexicon_figures(bundle.block_models.lexicon, corpus.motion[test])
+                 reconstructions(bundle, own, past).items()}
+    told = (" Movements are told from the true frames before each block."
+            if isinstance(bundle.lexicon, MovementLexicon) else "")
+    used = use_of_codes(bundle.block_models.lexicon, corpus.motion[test], corpus.pasts[test])
     variance = float(unknown.var(0).mean())
     return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, rows,
                  "through", [f"Lexemes used on the test split: {100 * used['usage']:.0f} %; perplexity "
                              f"{used['perplexity']:.1f}. Variance of the features: {variance:.3f}. Means "
-                             "over recordings with bootstrap 95 % intervals."],
+                             f"over recordings with bootstrap 95 % intervals.{told}"],
                  {**used, "variance": variance, **context.described(),
                   "seconds": sum(one.speech.duration for one in recordings)})
 

@@ -133,7 +133,8 @@ def described(infos: Sequence[RecordingInfo]) -> dict[str, Any]:
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, a bundle, how many recordings."""
-    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+    parser.add_argument("--bundle", metavar="DIR",
+                        help="one with a speech encoder, as of the preset regression (default: the shipped one)")
     parser.add_argument("--data", required=True, metavar="STORE")
     parser.add_argument("--limit", type=int, metavar="N", help="that many test recordings, evenly chosen (all)")
     parser.add_argument("--train", type=int, default=24, metavar="N", help="recordings to fit the probes on (24)")

@@ -107,7 +107,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--other", required=True, metavar="STORE2")
     parser.add_argument("--work", required=True, metavar="DIR")
     parser.add_argument("--language", default="en")
-    parser.add_argument("--preset", default="default")
+    parser.add_argument("--preset", default="regression", help="whose speech encoder it is (regression)")
     parser.add_argument("--steps", type=int, default=300)
 
 

@@ -1,0 +1,189 @@
+"""The shipped system at toy size: movements, a head that samples, 46 joints, and what stands around them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_module.blocks import cut
+from data_module.motion.skeletons import CHARACTERS
+from data_module.speech.audio import write_flac
+from data_module.store import Recording, Store
+from data_module.types import Speech
+from eval.commands import DRAW, PROBE
+from eval.context import EvalContext
+from eval.draw import lexicon_map
+from eval.encode import encode_motion, latents_of, normalised_blocks
+from eval.table import load
+from generator.flow import FlowGenerator
+from gesticulator import bundle as bundles
+from gesticulator.infer import main as infer
+from gesticulator.performance import Performance
+from gesticulator.pipeline import Gesticulator
+from gesticulator.stages.lexicon import token_labels
+from lexicon.movement import MovementLexicon
+
+AHEAD = 1.5
+"""Seconds before the end of a recording from which on its end may be heard: the blocks to come and the smoothing."""
+
+
+@pytest.fixture(scope="module")
+def system(tiny_movement_bundle: Path) -> Gesticulator:
+    return Gesticulator.from_pretrained(tiny_movement_bundle)
+
+
+@pytest.fixture(scope="module")
+def recording(tiny_store: Path) -> Recording:
+    store = Store.open(tiny_store)
+    return store.load(store.of_split("test")[0].name)
+
+
+@pytest.fixture(scope="module")
+def played(system: Gesticulator, recording: Recording) -> Performance:
+    return system(recording.speech, seed=3)
+
+
+def written(made: Performance, path: Path) -> bytes:
+    return made.save(path).read_bytes()
+
+
+def test_it_draws_the_whole_character_at_every_frame(system: Gesticulator, played: Performance,
+                                                     recording: Recording) -> None:
+    bundle = system.bundle
+    assert isinstance(bundle.lexicon, MovementLexicon) and isinstance(bundle.generator, FlowGenerator)
+    assert bundle.style is None and bundle.block_models.style is None and bundle.encoder is None
+    assert played.motion.skeleton.names == CHARACTERS[46].names
+    assert played.motion.duration == pytest.approx(recording.speech.duration, abs=0.05)
+    assert np.isfinite(played.motion.rotations).all()
+    assert played.codes.shape == (len(played.blocks), 0)
+    assert len(np.unique(played.lexemes)) > 1 and played.lexemes.max() < len(bundle.vectors)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(system: Gesticulator, played: Performance,
+                                                                  recording: Recording, tmp_path: Path) -> None:
+    first = written(played, tmp_path / "first.bvh")
+    assert written(system(recording.speech, seed=3), tmp_path / "again.bvh") == first
+    assert written(system(recording.speech, seed=4), tmp_path / "other.bvh") != first
+
+
+def test_a_variation_keeps_beats_and_lexemes_and_moves_otherwise(system: Gesticulator, played: Performance,
+                                                                  recording: Recording) -> None:
+    one, two = (system(recording.speech, seed=3, variation=k) for k in (1, 2))
+    for varied in (one, two):
+        np.testing.assert_array_equal(varied.lexemes, played.lexemes)
+        np.testing.assert_array_equal(varied.blocks.edges, played.blocks.edges)
+        assert not np.allclose(varied.motion.rotations, played.motion.rotations, atol=1e-3)
+    assert not np.allclose(one.motion.rotations, two.motion.rotations, atol=1e-3)
+
+
+def test_a_bundle_that_draws_in_one_way_has_no_variations(tiny_bundle: Path, recording: Recording, tmp_path: Path,
+                                                          capsys: pytest.CaptureFixture[str]) -> None:
+    sound = tmp_path / "speech.flac"
+    write_flac(sound, recording.speech)
+    with pytest.raises(SystemExit) as stopped:
+        infer([str(sound), "-o", str(tmp_path / "out.bvh"), "--bundle", str(tiny_bundle), "--variation", "1"])
+    told = capsys.readouterr().err.strip()
+    assert stopped.value.code == 2 and "variation 1 needs a generator that samples" in told and "\n" not in told
+    assert not (tmp_path / "out.bvh").exists()
+
+
+def test_what_comes_later_changes_nothing_before_it(system: Gesticulator, recording: Recording) -> None:
+    """The noise is keyed by seed and block, and nothing is drawn but from what came before."""
+    speech = recording.speech
+    end = speech.duration * 0.6
+    part = Speech(speech.samples[:round(end * speech.sample_rate)], speech.sample_rate)
+    whole, first = (system(own, seed=5) for own in (dataclasses.replace(speech, words=None), part))
+    safe = int(np.searchsorted(first.blocks.edges, end - AHEAD)) - 1
+    assert safe > 5
+    np.testing.assert_array_equal(whole.blocks.edges[:safe], first.blocks.edges[:safe])
+    np.testing.assert_array_equal(whole.lexemes[:safe - 1], first.lexemes[:safe - 1])
+    frames = int(whole.blocks.edges[safe - 1] * whole.motion.fps) - 2
+    np.testing.assert_allclose(whole.motion.rotations[:frames], first.motion.rotations[:frames], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["cql", "statistical"])
+def test_other_interpreters_choose_among_the_same_lexemes(system: Gesticulator, played: Performance,
+                                                          recording: Recording, name: str) -> None:
+    assert name in system.interpreters
+    made = system(recording.speech, seed=3, interpreter=name)
+    assert np.isfinite(made.motion.rotations).all() and made.lexemes.max() < len(system.bundle.vectors)
+    assert not np.array_equal(made.lexemes, played.lexemes)
+
+
+def test_a_bundle_that_was_saved_again_plays_the_same_bytes(system: Gesticulator, played: Performance,
+                                                            recording: Recording, tmp_path: Path) -> None:
+    bundles.save(system.bundle, tmp_path / "copy", "# A copy\n")
+    again = Gesticulator.from_pretrained(tmp_path / "copy")
+    assert written(again(recording.speech, seed=3), tmp_path / "b.bvh") == written(played, tmp_path / "a.bvh")
+    for file in (tmp_path / "copy").glob("*.safetensors"):
+        assert "style" not in file.name and "encoder" not in file.name
+
+
+# ------------------------------------------------------------------------------------------------------ evaluation
+
+@pytest.fixture(scope="module")
+def context(tiny_store: Path, tiny_movement_bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> EvalContext:
+    return EvalContext(Store.open(tiny_store), bundles.load(tiny_movement_bundle),
+                       tmp_path_factory.mktemp("context"), progress=False)
+
+
+def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:
+    bundle, corpus = context.bundle, context.corpus
+    number = context.numbers("train")[0]
+    recording = context.store.load(corpus.names[number], bundle.config.motion.joints)
+    blocks = cut(recording.speech, bundle.config.rhythm)
+    own = encode_motion(bundle, recording.motion, blocks, recording.info.speaker)
+    rows = corpus.blocks_of(number)
+    known = token_labels(bundle.block_models.lexicon, corpus)[rows]
+    # The corpus is kept in half precision, which decides a block between two lexemes now and then.
+    assert (own.labels == known).mean() > 0.95
+    lexicon = bundle.block_models.lexicon
+    assert isinstance(lexicon, MovementLexicon)
+    _, past = normalised_blocks(bundle.config, bundle.statistics, recording.motion, blocks, recording.info.speaker)
+    distances = torch.cdist(latents_of(lexicon, own.poses, past).double(), bundle.vectors.double())
+    assert (distances.argmin(1).numpy() == own.labels).mean() > 0.99
+
+
+def test_levels_and_lexemes_tell_more_than_the_past_alone(context: EvalContext, tmp_path: Path,
+                                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
+    out = tmp_path / "quality.json"
+    assert PROBE.main("gesticulator probe", [
+        "quality", "--data", str(context.store.path), "--bundle", _folder(context), "--work", str(context.work),
+        "--out", str(out), "--quiet"]) == 0
+    rows = load(out)[0].rows
+    error = {name: row["error"].mean for name, row in rows.items()}  # type: ignore[union-attr]
+    assert error["unquantised"] < error["quantised"] < error["the lexeme alone"]
+    assert error["the lexeme alone"] < error["predicted from the past alone"]
+    assert error["the lexeme alone"] < error["always the most frequent lexeme"]
+    assert {"lstm", "statistical", "majority"} <= set(load(out)[1].rows)
+
+
+def _folder(context: EvalContext) -> str:
+    """The bundle of a context as the commands take it."""
+    folder = context.work / "bundle"
+    if not folder.exists():
+        bundles.save(context.bundle, folder, "# A copy\n")
+    return str(folder)
+
+
+def test_the_map_shows_movements_from_start_to_end(context: EvalContext, tmp_path: Path) -> None:
+    motions = lexicon_map.decoded(context.bundle)
+    lexicon, frames = context.bundle.block_models.lexicon, context.bundle.config.rhythm.frames
+    assert isinstance(lexicon, MovementLexicon)
+    assert [len(own) for own in motions] == [frames + 1] * len(context.bundle.vectors)
+    # A lexeme that is silent begins and ends alike; some other does not.
+    way = np.array([np.abs(own.rotations[-1] - own.rotations[0]).max() for own in motions])
+    silent = context.bundle.silent
+    assert way[silent].max() < way.max()
+    assert DRAW.main("gesticulator draw", [
+        "lexicon", "--data", str(context.store.path), "--bundle", _folder(context), "--out", str(tmp_path),
+        "--points", "30", "--split", "test"]) == 0
+    told = json.loads((tmp_path / "lexicon.json").read_text())
+    assert len(told["lexemes"]) == len(motions)
+    assert (tmp_path / "lexicon.html").read_text().count("<article") == len(motions)
