@@ -10,6 +10,7 @@ import torch
 
 from data_module.controls import Levels
 from data_module.layers import freeze
+from data_module.motion.movement import pasts_of
 from data_module.speech.speech_encoder import SpeechEncoder
 from data_module.store import Store
 from gesticulator import models
@@ -24,12 +25,17 @@ from gesticulator.stages.reward import block_audio
 from interpreters.cql import QNetwork
 from interpreters.reward import RewardModel
 from interpreters.settings import QConfig, RewardConfig
+from lexicon.movement import MovementLexicon
 
 SPEAKERS = ("ann", "bob")
 SILENT = (2, 5)
 PLAIN = ("front_end.name=mel", "text.encoder=", "interpreter.text_features=0", "interpreter.use_control=false",
          "style.text_features=0", "generator.use_control=false", "schedules.gate.steps=0", "schedules.cql.steps=0")
 """Settings of a bundle without text, learned speech levels, gate, style editing and Q-network."""
+
+
+MOVING = ("lexicon.kind=movement", "generator.head=flow", "generator.style_width=0", "schedules.style.steps=0")
+"""Settings of a bundle that draws movements."""
 
 
 def half(module: torch.nn.Module) -> torch.nn.Module:
@@ -59,12 +65,20 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
         np.zeros((3 * frames, low)), np.zeros((3 * frames, high)), levels)
     sizes = Sizes(config, width, low, high, learned, len(SPEAKERS), words, statistics.present, silent=SILENT)
     lexicon = models.lexicon(sizes)
-    lexicon.quantizer.set_vectors(torch.randn(size, config.lexicon.code_width))
+    if isinstance(lexicon, MovementLexicon):
+        walk = torch.randn(400, frames, width).flatten(0, 1).cumsum(0).unflatten(0, (400, frames)) / 20
+        told = pasts_of(walk, torch.full((400,), 0.3, dtype=torch.float64), walk[0, 0])
+        lexicon.fit(walk, told, torch.ones(400, width), seed)
+    else:
+        lexicon.quantizer.set_vectors(torch.randn(size, config.lexicon.code_width))
     half(lexicon)
     sizes = dataclasses.replace(sizes, vectors=lexicon.vectors)
     parts = {stage.part: half(models.BUILDERS[stage.part](sizes)) for stage in wanted(config)
              if stage.part and stage.part != "lexicon" and (words or not stage.part.endswith("_text"))}
     parts["lexicon"] = lexicon
+    if isinstance(lexicon, MovementLexicon):
+        parts["generator"].adopt(lexicon.basis, lexicon.basis.coefficients(walk, told))
+        half(parts["generator"])
     if encoder is not None:
         parts["encoder"] = encoder
     frequencies = rng.dirichlet(np.ones(size), size=2).astype(np.float32).astype(np.float64)

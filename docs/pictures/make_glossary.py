@@ -251,11 +251,12 @@ def lexicon(s: Scene) -> Figure:
     vectors = s.system.bundle.vectors.numpy()
     flat = TSNE(perplexity=12, init="pca", random_state=0).fit_transform(vectors)
     figure, (axis,) = canvas((3.2,))
+    area = min(210.0, 21_000 / len(flat))  # square points: two hundred lexemes have half the room of one hundred
     silent = np.isin(np.arange(len(flat)), s.system.bundle.silent)
     for mask, colour, text in ((~silent, TEAL, "lexeme"), (silent, AMBER, "silent lexeme")):
-        axis.scatter(*flat[mask].T, s=210, color=colour, alpha=0.25, linewidth=0, label=text)
+        axis.scatter(*flat[mask].T, s=area, color=colour, alpha=0.25, linewidth=0, label=text)
     for number, (x, y) in enumerate(flat):
-        axis.text(x, y, str(number), ha="center", va="center", fontsize=6.5, color=INK)
+        axis.text(x, y, str(number), ha="center", va="center", fontsize=0.45 * area**0.5, color=INK)
     plain(axis, time=False)
     axis.set_xticks([])
     figure.legend(loc="outside upper left", ncols=2, fontsize=8, frameon=False, labelcolor=INK)
