@@ -159,7 +159,7 @@ class InferenceArguments(TypedDict, total=False):
 class Performance:
     """Gesture for one recording.
 
-    motion: on the character (16 or 46 joints), at any frame rate. speech: the sound. blocks: N blocks that tile the sound.
+    motion: on the character of 16 or 46 joints, at any frame rate. speech: the sound. blocks: N blocks that tile it.
     lexemes: [N] the lexeme that was played. best: [N, M] the M best lexemes, best first; scores: [N, M] what the
     interpreter thought of them, falling along M. M is `BEST`, or the size of the lexicon where that is smaller.
     The played lexeme need not be the first of `best` (it may have been drawn, or asked for). codes: [N, d_z] style
