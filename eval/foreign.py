@@ -31,7 +31,7 @@ from data_module.files import read_text
 from data_module.motion import rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions
-from data_module.motion.skeletons import CHARACTER, find_table, to_character
+from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED, find_table, to_character
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import RecordingInfo, Split, Store
@@ -140,8 +140,11 @@ def _of_store(store: Store, only: Sequence[str] | None, split: str) -> dict[str,
 
 # ---------------------------------------------------------------------------------------------------- files
 
-def read_motion(path: Path, fps: float | None = None) -> Motion:
-    """Any of `MOTIONS` on the 16-joint character. fps: as told by the user, else by NAME.json, else by the file."""
+def read_motion(path: Path, fps: float | None = None, fingers: bool = False) -> Motion:
+    """Any of `MOTIONS` on the 16-joint character; with its fingers, where it has some and they are asked for.
+
+    fps: as told by the user, else by NAME.json, else by the file.
+    """
     kind = path.suffix.lower()
     if kind not in MOTIONS:
         raise InputError(path, "is no motion that is known here", f"give one of {', '.join(MOTIONS)}")
@@ -152,7 +155,11 @@ def read_motion(path: Path, fps: float | None = None) -> Motion:
         # A rate that is told answers the warning of a header that contradicts itself.
         warnings.simplefilter("ignore", BvhWarning)
         try:
-            return to_character(read_bvh(path, fps=rate) if kind == ".bvh" else read_smplx(path, fps=rate))
+            found = read_bvh(path, fps=rate) if kind == ".bvh" else read_smplx(path, fps=rate)
+            whole = to_character(found, skeleton=FINGERED) if fingers else None
+            if whole is not None and not set(FINGER_JOINTS) & set(whole.absent):
+                return whole
+            return to_character(found)
         except InputError as error:
             advice = _RATE_ADVICE if error.advice == FRAME_RATE_ADVICE else error.advice
             # A skeleton is known by its joints alone, and a user by the file.

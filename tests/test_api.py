@@ -261,7 +261,8 @@ def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:
     assert levels is not None and told["score"] == "Q value" and told["notes"] == list(made.notes)
     assert told["made_by"]["gesticulator"] == gesticulator.__version__
     assert told["made_by"]["settings"] == {
-        "speaker": "ann", "interpreter": "cql", "words": True, "seed": 3, "activity": 0.5, "fps": 25.0, "gain": 0.0,
+        "speaker": "ann", "interpreter": "cql", "words": True, "seed": 3, "variation": 0, "activity": 0.5, "fps": 25.0,
+        "gain": 0.0,
         "temperature": g.bundle.config.selection.q_temperature, "hand_height": levels.value("height", "low"),
         "hand_speed": {"times": [0.0, 1.0], "values": [0.2, 0.4]}}
     # What was done can be done again from it.

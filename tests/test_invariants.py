@@ -141,7 +141,7 @@ def small_corpus(blocks: int = 30) -> SimpleNamespace:
     motion = torch.arange(float(blocks))[:, None, None].expand(-1, FRAMES, WIDTH)
     low = torch.zeros(blocks, 3 * FRAMES, AUDIO)
     return SimpleNamespace(motion=motion, low=low, high=low, silent=np.arange(blocks) % 3 == 0,
-                           mask=torch.ones(1, WIDTH), speaker_of=np.zeros(1, np.int64),
+                           durations=np.full(blocks, 0.3), mask=torch.ones(1, WIDTH), speaker_of=np.zeros(1, np.int64),
                            statistics=SimpleNamespace(speakers=("ann",)))
 
 

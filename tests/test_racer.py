@@ -17,7 +17,7 @@ from gesticulator import config as configs
 from gesticulator import infer, presets, train
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages.corpus import Corpus, prepare
-from gesticulator.stages.lexicon import decoded_blocks, decoded_lexemes, token_labels
+from gesticulator.stages.lexicon import decoded_blocks, token_labels
 from gesticulator.stages.q_network import q_batch, takes_of
 from gesticulator.stages.reward import RewardWindows, block_audio, groups, reward_table
 from interpreters.episodes import Episodes
@@ -81,7 +81,7 @@ def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: 
 
 def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundle: Path) -> None:
     bundle = bundles.load(tiny_bundle)
-    lexemes = decoded_lexemes(bundle.lexicon)
+    lexemes = bundle.block_models.lexicon.shown()
     labels = token_labels(bundle.lexicon, corpus)
     config = RewardConfig(shortest=2, window=4, longest=6, rivals=3)
     windows = RewardWindows(corpus, block_audio(corpus), decoded_blocks(bundle.lexicon, labels, corpus),
@@ -109,7 +109,7 @@ def test_a_reward_table_asks_about_the_corpus(corpus: Corpus, tiny_bundle: Path)
     got = table.sequence(torch.as_tensor(take.lexemes), torch.as_tensor(take.blocks))
     # The last step by hand: the last window of decoded blocks and of audio, through the model itself.
     last, model = torch.as_tensor(take.blocks[-bundle.config.reward.window:]), bundle.reward
-    motion = decoded_lexemes(bundle.lexicon)[torch.as_tensor(labels)[last]][None]
+    motion = bundle.block_models.lexicon.shown()[torch.as_tensor(labels)[last]][None]
     logs = torch.as_tensor(np.log(corpus.durations))[last].float()[None]
     with torch.no_grad():
         one, two = model.embed({"motion": motion, "audio": block_audio(corpus)[last].float()[None],
