@@ -223,7 +223,8 @@ def _read(name: str, place: Path, sounds: Sequence[SpeechClip], space: Reference
         if not own:
             raise InputError(place, f"holds no motion for {sound.name}", f"name it {sound.name}.bvh")
         for file in own:
-            sample.add(resample(read_motion(file, fingers=True), HZ), sound.heard, edges_of_plan(file.with_suffix(".json")), space,
+            moved = resample(read_motion(file, fingers=True), HZ)
+            sample.add(moved, sound.heard, edges_of_plan(file.with_suffix(".json")), space,
                        group=sound.name)
     return sample
 
