@@ -139,4 +139,7 @@ def test_a_body_that_lives_rests_with_its_hands_down() -> None:
     poses = np.concatenate([np.tile(down, (40, 1)), np.tile(up, (60, 1))]) + 0.01 * rng.normal(size=(100, len(down)))
     found = resting(poses, config)
     assert np.abs(found - down).max() < 0.05
+    aside = 3 * joints.index("Head") + 1
+    poses[:40, aside] = rng.normal(0.0, 0.4, 40)
+    assert abs(resting(poses, config)[aside] - poses[:40, aside].mean()) < 0.15, "it looks where it looks on average"
     assert np.abs(resting(poses, preset("paper-trinity")) - poses.mean(axis=0)).max() < 1e-12

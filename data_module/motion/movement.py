@@ -30,8 +30,9 @@ _TORSO = ("Hips", "Spine")
 _HEAD = ("Neck", "Head")
 _FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky", "Little")
 _LEAST_SCALE = 1e-6
-_FINGERS_SHARE = 0.3
-"""Of what an arm weighs: fingers have four times as many numbers, and nobody names a gesture by them."""
+_SHARES = {"torso": 0.4, "head": 0.4, "left fingers": 0.3, "right fingers": 0.3}
+"""Of what an arm weighs, 1: nobody names a gesture by its fingers, which have four times as many numbers, and at an
+arm's weight a third of the codes would tell sways of the trunk apart with both hands at rest."""
 LIMITS = (0.03, 99.97)
 """Percent: between these the coefficients of training blocks lie, but for the wildest six in ten thousand."""
 
@@ -178,8 +179,7 @@ class MovementBasis(nn.Module):
             own = self._fit_part(part, motion[rows], past[rows])
             coefficients[rows, at] = own
             self.scale[at] = own.std(0, correction=0).clamp_min(_LEAST_SCALE).float()
-            share = _FINGERS_SHARE if name.endswith("fingers") else 1.0
-            self.weight[at] = share / self.scale[at].pow(2).sum().sqrt()  # each part's variance is then its share's
+            self.weight[at] = _SHARES.get(name, 1.0) / self.scale[at].pow(2).sum().sqrt()  # each part's variance is then its share's
             self.limits[:, at] = torch.as_tensor(np.percentile(own.numpy(), LIMITS, axis=0)).float()
         return coefficients.float()
 

@@ -122,7 +122,7 @@ def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
     """Logs [T, J, 3] whose head dips on stresses and is calmer in pauses, in postures that change now and then.
 
     A head that was laid on other speech is not tied to the voice; real heads are. 95 % of its yaw stays within 20
-    degrees. Where the talk pauses the weight goes round, as a held pose of a real take would freeze.
+    degrees. The weight goes round, as a held pose of a real take would freeze.
     """
     out, frames = logs.copy(), len(logs)
     speaking = np.zeros(frames)
@@ -131,7 +131,7 @@ def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
     out[:, list(SKULL)] = calm(out[:, list(SKULL)], speaking)
     out[:, list(SKULL), 0] += (_dips(spoken, frames, rng) / len(SKULL))[:, None]
     posture = postures(frames, rng)
-    weight = sway(frames, rng) * (1.0 - 0.7 * gaussian_filter1d(speaking, 0.35 * FPS, mode="nearest"))[:, None]
+    weight = sway(frames, rng)
     for joints, bends in ((SPINE, posture[:, 0] + weight), (SKULL, posture[:, 1])):
         out[:, list(joints)] += (bends / len(joints))[:, None]
     trunk = [*HIPS, *SPINE, *SKULL]

@@ -43,7 +43,7 @@ from gesticulator.features import (
     three_blocks,
     word_table,
 )
-from gesticulator.models import Sizes
+from gesticulator.models import Sizes, parts_of_body
 from gesticulator.stages.base import Node, Run
 
 if TYPE_CHECKING:
@@ -363,19 +363,24 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
 
 
 LOWEST = 0.3
-"""Share of the poses that silences end in, those with the lowest hands, of which one is taken for rest."""
+"""Share of the poses that silences end in, those with the lowest hands, of which rest is made."""
 
 
 def resting(poses: Array, config: Config) -> Array:
     """[D_m] the pose of rest among those that silences end in, [n, D_m]: their mean; or, where a body that rests lives
-    (`silence.rest`), the one in the middle of those with the lowest hands, as a mean of poses with the hands down and
-    poses with the hands held up would have them half way."""
+    (`silence.rest`), the arms of the one in the middle of those with the lowest hands, as a mean of poses with the
+    hands down and poses with the hands held up would have them half way, and the mean of these for trunk and head,
+    which in any one of them may look aside."""
     if config.silence.rest == "decay":
         return np.asarray(poses.mean(axis=0))
     places = positions_of(representation_of(config).motion(poses, config.rhythm.fps))
     height = places[:, [CHARACTER.index("LeftHand"), CHARACTER.index("RightHand")], 1].mean(axis=1) - places[:, 0, 1]
     low = poses[height <= np.quantile(height, LOWEST)]
-    return np.asarray(low[np.linalg.norm(low - low.mean(axis=0), axis=1).argmin()])
+    rest = low.mean(axis=0)
+    arms = [column for part, columns in parts_of_body(config).items() if part not in ("torso", "head")
+            for column in columns]
+    rest[arms] = low[np.linalg.norm(low[:, arms] - rest[arms], axis=1).argmin()][arms]
+    return np.asarray(rest)
 
 
 def settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:
