@@ -89,6 +89,7 @@ class FlowHead(nn.Module):
     """
 
     def __init__(self, width: int, context: int, hidden: int, layers: int) -> None:
+        """width: n; context: C; hidden: units of each of the layers."""
         super().__init__()
         self.enter = nn.Linear(width + 2 * _FREQUENCIES, hidden)
         self.condition = nn.ModuleList([nn.Linear(context, 2 * hidden) for _ in range(layers)])
@@ -121,6 +122,7 @@ class FlowGenerator(nn.Module):
     position: Tensor
     present: Tensor
     deviation: Tensor
+    centres: Tensor
 
     def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, basis: MovementBasis,
                  present: Tensor | None = None) -> None:
@@ -131,6 +133,7 @@ class FlowGenerator(nn.Module):
         self.config, self.frames, self.basis, self.lexemes = config, frames, basis, widths.lexemes
         self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
         self.register_buffer("deviation", torch.ones(basis.width))
+        self.register_buffer("centres", torch.zeros(widths.lexemes + 1, basis.width))  # u of each lexeme; 0 for none
         self.register_buffer("position", positional_block(frames, c.position_width, direction=c.position_direction)
                              if c.position_width else torch.zeros(frames, 0), persistent=False)
         self.control_width = widths.control if c.use_control else 0
@@ -146,11 +149,13 @@ class FlowGenerator(nn.Module):
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
         known = 2 * c.lexeme_width + c.groups * c.group_width + 3 * widths.motion + basis.width
         known += CIRCUMSTANCES + widths.speakers + self.control_width
+        # A lexeme's own coefficients go straight to the head, so that what it names need not be learned.
+        told = c.context + basis.width
         self.gather = nn.Sequential(nn.Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
         self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
         self.to_context = nn.Sequential(nn.Linear(2 * c.context + c.lexeme_width, c.context), nn.GELU(),
                                         nn.Dropout(c.dropout))
-        self.head = FlowHead(basis.width, c.context, c.flow_width, c.flow_layers)
+        self.head = FlowHead(basis.width, told, c.flow_width, c.flow_layers)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -169,17 +174,18 @@ class FlowGenerator(nn.Module):
         return torch.maximum(torch.minimum(y, self.basis.limits[1]), self.basis.limits[0])
 
     @torch.no_grad()
-    def adopt(self, basis: MovementBasis, coefficients: Tensor) -> None:
-        """Take over a fitted basis; coefficients: [N, n] of the training blocks."""
+    def adopt(self, basis: MovementBasis, coefficients: Tensor, lexemes: Tensor) -> None:
+        """Take over a fitted basis; coefficients: [N, n] of the training blocks, lexemes: [S, n] of the lexicon."""
         self.basis.load_state_dict(basis.state_dict())
         bent = torch.asinh(self.config.bend * coefficients / self.basis.scale)
         self.deviation.copy_(bent.std(0, correction=0).clamp_min(1e-3))
+        self.centres[:-1] = self.squeeze(lexemes)
 
     # -------------------------------------------------------------------------------------------------- context
 
     def contexts(self, given: FlowInputs, added: Tensor, state: State | None = None, temperature: float = 1.0
                  ) -> tuple[Tensor, State]:
-        """h [B, N, C] of N blocks and the LSTM's state after them; added: [B, N, n] u of the block before each."""
+        """h [B, N, C + n] of N blocks and the LSTM's state after them; added: [B, N, n] u of the block before each."""
         heard = self.encode_audio(given.audio)
         if given.deaf is not None:
             heard = torch.where(given.deaf[:, None, None, None], self.unheard, heard)
@@ -197,7 +203,8 @@ class FlowGenerator(nn.Module):
         code, _ = self.codes(self.mlp(torch.cat(rows, -1)), temperature)
         gathered = self.gather(torch.cat([*known, code.mean(-2)], -1))
         out, state = self.lstm(gathered, state)
-        return self.to_context(torch.cat([out, gathered, name], -1)), state
+        context = self.to_context(torch.cat([out, gathered, name], -1))
+        return torch.cat([context, self.centres[given.lexeme]], -1), state
 
     # ------------------------------------------------------------------------------------------------- training
 

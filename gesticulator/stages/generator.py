@@ -64,7 +64,8 @@ def _build(run: Run) -> Generator | FlowGenerator:
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
         known = torch.as_tensor(corpus.select("train"))
-        model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]))
+        model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]),
+                    lexicon.added(torch.arange(lexicon.size)))
     return model
 
 
