@@ -187,6 +187,9 @@ class SelectionConfig:
     audio_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 1.5
     """Of the flow head: how far to go on in the direction from what it would draw unheard to what it draws; 0 draws
     what it draws."""
+    interpreter_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
+    """How far the scores of lexemes go beyond those without sound, s + g (s - s without sound), where the interpreter
+    was taught with sound left out (`interpreter.audio_dropout`)."""
     lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
     """The same for the lexeme."""
     trunk_guidance: Share = 1.0

@@ -148,7 +148,7 @@ def default() -> Config:
         # (scheduled sampling): what it would have drawn is not known here.
         interpreter=dataclasses.replace(
             paper.interpreter, audio_features=8, dropout=0.3, own_past_most=0.0, pose_features=96, pose_noise=0.1,
-            memory=8, reads_by="block", lexeme_features=48, history_dropout=0.2),
+            memory=8, reads_by="block", lexeme_features=48, history_dropout=0.2, audio_dropout=0.15),
         silence=SilenceConfig(rest="life", augmentation=0.0, mask=False, hint=False),
         # Chosen on the validation split, with the speaker: the speeds of the hands come nearest to the corpus'.
         selection=SelectionConfig(temperature=1.0, guidance=2.0, audio_guidance=1.5, lexeme_guidance=1.2, noise=1.07,

@@ -84,6 +84,8 @@ class LstmConfig:
     """Width of a vector that is learned for each lexeme; 0 (the paper) takes the codebook's."""
     history_dropout: Share = 0.0
     """Chance in training that a previous lexeme is any one instead: who leans on the lexeme before says it again."""
+    audio_dropout: Share = 0.0
+    """Share of training windows that hear nothing (zeros, the mean of all sound), for guidance."""
 
     @property
     def reads(self) -> bool:
