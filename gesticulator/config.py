@@ -192,6 +192,9 @@ class SelectionConfig:
     was taught with sound left out (`interpreter.audio_dropout`)."""
     lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
     """The same for the lexeme."""
+    history: Share = 1.0
+    """Of the flow head: how far it goes by how the body moved before, from v without it (0) to v (1), where it was
+    taught without (`generator.history_dropout`)."""
     trunk_guidance: Share = 1.0
     """What part of any guidance torso and head follow: guidance makes large turns of them larger than people's."""
     noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.95

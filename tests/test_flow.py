@@ -27,7 +27,7 @@ def made(motion: torch.Tensor) -> FlowGenerator:
     y = basis.fit(motion, past, torch.ones(len(motion), WIDTH))
     generator = FlowGenerator(CONFIG, GeneratorWidths(FRAMES, WIDTH, AUDIO, 6, 0, TWO, 1),
                               MovementBasis(FRAMES, basis.parts, {"body": 6}))
-    generator.adopt(basis, y)
+    generator.adopt(basis, y, torch.zeros(TWO, basis.width))
     return generator
 
 
