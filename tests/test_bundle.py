@@ -157,7 +157,7 @@ def test_format_3_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
     old = as_format_3(made, tmp_path / "old")
     assert "settle" in (old / "bundle.json").read_text() and "reading." in str(
         list(load_file(old / "lexeme_interpreter_text.safetensors")))
-    with pytest.raises(InputError, match=r"format 3, and this version reads format 5; run gesticulator bundle upgrade"):
+    with pytest.raises(InputError, match=r"format 3, and this version reads format 6; run gesticulator bundle upgrade"):
         bundles.load(old)
     upgrades.upgrade(old, tmp_path / "new")
     read = bundles.load(tmp_path / "new")
@@ -180,7 +180,7 @@ def test_format_4_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
         for name in names:
             del index["config"][group][name]
     (tmp_path / "old" / "bundle.json").write_text(json.dumps({**index, "format": 4}))
-    with pytest.raises(InputError, match=r"format 4, and this version reads format 5; run gesticulator bundle upgrade"):
+    with pytest.raises(InputError, match=r"format 4, and this version reads format 6; run gesticulator bundle upgrade"):
         bundles.load(tmp_path / "old")
     upgrades.upgrade(tmp_path / "old", tmp_path / "new")
     read = bundles.load(tmp_path / "new")
@@ -188,6 +188,21 @@ def test_format_4_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
     bundles.save(made, tmp_path / "today", "a card")
     one, two = (Gesticulator.from_pretrained(tmp_path / name)(SPEECH).motion.rotations for name in ("today", "new"))
     np.testing.assert_array_equal(one, two)
+
+
+def test_a_flow_head_of_format_5_is_refused_and_the_rest_of_it_upgraded(tmp_path: Path) -> None:
+    moving = ("lexicon.kind=movement", "generator.head=flow", "generator.style_width=0")
+    for name, settings in (("plain", PLAIN), ("flow", (*PLAIN, *moving))):
+        bundles.save(untrained(*settings, *SMALL), tmp_path / name, "a card")
+        index = json.loads((tmp_path / name / "bundle.json").read_text())
+        (tmp_path / name / "bundle.json").write_text(json.dumps({**index, "format": 5}))
+        with pytest.raises(InputError, match="format 5, and this version reads format 6"):
+            bundles.load(tmp_path / name)
+    upgrades.upgrade(tmp_path / "plain", tmp_path / "new")
+    assert bundles.load(tmp_path / "new").config == untrained(*PLAIN, *SMALL).config
+    with pytest.raises(InputError, match="flow head of format 5"):
+        upgrades.upgrade(tmp_path / "flow", tmp_path / "never")
+    assert not (tmp_path / "never").exists()
 
 
 def test_a_bundle_of_format_1_is_upgraded_and_gestures(tmp_path: Path) -> None:
@@ -211,7 +226,7 @@ def test_a_bundle_of_format_1_is_upgraded_and_gestures(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_upgraded_is_one_line_and_writes_nothing(whole: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has format 5"):
+    with pytest.raises(InputError, match="has format 6"):
         upgrades.upgrade(whole, tmp_path / "new")
     old = as_format_3(untrained(*PLAIN), tmp_path / "old")
     (old / "generator.safetensors").write_bytes(b"x")
@@ -236,7 +251,7 @@ def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) 
         _ = opened.q_network
 
 
-@pytest.mark.parametrize("number", [0, 6, 99, "2", None, True, 10**400])
+@pytest.mark.parametrize("number", [0, 7, 99, "2", None, True, 10**400])
 def test_an_unknown_format_is_refused_by_its_number(number: object, whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     edit(copy, format=number)
