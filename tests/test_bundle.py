@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
-from untrained import PLAIN, SILENT, untrained
+from untrained import MOVING, PLAIN, SILENT, untrained
 
 from data_module.errors import InputError
 from data_module.types import Speech
@@ -191,8 +191,7 @@ def test_format_4_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
 
 
 def test_a_flow_head_of_format_5_is_refused_and_the_rest_of_it_upgraded(tmp_path: Path) -> None:
-    moving = ("lexicon.kind=movement", "generator.head=flow", "generator.style_width=0")
-    for name, settings in (("plain", PLAIN), ("flow", (*PLAIN, *moving))):
+    for name, settings in (("plain", PLAIN), ("flow", (*PLAIN, *MOVING))):
         bundles.save(untrained(*settings, *SMALL), tmp_path / name, "a card")
         index = json.loads((tmp_path / name / "bundle.json").read_text())
         (tmp_path / name / "bundle.json").write_text(json.dumps({**index, "format": 5}))
