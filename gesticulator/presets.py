@@ -14,6 +14,7 @@ from gesticulator.config import (
     BeatSettings,
     BlockSettings,
     Config,
+    ControlConfig,
     EncoderConfig,
     EpisodeConfig,
     FitSettings,
@@ -132,7 +133,7 @@ def default() -> Config:
         schedules=dataclasses.replace(
             paper.schedules, style=NOT_TRAINED, speech=NOT_TRAINED, contrast=NOT_TRAINED,
             lexicon=FitSettings(steps=0, batch=1),  # fitted in closed form
-            generator=FitSettings(steps=4_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
+            generator=FitSettings(steps=5_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
             # Trained apart and stopped early: beyond a few epochs it knows the corpus by heart.
             interpreter=FitSettings(steps=1_000, batch=64, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
                                     validations=20, patience=5),
@@ -143,7 +144,11 @@ def default() -> Config:
         lexicon=LexiconConfig(kind="movement", size=200),
         generator=GeneratorConfig(
             head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=0, position_width=8,
-            hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True),
+            hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True, bend=4.0, dropout=0.1,
+            history_dropout=0.2,
+            # More noise teaches corrections that no past asks for: hands that should be held then drift.
+            past_noise=0.06, velocity_noise=0.05),
+        control=ControlConfig(free=0.7),
         # Block by block, the lexemes by vectors of its own. Its past is spoiled at random instead of being its own
         # (scheduled sampling): what it would have drawn is not known here.
         interpreter=dataclasses.replace(
