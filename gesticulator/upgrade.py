@@ -53,7 +53,7 @@ def upgrade(source: Path, target: Path) -> None:
         raise InputError(source, f"has format {str(index.get('format'))[:20]}", "only formats 1 to 5 can be upgraded")
     try:
         if settings_of(index["config"]).generator.head == "flow":
-            raise InputError(source, f"has the flow head of format {index['format']}, which draws otherwise than today's",
+            raise InputError(source, f"has the flow head of format {index['format']}, and today's draws otherwise",
                              "train it again, or keep the program of its time")
         files: dict[str, str] = index["files"]
         for name, expected in files.items():
