@@ -57,8 +57,8 @@ if TYPE_CHECKING:
     Tokens = Lexicon | MovementLexicon | RacerCodec
 
 FORMAT = 6
-"""Format 5 had another flow head; format 4 knew no lexicon of movements, no flow head and no fingers; format 3 had other
-names of settings and tensors and no resting distances (see `gesticulator.upgrade`)."""
+"""Format 5 had another flow head; format 4 knew no lexicon of movements, no flow head and no fingers; format 3 had
+other names of settings and tensors and no resting distances (see `gesticulator.upgrade`)."""
 OLDER = (1, 2, 3, 4, 5)
 """Formats that `gesticulator bundle upgrade` can bring to this one."""
 INDEX = "bundle.json"
