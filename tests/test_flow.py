@@ -183,7 +183,7 @@ def test_who_forgets_is_told_the_last_frames_alone() -> None:
     batch = swings(1, False)
     generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
     other = batch["motion"][:, :-1].clone()
-    other[..., 0, :] += 9.0  # a block's first frame is none of the last three
+    other[..., 0, :] += 90.0  # a block's first frame is none of the last three
     ones = torch.ones(1, CONFIG.blocks)
 
     def context(before: torch.Tensor, forgets: bool, added: float) -> torch.Tensor:
