@@ -26,6 +26,7 @@ from eval.clip import measure, motion_values
 from eval.context import Lexemes, hinted_labels
 from eval.judge import distances, set_distances
 from eval.judge import features_of as features_of_motion
+from eval.judges import with_judges
 from eval.metrics import gesture_features, pmb
 from eval.policy import Decisions, Policy, PolicyJudge, Rewards, perform, walk
 from eval.rows.racer import ROWS, SUPERVISED
@@ -43,7 +44,7 @@ from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.base import LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
 from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, SilentLexemes, build, distance_rewards
-from interpreters.reward import Centred, RewardTable
+from interpreters.reward_table import Centred, EnsembleReward
 from interpreters.simulator import Choose, Replay, Simulator, collect
 from lexicon.inventory import nearest_silent
 
@@ -72,16 +73,18 @@ class RacerContext:
     takes: list[Demonstration]
     silent: SilentLexemes
     judge: PolicyJudge
-    tables: dict[str, RewardTable]
+    tables: dict[str, EnsembleReward]
     shapes: str
-    _taught: dict[int, RewardTable | Centred] = field(default_factory=dict)
+    _taught: dict[int, EnsembleReward | Centred] = field(default_factory=dict)
 
     @classmethod
     def of(cls, store: Store, bundle: bundles.Bundle, work: Path, preset: Sequence[str], limit: int | None = None,
            progress: bool = True) -> RacerContext:
         """From a bundle over a lexicon with both reward models; InputError for another, and without test speech."""
+        bundle = with_judges(bundle, work)
         if bundle.reward is None or bundle.reward_judge is None:
-            raise InputError("the bundle", "lacks one of the two reward models", "train with schedules.reward.steps")
+            raise InputError(work, "lacks one of the two reward models of the bundle's training",
+                             "give the work folder of its training, with schedules.reward.steps")
         parts = bundle.block_models
         config = configs.with_settings(bundle.config, preset)
         run = Run(config, store, work, progress=progress, workers=os.cpu_count() or 1)
@@ -106,7 +109,7 @@ class RacerContext:
         """The store's blocks."""
         return self.run.get(CORPUS)
 
-    def taught(self, config: Config) -> RewardTable | Centred:
+    def taught(self, config: Config) -> EnsembleReward | Centred:
         """The training reward as policies are taught it under the settings."""
         draws = config.episodes.baseline
         if draws not in self._taught:

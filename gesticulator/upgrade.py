@@ -21,7 +21,6 @@ from data_module.layers import freeze
 from gesticulator import models
 from gesticulator.bundle import (
     CARD,
-    FILES,
     INDEX,
     OLDER,
     lexicon_hash,
@@ -124,8 +123,8 @@ def _levels(source: Path, index: dict[str, Any], config: Config, tensors: dict[s
     """One level of audio or two: the reward models' weights know, or else the normalisers."""
     if "audio_levels" in index:
         return int(index["audio_levels"])
-    if f"{FILES['reward']}.safetensors" in index["files"]:
-        with safe_open(source / f"{FILES['reward']}.safetensors", framework="pt") as opened:
+    if "reward.safetensors" in index["files"]:
+        with safe_open(source / "reward.safetensors", framework="pt") as opened:
             heard = opened.get_slice("read_audio.weight").get_shape()[1] // config.rhythm.frames
         return 1 if heard == len(tensors["low_mean"]) else 2
     same = len(tensors["low_mean"]) == len(tensors["high_mean"])
