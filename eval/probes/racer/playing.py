@@ -29,6 +29,7 @@ from eval.clip import measure
 from eval.context import EvalContext
 from eval.encode import SpeechBlocks, encode_motion
 from eval.metrics import eye
+from eval.policy import entropy_of, matched_temperature
 from eval.probes.motion.renderings import (
     PROGRAM,
     SHORTEST,
@@ -49,8 +50,6 @@ PERFORMER, LSTM, MATCHED, CQL, CQL_MATCHED = "performer", "lstm", "lstm, matched
 RANDOM, MAJORITY = "random", "majority"
 SHIFT = 8
 """Blocks by which sound is moved against motion in the mismatch test: a window of the reward shares none then."""
-_ALL_ALIKE = (0.02, 50.0)
-"""Temperatures between which the matched one is sought."""
 
 
 def advantage_row(beta: float) -> str:
@@ -78,21 +77,6 @@ class PlayedPolicy:
 
 
 # ------------------------------------------------------------------------------------------------ equal entropy
-
-def _entropy(logits: torch.Tensor) -> float:
-    """Mean entropy in nats of softmax(logits [n, S])."""
-    odds = logits.log_softmax(-1)
-    return float(-(odds.exp() * odds).sum(-1).mean())
-
-
-def matched_temperature(logits: torch.Tensor, nats: float) -> float:
-    """The temperature at which softmax(logits [n, S] / T) has this mean entropy; by bisection: it rises with T."""
-    low, high = _ALL_ALIKE
-    for _ in range(40):
-        middle = (low * high) ** 0.5
-        low, high = (middle, high) if _entropy(logits / middle) < nats else (low, middle)
-    return round((low * high) ** 0.5, 3)
-
 
 @dataclass(frozen=True)
 class TeacherForced:
@@ -139,7 +123,7 @@ def policies(context: EvalContext, betas: Sequence[float], chosen: float) -> tup
     bundle, selection = context.bundle, context.bundle.config.selection
     forced = TeacherForced.of(context, context.numbers("val") or context.numbers("train")[:2])
     temperature = selection.temperature or 1.0
-    nats = {beta: _entropy(forced.prior / temperature + beta * forced.worth) for beta in {*betas, chosen}}
+    nats = {beta: entropy_of(forced.prior / temperature + beta * forced.worth) for beta in {*betas, chosen}}
     rows = {LSTM: PlayedPolicy("lstm"),
             MATCHED: PlayedPolicy("lstm", matched_temperature(forced.prior, nats[chosen]))}
     rows |= {advantage_row(beta): PlayedPolicy("advantage", beta=beta) for beta in sorted({*betas, chosen}) if beta}
