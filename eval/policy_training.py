@@ -127,7 +127,7 @@ class RacerContext:
         row = ROWS[name]
         how = {"online": [ACT_EVERY, MEMORY, GREEDY_AT, LEAST_EPSILON], "offline": [],
                "actor-critic": [ActorCriticConfig(), self.config(SUPERVISED)]}[row.training]
-        return configs.digest(self.shapes, self.config(name), row.training, how, seed)
+        return configs.digest(self.shapes, self.config(name), row.training, row.scale, how, seed)
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
@@ -140,7 +140,7 @@ class RacerContext:
         if row.training == "actor-critic" or not config.cql.temporal:
             return None
         found: Rewards = self.taught(config) if row.training == "online" else rewarded(self, config)[1]
-        return found if config.cql.reward_scale == 1 else ScaledReward(found, config.cql.reward_scale)
+        return found if row.scale == 1 else ScaledReward(found, row.scale)
 
     @cached_property
     def nats(self) -> float:
@@ -328,6 +328,15 @@ def actor_critic(context: RacerContext, config: Config, network: QNetwork, seed:
         config.cql.lookahead)
 
 
+def scaled(make_batch: fitting.MakeBatch, factor: float) -> fitting.MakeBatch:
+    """The same batches with rewards times a factor."""
+    def made(rng: np.random.Generator) -> fitting.Batch:
+        batch = make_batch(rng)
+        return {**batch, "reward": factor * batch["reward"]}
+
+    return made
+
+
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 
 
@@ -347,6 +356,8 @@ def trained(context: RacerContext, name: str, seed: int) -> tuple[QNetwork | Act
         policy.load_state_dict(load_file(folder / stages.WEIGHTS))
     else:
         model, make_batch = TRAININGS[row.training](context, config, network, seed)
+        if row.scale != 1:
+            make_batch = scaled(make_batch, row.scale)
         began = time.monotonic()  # without the data set, or the network that it begins as
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as scratch:

@@ -281,8 +281,7 @@ class ConservativeQ(nn.Module):
         learns = bool(self.config.temporal) and progress >= self.config.warm_up
         conservative, difference = conservative_q_loss(
             values, self.next_values(batch) if learns else torch.zeros_like(now["reward"]),
-            DecisionBatch(now["action"], self.config.reward_scale * now["reward"], now["terminal"],
-                          self.online.allowed(now["silent"]), now["valid"], next_known(batch), now["cloned"]),
-            self.config.gamma, self.config.huber)
+            DecisionBatch(now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),
+                          now["valid"], next_known(batch), now["cloned"]), self.config.gamma, self.config.huber)
         terms = {"conservative": conservative}
         return {**terms, "temporal_difference": difference} if learns else terms

@@ -176,9 +176,6 @@ class QConfig:
     so that a stream need not wait for the next beat."""
     use_speaker: bool = True
     """Hear the one-hot of the speaker with every block."""
-    reward_scale: Positive = 1.0
-    """What rewards are multiplied by before they are learned from. One head is both classifier and value: rewards that
-    are small beside the log-odds of a lexeme change no choice, whatever their sign."""
     conservative: NotNegative = 0.1
     """alpha of RACER Eq. 11. A large one makes the data's lexemes look ever better, and the target with them."""
     temporal: NotNegative = 1.0

@@ -50,7 +50,7 @@ ROWS: dict[str, Row] = {PREFIX + name: row for name, row in {
        for alpha in ALPHAS},
     **{f"scale={scale},alpha={alpha}": Row(
         f"ours with rewards times {scale} and alpha {alpha}",
-        (f"cql.reward_scale={scale}", f"cql.conservative={alpha}"), training="offline")
+        (f"cql.conservative={alpha}",), training="offline", scale=float(scale))
        for scale in SCALES for alpha in ("0.1", "1")},
 }.items()}
 ROWS |= {f"{name}-matched": replace(row, question=f"the network of `{name}`, as undecided as the lstm", matched=name)
@@ -80,6 +80,6 @@ def twins(config: Config) -> dict[str, str]:
     first: dict[str, str] = {}
     out = {}
     for name, row in ROWS.items():
-        same = configs.digest(configs.with_settings(config, row.settings), row.training, bool(row.matched))
+        same = configs.digest(configs.with_settings(config, row.settings), row.training, row.scale, bool(row.matched))
         out[name] = first.setdefault(same, name)
     return out
