@@ -73,7 +73,8 @@ def test_every_row_of_racer_is_another_and_trains_equally_long(name: str) -> Non
         # Temporal differences are learned all along, by targets that are copied far more often than values reach.
         assert config.cql.warm_up == 0 and 400 / config.cql.copy_every >= 5 / (1 - min(config.cql.gamma, 0.9))
         assert (row.matched == "") == (not row_name.endswith("-matched"))
-        seen.setdefault(json.dumps([configs.to_dict(config), row.training, row.scale, row.matched != ""]), []).append(row_name)
+        told = json.dumps([configs.to_dict(config), row.training, row.scale, row.matched != ""])
+        seen.setdefault(told, []).append(row_name)
     twin = f"racer-alpha={base.cql.conservative:g}"
     assert [own for own in seen.values() if len(own) > 1] == [
         [racer.OURS, twin], [f"{racer.OURS}-matched", f"{twin}-matched"]], "one alpha is ours already"
