@@ -26,7 +26,7 @@ from gesticulator.stages.interpreter import INTERPRETER, teacher_logits
 from gesticulator.stages.labels import LABELS, model_sizes
 from gesticulator.stages.lexicon import TOKENS
 from gesticulator.stages.q_network import EPISODES, SilentLexemes, takes_of
-from gesticulator.stages.reward import REWARD, REWARD_JUDGE, reward_table, taught_reward
+from gesticulator.stages.reward import REWARD, REWARD_JUDGE, TAUGHT_REWARD, reward_table, taught_reward
 from interpreters.advantage import Critics, advantages
 from interpreters.episodes import Episode, build
 from interpreters.lstm import LstmInterpreter
@@ -176,8 +176,10 @@ def _make(run: Run) -> CounterfactualRewards:
 
 def _table(run: Run, by: Stage[RewardEnsemble] | None = None) -> EnsembleReward | Centred:
     """by: the reward's stage, the one that teaches when None."""
+    if by is None or by is REWARD:
+        return run.get(TAUGHT_REWARD)
     corpus = run.get(CORPUS)
-    table = reward_table(run.get(by or REWARD), run.get(TOKENS), corpus)
+    table = reward_table(run.get(by), run.get(TOKENS), corpus)
     return taught_reward(table, corpus, run.config.episodes.baseline)
 
 
