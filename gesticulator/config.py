@@ -39,10 +39,11 @@ from interpreters.settings import (
 )
 from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
 
-__all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticConfig", "EncoderConfig", "EpisodeConfig",
-           "FitSettings", "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig", "LstmConfig", "MotionConfig",
-           "QConfig", "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig", "SilenceConfig", "StatisticalConfig",
-           "StyleConfig", "TextConfig", "digest", "from_dict", "to_dict", "with_settings"]
+__all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticConfig", "EncoderConfig",
+           "EpisodeConfig", "FitSettings", "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig",
+           "LstmConfig", "MotionConfig", "QConfig", "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig",
+           "SilenceConfig", "StatisticalConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "to_dict",
+           "with_settings"]
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
 
 __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
            "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "Q_NETWORK", "REWARD", "REWARD_JUDGE",
-           "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run", "Stage", "Tokens", "assemble", "closure",
-           "wanted"]
+           "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run", "Stage", "Tokens",
+           "assemble", "closure", "wanted"]
 
 
 def wanted(config: Config) -> list[Stage[Any]]:

@@ -26,10 +26,11 @@ from gesticulator.stages.interpreter import INTERPRETER, teacher_logits
 from gesticulator.stages.labels import LABELS, model_sizes
 from gesticulator.stages.lexicon import TOKENS
 from gesticulator.stages.q_network import EPISODES, SilentLexemes, takes_of
-from gesticulator.stages.reward import REWARD, reward_table, taught_reward
+from gesticulator.stages.reward import REWARD, REWARD_JUDGE, TAUGHT_REWARD, reward_table, taught_reward
 from interpreters.advantage import Critics, advantages
 from interpreters.episodes import Episode, build
 from interpreters.lstm import LstmInterpreter
+from interpreters.reward import RewardEnsemble
 from interpreters.reward_table import Centred, EnsembleReward
 from interpreters.settings import CriticConfig
 
@@ -173,9 +174,13 @@ def _make(run: Run) -> CounterfactualRewards:
     return made
 
 
-def _table(run: Run) -> EnsembleReward | Centred:
+def _table(run: Run, by: Stage[RewardEnsemble] | None = None) -> EnsembleReward | Centred:
+    """by: the reward's stage, the one that teaches when None."""
+    if by is None or by is REWARD:
+        return run.get(TAUGHT_REWARD)
     corpus = run.get(CORPUS)
-    return taught_reward(reward_table(run.get(REWARD), run.get(TOKENS), corpus), corpus, run.config.episodes.baseline)
+    table = reward_table(run.get(by), run.get(TOKENS), corpus)
+    return taught_reward(table, corpus, run.config.episodes.baseline)
 
 
 def _needs(config: Config) -> Sequence[Node[object]]:
@@ -197,16 +202,17 @@ def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str,
             "heard": torch.as_tensor(heard)[windows["episode"]]}
 
 
-def _train(run: Run, model: Critics, folder: Path) -> Figures:
-    config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(COUNTERFACTUALS)
+def _train(run: Run, model: Critics, folder: Path, stage: Stage[Critics], rewards: Node[CounterfactualRewards],
+           by: Stage[RewardEnsemble]) -> Figures:
+    config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(rewards)
     labelled, unit = run.get(LABELS), data.unit
-    rng = np.random.default_rng(run.seed(ADVANTAGE))
+    rng = np.random.default_rng(run.seed(stage))
     heard = (rng.random((len(data.lengths), config.critics)) < config.heard).astype(np.float32)
     heard[heard.sum(1) == 0] = 1.0
     takes = takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train")
     literal = build(takes, LITERAL, lambda lexemes, blocks: torch.zeros(len(lexemes)),
                     silent=SilentLexemes(labelled.silent, labelled.nearest), vectors=run.get(TOKENS).vectors.numpy())
-    held = counterfactual(literal.episodes, _table(run), run.get(INTERPRETER), corpus,
+    held = counterfactual(literal.episodes, _table(run, by), run.get(INTERPRETER), corpus,
                           CriticConfig(states=min(_CHECKED, config.states), tried=config.tried, swaps=config.swaps,
                                        gamma=config.gamma), 1)
     everything = np.ones((len(held.lengths), config.critics), np.float32)
@@ -220,8 +226,8 @@ def _train(run: Run, model: Critics, folder: Path) -> Figures:
         return {key: float(np.nanmean([row[key] for row in rows])) for key in rows[0]}
 
     task = fitting.Task(lambda rng: critic_batch(corpus, data, data.windows(
-        rng, run.schedule(ADVANTAGE).batch, config.decisions), unit, heard), validate=validate)
-    return run.fit(ADVANTAGE, model, task, folder)
+        rng, run.schedule(stage).batch, config.decisions), unit, heard), validate=validate)
+    return run.fit(stage, model, task, folder)
 
 
 def critic_figures(model: Critics, batch: dict[str, Tensor]) -> dict[str, float]:
@@ -257,4 +263,23 @@ def _build(run: Run) -> nn.Module:
 
 ADVANTAGE: Stage[Critics] = Stage(
     "advantage", settings=("advantage", "silence.hint"), schedule="advantage", wanted=_wanted, part="advantage",
-    needs=lambda config: (*_needs(config), COUNTERFACTUALS), build=_build, train=_train)
+    needs=lambda config: (*_needs(config), COUNTERFACTUALS), build=_build,
+    train=lambda run, model, folder: _train(run, model, folder, ADVANTAGE, COUNTERFACTUALS, REWARD))
+
+
+def exchanged_stage() -> Stage[Critics]:
+    """The same critics taught by the reward that judges, for those who measure: no part of a bundle, and of no run that
+    is not asked for it."""
+    def make(run: Run) -> CounterfactualRewards:
+        return counterfactual(run.get(EPISODES).episodes, _table(run, REWARD_JUDGE), run.get(INTERPRETER),
+                              run.get(CORPUS), run.config.advantage, run.seed(data))
+
+    def train(run: Run, model: Critics, folder: Path) -> Figures:
+        return _train(run, model, folder, stage, data, REWARD_JUDGE)
+
+    data: Node[CounterfactualRewards] = Node("counterfactuals_exchanged", settings=COUNTERFACTUALS.settings,
+                                             needs=lambda config: (*_needs(config), REWARD_JUDGE), make=make)
+    stage: Stage[Critics] = Stage(
+        "advantage_exchanged", settings=ADVANTAGE.settings, schedule="advantage", build=_build, train=train,
+        needs=lambda config: (*_needs(config), REWARD_JUDGE, data))
+    return stage

@@ -17,7 +17,7 @@ from data_module.motion.movement import Pasts
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.config import RewardConfig
-from gesticulator.stages.base import Figures, Run, Stage
+from gesticulator.stages.base import Figures, Node, Run, Stage
 from gesticulator.stages.corpus import Corpus
 from gesticulator.stages.features import CORPUS
 from gesticulator.stages.labels import LABELS, model_sizes
@@ -263,11 +263,21 @@ def taught_reward(table: EnsembleReward, corpus: Corpus, draws: int) -> Ensemble
     return Centred(table, recordings, draws)
 
 
+def _teach(run: Run) -> EnsembleReward | Centred:
+    corpus = run.get(CORPUS)
+    return taught_reward(reward_table(run.get(REWARD), run.get(TOKENS), corpus), corpus, run.config.episodes.baseline)
+
+
+TAUGHT_REWARD: Node[EnsembleReward | Centred] = Node(
+    "taught_reward", settings=("episodes.baseline",), needs=lambda config: (CORPUS, TOKENS, REWARD), make=_teach)
+"""The reward that policies are taught, made once in a run: what random lexemes earn takes minutes to find."""
+
+
 def step_reward(run: Run) -> Reward:
     """What a step earns, by the settings: the contrastive reward, or the distance to the recording (RACER 5.5)."""
     corpus, tokens, episodes = run.get(CORPUS), run.get(TOKENS), run.config.episodes
     if episodes.reward == "contrastive":
-        return taught_reward(reward_table(run.get(REWARD), tokens, corpus), corpus, episodes.baseline).sequence
+        return run.get(TAUGHT_REWARD).sequence
     if isinstance(tokens, RacerCodec):
         raise InputError("episodes.reward=distance", "is of lexemes that are decoded one by one",
                          "use it over a lexicon, not with tokens=racer")
