@@ -8,12 +8,12 @@ and a file stand alike.
 The weight is that of the idle life (`life.weight_shifts`), which rolls the hips a little by itself, together with the
 roll of the hips that was drawn, followed slowly:
 
-    u = w + r / r0        g(u) = u / sqrt(1 + u^2), between -1 (right leg) and 1 (left leg)
+    u = w + (r - habit of r) / r0        g(u) = u / sqrt(1 + u^2), between -1 (right leg) and 1 (left leg)
 
-The hips travel sideways by A g, and roll and turn with g; the spine takes this turn off again, so that the upper body
-stays in the room as it was drawn. They go back a little where the chest comes forward, and so high as both legs reach
-with bent knees: a soft minimum, since a knee that is stretched to its end snaps. Feet are placed, legs follow by
-inverse kinematics, so a planted foot does not slide at all.
+The hips travel sideways by A g, and roll and turn with g instead of their habit; the spine takes this off again, so
+that the upper body stays in the room as it was drawn. They go back a little where the chest comes forward, and as high
+as both legs reach with bent knees: a soft minimum, since a knee that is stretched to its end snaps. Feet are placed,
+legs follow by inverse kinematics, so a planted foot does not slide at all.
 """
 
 from __future__ import annotations
@@ -53,12 +53,14 @@ _LEANS = 0.045
 """Metres that they go ahead or back at most."""
 _ROLL_UNIT = 3.5
 """Degrees of drawn roll that bear as much weight as a unit of the idle life's."""
-_ROLLED, _TURNED = 1.6, 2.4
+_ROLLED, _TURNED = 2.2, 2.6
 """Degrees of roll and of yaw at the whole weight on a leg: the free side drops and comes ahead."""
 _BALANCE = 0.25
 """Metres that the hips go back for each metre that the chest comes forward or goes to a side."""
 _FOLLOWS = 0.16
 """Seconds, three times over, in which the weight follows the drawn body: slower than gestures are."""
+_HABIT = 2.0
+"""Seconds, three times over, in which a roll that stays is no weight any more but a habit, which the spine has."""
 _PITCHED_BACK = 0.006
 """Metres that the hips go back for each degree that the idle life tilts them forward."""
 _SWAY = ((0.0035, 2.1), (0.0015, 0.8), (0.0045, 2.4), (0.0015, 0.9))
@@ -233,6 +235,24 @@ def _bump(share: Array) -> Array:
 
 # ---------------------------------------------------------------------------------------------------- the body
 
+class _LowPass:
+    """What follows values in so many seconds, three times over, from those that came before alone."""
+
+    def __init__(self, seconds: float, fps: float) -> None:
+        self._share = 1.0 - math.exp(-1.0 / (fps * seconds))
+        self._states: list[Array] | None = None
+
+    def __call__(self, values: Array) -> Array:
+        """[T, D] of the next values [T, D]; it begins at the first."""
+        from scipy.signal import lfilter
+
+        if self._states is None:
+            self._states = [(1.0 - self._share) * values[:1]] * 3
+        for number, state in enumerate(self._states):
+            values, self._states[number] = lfilter([self._share], [1.0, self._share - 1.0], values, axis=0, zi=state)
+        return values
+
+
 class Stance:
     """Legs for one performance, stretch by stretch: `step` takes the frames as they come."""
 
@@ -245,7 +265,7 @@ class Stance:
         self._weight = weight_shifts(seed)
         socket, ball = (skeleton.offsets[skeleton.index("Left" + part)] for part in ("UpLeg", "ToeBase"))
         self.steps = Steps(seed, self.scale, abs(float(socket[0])), np.array([0.0, ball[1], ball[2]]))
-        self._slow: list[Array] | None = None
+        self._body, self._habit = _LowPass(_FOLLOWS, fps), _LowPass(_HABIT, fps)
         self._frames = 0
         self._last = np.zeros((0, len(WHOLE_BODY), 4))
 
@@ -255,14 +275,16 @@ class Stance:
         times = (self._frames + np.arange(len(body))) / self.fps
         self._frames += len(body)
         rotations = body.rotations.copy()
-        roll = np.degrees(np.arcsin(rotation.rotate(body.rotations[:, 0], np.array([1.0, 0.0, 0.0]))[:, 1]))
-        slow = self._followed(np.column_stack([roll, self._chest(body)]))
+        left = rotation.rotate(body.rotations[:, 0], np.array([1.0, 0.0, 0.0]))
+        roll = np.degrees(np.arcsin(np.clip(left[:, 1], -1.0, 1.0)))
+        slow = self._body(np.column_stack([roll, self._chest(body)]))
+        habit = self._habit(slow[:, :1])[:, 0]
         weight = self._weight.at(times)
         feet = [self.steps.path(foot, times) for foot in range(len(SIDES))]
-        u = weight[:, 0] + slow[:, 0] / _ROLL_UNIT
+        u = weight[:, 0] + (slow[:, 0] - habit) / _ROLL_UNIT
         held, side = self.steps.over(times)
         g = (1.0 - held) * u / np.sqrt(1.0 + u * u) + held * side
-        turn = rotation.from_exponential_map(np.radians(np.stack([np.zeros(len(g)), _TURNED * g, _ROLLED * g], -1)))
+        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * g, _TURNED * g, _ROLLED * g - habit], -1)))
         hips = rotation.multiply(turn, body.rotations[:, 0])
         rotations[:, 0], rotations[:, WHOLE_BODY.index("Spine")] = _counter_turned(body, hips)
         root = self._hips(times, feet, g, weight[:, 1], slow[:, 1:])
@@ -280,17 +302,6 @@ class Stance:
             rest = rest + self.skeleton.offsets[joint]
             world = rotation.multiply(world, body.rotations[:, joint])
         return (place - rest)[:, [0, 2]] / self.scale
-
-    def _followed(self, values: Array) -> Array:
-        """[T, D] values that follow these slowly, from those that came before: three low-passes in a row."""
-        from scipy.signal import lfilter
-
-        share = 1.0 - math.exp(-1.0 / (self.fps * _FOLLOWS))
-        if self._slow is None:
-            self._slow = [(1.0 - share) * values[:1]] * 3
-        for number, state in enumerate(self._slow):
-            values, self._slow[number] = lfilter([share], [1.0, share - 1.0], values, axis=0, zi=state)
-        return values
 
     def _hips(self, times: Array, feet: Sequence[FootPath], g: Array, pitch: Array, lean: Array) -> Array:
         """[T, 3] where the hips are, their height still open. pitch: [T] degrees; lean: [T, 2] of the chest."""

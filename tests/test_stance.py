@@ -24,27 +24,33 @@ ANKLE, BALL = 0.080, 0.020
 """Metres over the floor of a foot that stands flat."""
 
 
-def drawn(seed: int = 0, seconds: float = 60.0, fps: float = 60.0, size: float = 1.0) -> Motion:
+_KNOWN: list[tuple[Motion, Array]] = []
+"""Places of the motion that was asked for last."""
+
+
+def drawn(seed: int = 0, seconds: float = 60.0, fps: float = 30.0, size: float = 1.0) -> Motion:
     """A body as models draw it: hips and spine that turn by some degrees, smoothly, without yaw of the hips."""
     times = np.arange(round(seconds * fps)) / fps
     maps = np.zeros((len(times), 46, 3))
-    for number, (name, degrees) in enumerate((("Hips", (3.0, 0.0, 3.0)), ("Spine", (3.0, 4.0, 3.0)),
+    for number, (name, degrees) in enumerate((("Hips", (2.5, 0.0, 2.5)), ("Spine", (3.0, 4.0, 3.0)),
                                               ("Spine2", (3.0, 3.0, 2.0)), ("LeftArm", (20.0, 20.0, 20.0)))):
         channels = 5000 + 3 * number + np.arange(3)
-        maps[:, FINGERED.index(name)] = size * np.radians(degrees) * noise(seed, channels, times, np.full(3, 0.8))
+        maps[:, FINGERED.index(name)] = size * np.radians(degrees) * noise(seed, channels, times, np.ones(3))
     maps[:, 0, 2] += np.radians(2.0) * size  # as a performer has it who stands on one leg
     turns = rotation.continuous(rotation.from_exponential_map(maps))
     turns[:, 0] = rotation.remove_yaw(turns[:, 0])
     return Motion(FINGERED, turns, np.zeros((len(times), 3)), fps)
 
 
-def still(seconds: float = 60.0, fps: float = 60.0) -> Motion:
+def still(seconds: float = 60.0, fps: float = 30.0) -> Motion:
     return drawn(seconds=seconds, fps=fps, size=0.0)
 
 
 def at(motion: Motion, name: str) -> Array:
     """[T, 3] metres."""
-    return kinematics.positions_of(motion)[:, motion.skeleton.index(name)]
+    if not (_KNOWN and _KNOWN[-1][0] is motion):
+        _KNOWN[:] = [*_KNOWN[-1:], (motion, kinematics.positions_of(motion))]
+    return _KNOWN[-1][1][:, motion.skeleton.index(name)]
 
 
 def runs(mask: Array) -> list[tuple[int, int]]:
@@ -124,7 +130,7 @@ def test_knees_bend_forward_and_never_snap(seed: int) -> None:
         assert np.abs(np.diff(angle)).max() * out.fps < 260.0
         # A foot in the air bends its knee fast; one that stands does not.
         flat = planted(out, side)
-        assert np.abs(np.diff(angle))[flat[1:] & flat[:-1]].max() * out.fps < 130.0
+        assert np.abs(np.diff(angle))[flat[1:] & flat[:-1]].max() * out.fps < 160.0
         np.testing.assert_allclose(np.linalg.norm(knee - hip, axis=-1), 0.420, atol=1e-9)
         np.testing.assert_allclose(np.linalg.norm(ankle - knee, axis=-1), 0.405, atol=1e-9)
 
@@ -143,7 +149,7 @@ def test_nothing_jumps() -> None:
     # Where the acceleration is continuous, its change from frame to frame halves when there are twice as many.
     change = []
     for fps in (120.0, 240.0):
-        out = with_legs(drawn(2, seconds=40.0, fps=fps), 2)
+        out = with_legs(drawn(2, seconds=25.0, fps=fps), 2)
         places = np.stack([at(out, name) for name in ("Hips", "LeftLeg", "RightLeg", "LeftFoot", "RightFoot")], axis=1)
         change.append(np.abs(np.diff(places, n=3, axis=0)).max(axis=(0, 2)) * fps**2)
         # m/s and m/s^2: people who stand and talk move their hips by 0.05 to 0.25 m/s at most.
@@ -158,7 +164,7 @@ def test_the_upper_body_turns_as_it_was_drawn_and_travels_with_the_hips() -> Non
     before = kinematics.global_rotations(FINGERED, motion.rotations)[:, 1:]
     after = kinematics.global_rotations(WHOLE_BODY, out.rotations)[:, 1:46]
     assert np.degrees(rotation.angle_between(before, after)).max() < 1e-5
-    assert np.degrees(rotation.angle_between(motion.rotations[:, 0], out.rotations[:, 0])).max() < 4.0
+    assert np.degrees(rotation.angle_between(motion.rotations[:, 0], out.rotations[:, 0])).max() < 10.0
     for name in ("Head", "LeftHand"):
         moved = (at(out, name) - at(motion, name)) - out.root_positions
         assert np.linalg.norm(moved, axis=-1).max() < 0.006, "but for the turn of the hips under the spine"
@@ -181,22 +187,25 @@ def test_weight_goes_to_where_the_drawn_hips_are_high() -> None:
     across = []
     for degrees in (-5.0, 5.0):
         motion = still()
-        motion.rotations[:, 0] = rotation.from_exponential_map(np.radians([0.0, 0.0, degrees]))
-        across.append(at(with_legs(motion, 0), "Hips")[:, 0].mean())
-    assert across[0] < -0.01 and across[1] > 0.01, "left side up: on the left leg, which is at +X"
+        motion.rotations[600:, 0] = rotation.from_exponential_map(np.radians([0.0, 0.0, degrees]))
+        across.append(at(with_legs(motion, 0), "Hips")[:, 0])
+    assert np.allclose(across[0][:600], across[1][:600])
+    gap = across[1] - across[0]
+    assert gap[630:690].min() > 0.02, "left side up: on the left leg, which is at +X"
+    assert np.abs(gap[-300:]).max() < 0.005, "a roll that stays is a habit"
 
 
 def test_who_does_nothing_is_never_quite_still() -> None:
     hips = at(with_legs(still(seconds=30.0), 5), "Hips")
-    speed = np.linalg.norm(np.diff(hips, axis=0), axis=-1) * 60.0
-    assert np.median(speed) > 0.003 and max(b - a for a, b in runs(speed < 1e-3)) < 60
+    speed = np.linalg.norm(np.diff(hips, axis=0), axis=-1) * 30.0
+    assert np.median(speed) > 0.003 and max(b - a for a, b in runs(speed < 1e-3)) < 30
     assert np.ptp(hips[:, 1]) < 0.03
 
 
 def test_a_stream_stands_like_a_file() -> None:
     motion = drawn(3, seconds=40.0)
     whole, stance = with_legs(motion, 3), Stance(3, motion.fps)
-    cuts = [0, 1, 2, 30, 500, 501, 1300, len(motion)]
+    cuts = [0, 1, 2, 30, 500, 501, 1000, len(motion)]
     parts = [stance.step(motion.crop(a, b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
     np.testing.assert_allclose(np.concatenate([part.rotations for part in parts]), whole.rotations, atol=1e-12)
     np.testing.assert_allclose(np.concatenate([part.root_positions for part in parts]), whole.root_positions,
@@ -274,10 +283,40 @@ def test_pictures_draw_the_legs_that_are_there() -> None:
 
     motion = with_legs(drawn(1, seconds=20.0), 1)
     points = figure_points(motion, np.array([0.0, 15.0]), legs=True)
-    frames = [0, 900]
+    frames = [0, 450]
     for name in ("Hips", "LeftLeg", "RightFoot", "LeftToeBase", "Head", "RightHand"):
         np.testing.assert_allclose(points[name], at(motion, name)[frames], atol=1e-9)
     now = {name: path[:1] for name, path in points.items()}
     assert len(seen(now, VIEWS["front"])) == len(seen(figure_points(motion, np.zeros(1)), VIEWS["front"])) + 1
     with pytest.raises(InputError, match="legs"):
         figure_points(still(seconds=1.0), np.zeros(1), legs=True)
+
+
+def test_the_probe_finds_what_it_should() -> None:
+    from eval.probes.stance import measured
+
+    motion = with_legs(drawn(1), 1)
+    good = measured([motion])
+    assert good["slide"] < 5.0 and good["outside"] == 0.0 and good["frozen"] < 1.0
+    assert good["seconds"] == pytest.approx(60.0)
+    # A body that stands still and is pushed about: feet slide as far as it is pushed, 3 cm along each axis.
+    times = np.arange(len(motion)) / motion.fps
+    frozen = replace(motion, rotations=np.repeat(motion.rotations[:1], len(motion), axis=0),
+                     root_positions=np.repeat(motion.root_positions[:1], len(motion), axis=0))
+    pushed = replace(frozen, root_positions=frozen.root_positions + 0.015 * np.stack(
+        [np.sin(times), np.zeros_like(times), np.cos(times)], axis=-1))
+    assert measured([pushed])["slide"] == pytest.approx(30.0 * 2**0.5, rel=0.01)
+    assert measured([frozen])["frozen"] == pytest.approx(60.0, abs=0.1) and measured([frozen])["shifts"] == 0.0
+    # Hips that go 4 cm to either side over feet that stay, six times a minute: twelve shifts.
+    swings = replace(frozen, root_positions=frozen.root_positions + 0.04 * np.stack(
+        [np.sin(2.0 * np.pi * times / 10.0), np.zeros_like(times), np.zeros_like(times)], axis=-1))
+    legs = kinematics.positions_of(frozen)
+    from eval.probes import stance as probe
+
+    standing_body = probe._Standing(swings)
+    standing_body.across = (kinematics.positions_of(swings)[:, 0] - legs[:, 0])[:, 0]
+    assert standing_body.shifts() in (11, 12)
+    leaning = replace(frozen, root_positions=frozen.root_positions)
+    body = probe._Standing(leaning)
+    body.hips = body.hips + np.array([0.0, 0.0, 0.3])
+    assert body.outside().all()
