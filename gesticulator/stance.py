@@ -61,6 +61,8 @@ _FOLLOWS = 0.16
 """Seconds, three times over, in which the weight follows the drawn body: slower than gestures are."""
 _HABIT = 2.0
 """Seconds, three times over, in which a roll that stays is no weight any more but a habit, which the spine has."""
+_QUICK = 0.5
+"""Share of a quicker roll that the spine takes: planted legs do not let the hips rock, and knees would shake."""
 _PITCHED_BACK = 0.006
 """Metres that the hips go back for each degree that the idle life tilts them forward."""
 _SWAY = ((0.0035, 2.1), (0.0015, 0.8), (0.0045, 2.4), (0.0015, 0.9))
@@ -284,7 +286,8 @@ class Stance:
         u = weight[:, 0] + (slow[:, 0] - habit) / _ROLL_UNIT
         held, side = self.steps.over(times)
         g = (1.0 - held) * u / np.sqrt(1.0 + u * u) + held * side
-        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * g, _TURNED * g, _ROLLED * g - habit], -1)))
+        rolled = _ROLLED * g - habit - _QUICK * (roll - slow[:, 0])
+        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * g, _TURNED * g, rolled], -1)))
         hips = rotation.multiply(turn, body.rotations[:, 0])
         rotations[:, 0], rotations[:, WHOLE_BODY.index("Spine")] = _counter_turned(body, hips)
         root = self._hips(times, feet, g, weight[:, 1], slow[:, 1:])
