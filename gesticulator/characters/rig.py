@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.motion import rotation
 from data_module.types import Array
 
 
@@ -78,6 +79,14 @@ class Character:
         out[..., :3, 3] = self.translations
         out[..., 3, 3] = 1.0
         return out
+
+    def world_rotations(self) -> Array:
+        """[N, 4] the nodes' world rotations at rest, in the file's axes; scales turn nothing."""
+        world = self.rotations.copy()
+        for node, parent in enumerate(self.parents):
+            if parent >= 0:
+                world[node] = rotation.multiply(world[parent], world[node])
+        return world
 
     def world_matrices(self, rotations: Array | None = None, translations: Mapping[int, Array] | None = None) -> Array:
         """[..., N, 4, 4] the nodes' world matrices, in the file's units and axes.
