@@ -8,11 +8,12 @@ How near is measured by the same function on both, and it changes without jumps,
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from data_module.motion import kinematics
 from data_module.types import Array, Motion
 from gesticulator.characters.frames import Body
 from gesticulator.characters.mapping import SIDES
@@ -144,35 +145,46 @@ def _bind_ends(body: Body) -> tuple[Array, Array]:
     return places[body.mapping.joints["Hips"]], places[top]
 
 
-def our_distances(source: Motion) -> dict[str, Array]:
+@dataclass(frozen=True)
+class Pose:
+    """Our own joints over T frames: joint -> [T, 3, 3] world rotations and [T, 3] places, metres."""
+
+    turns: Mapping[str, Array]
+    places: Mapping[str, Array]
+
+
+def pose_of(motion: Motion) -> Pose:
+    """Where a motion's joints are and how they are turned."""
+    skeleton = motion.skeleton
+    flat = Rotation.from_quat(motion.rotations.reshape(-1, 4), scalar_first=True).as_matrix()
+    local = flat.reshape(*motion.rotations.shape[:2], 3, 3)
+    turns, places = {}, {}
+    for joint, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents, strict=True)):
+        if parent < 0:
+            turns[name], places[name] = local[:, joint], motion.root_positions
+        else:
+            above = skeleton.names[parent]
+            turns[name] = turns[above] @ local[:, joint]
+            places[name] = places[above] + turns[above] @ skeleton.offsets[joint]
+    return Pose(turns, places)
+
+
+def our_distances(ours: Pose) -> dict[str, Array]:
     """Side -> [T] metres that our wrist and knuckles, whichever is nearer, are from our trunk; negative inside."""
-    places, skeleton = kinematics.positions_of(source), source.skeleton
-    world = kinematics.global_rotations(skeleton, source.rotations)[:, skeleton.index("Spine3")]
-    chest = _matrices(world)
     trunk = plain_trunk(*OURS)
-    hips, neck = places[:, 0], places[:, skeleton.index("Neck")]
-    return {side: np.min([trunk.distance(places[:, skeleton.index(side + name)], hips, neck, chest)[0]
-                          for name in ("Hand", "HandMiddle1")], axis=0) for side in SIDES}
+    column = ours.places["Hips"], ours.places["Neck"], ours.turns["Spine3"]
+    return {side: np.min([trunk.distance(ours.places[side + name], *column)[0] for name in ("Hand", "HandMiddle1")],
+                         axis=0) for side in SIDES}
 
 
-def _matrices(quaternions: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
-
-
-def keep_hands_out(turns: dict[int, Array], body: Body, source: Motion) -> None:
+def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
     """Bend the arms in `turns` where a hand would be nearer to her trunk than ours is to ours.
 
     A hand that is inside our own trunk is left as deep: what the source does wrong is not put right here.
     """
     joints = body.mapping.joints
-    trunk = her_trunk(body)
-    ours = our_distances(source)
-    chest_node = body.mapping.spine[-1] if body.mapping.spine else joints["Hips"]
-    chest = _matrices(kinematics.global_rotations(source.skeleton, source.rotations)[
-        :, source.skeleton.index("Spine3")]) if chest_node in turns else np.eye(3)[None]
-    chest = np.broadcast_to(chest, (len(source), 3, 3))
+    trunk, near = her_trunk(body), our_distances(ours)
+    chest = ours.turns["Spine3"]
     neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
     hips = np.zeros_like(neck)
     for side in SIDES:
@@ -181,10 +193,10 @@ def keep_hands_out(turns: dict[int, Array], body: Body, source: Motion) -> None:
         arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))
                         for above, below in zip(chain, chain[1:], strict=False)))
         margin = MARGIN * arm / _ARM_LENGTH
-        wanted = np.minimum(ours[side] * arm / _ARM_LENGTH, margin)
+        wanted = np.minimum(near[side] * arm / _ARM_LENGTH, margin)
         for _ in range(_STEPS):
-            push = np.zeros((len(source), 3))
-            most = np.zeros(len(source))
+            push = np.zeros_like(chest[:, 0])
+            most = np.zeros(len(chest))
             for node in points:
                 gap, out = trunk.distance(body.place(turns, node), hips, neck, chest)
                 depth = np.maximum(wanted - gap, 0.0)

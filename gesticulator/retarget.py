@@ -38,12 +38,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_module.motion import kinematics, rotation, skeletons
+from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion
 from gesticulator.characters.frames import Body, measure
 from gesticulator.characters.mapping import SIDES, RigMapping, check
 from gesticulator.characters.rig import Character
-from gesticulator.contacts import keep_hands_out
+from gesticulator.contacts import Pose, keep_hands_out, pose_of
 from gesticulator.inverse_kinematics import bend
 
 if TYPE_CHECKING:
@@ -124,19 +124,19 @@ class Retargeter:
         """The motion on the character. ValueError for a motion that is not on one of our skeletons."""
         source = self._source(motion)
         stands = self.legs and self.mapping.legs
-        world = kinematics.global_rotations(source.skeleton, source.rotations)
-        turns = self._world(world, set(source.absent))
+        ours = pose_of(source)
+        turns = self._world(ours, set(source.absent))
         if not self.legs:
             turns.pop(self.mapping.joints["Hips"], None)
         turns = {node: turn for node, turn in turns.items() if stands or node not in self.body.leg_nodes}
         root = None
         if stands:
-            root = self._stand(turns, source)
+            root = self._stand(turns, ours)
         elif self.body.lift:
             hips = self.body.rest_places[self.mapping.joints["Hips"]] + [0.0, self.body.lift, 0.0]
             root = np.tile(hips, (len(motion), 1))
         if self.contacts:
-            keep_hands_out(turns, self.body, source)
+            keep_hands_out(turns, self.body, ours)
         return self._finish(turns, root, len(motion), motion.fps)
 
     def _source(self, motion: Motion) -> Motion:
@@ -155,29 +155,26 @@ class Retargeter:
             return with_standing_legs(motion)
         return skeletons.resized(motion, skeletons.WHOLE_BODY)
 
-    def _world(self, world: Array, absent: set[str]) -> dict[int, Array]:
-        """Node -> [T, 3, 3] its world rotation G(t) (1); world: [T, J, 4] ours. What is absent moves nothing."""
-        skeleton = skeletons.WHOLE_BODY
-        frames = len(world)
+    def _world(self, ours: Pose, absent: set[str]) -> dict[int, Array]:
+        """Node -> [T, 3, 3] its world rotation G(t) (1). What is absent in ours moves nothing of hers."""
         turns = {}
         for segment in self.body.segments:
-            if segment.joint in absent and segment.joint not in ("Hips", *_TRUNK):
+            if segment.joint in absent and segment.joint not in skeletons.JOINTS:
                 continue
-            first = world[:, skeleton.index(segment.joint)]
+            own = ours.turns[segment.joint]
             if segment.share > 0.0:
-                first = _between(first, world[:, skeleton.index(segment.other)], segment.share)
-            turns[segment.node] = Rotation.from_quat(first, scalar_first=True).as_matrix() @ segment.constant
-        assert all(turn.shape == (frames, 3, 3) for turn in turns.values())
+                own = _between(own, ours.turns[segment.other], segment.share)
+            turns[segment.node] = own @ segment.constant
         return turns
 
-    def _stand(self, turns: dict[int, Array], source: Motion) -> Array:
+    def _stand(self, turns: dict[int, Array], ours: Pose) -> Array:
         """[T, 3] the hips' path; the legs in `turns` are bent so that feet stand where they do.
 
         Each ankle moves as ours does, by the ratio of the legs' lengths, about the place where it stands on average
         when the bones point as ours do. The hips go where both ankles are nearest to that.
         """
         joints, body = self.mapping.joints, self.body
-        ankles = kinematics.positions_of(source)[:, [source.skeleton.index(side + "Foot") for side in SIDES]]
+        ankles = np.stack([ours.places[side + "Foot"] for side in SIDES], axis=1)
         travel = body.leg_ratio * (ankles - ankles.mean(axis=0))
         reached = np.stack([body.place(turns, joints[side + "Foot"]) for side in SIDES], axis=1)
         rest = np.stack([body.rest_places[joints[side + "Foot"]] for side in SIDES])
@@ -194,18 +191,18 @@ class Retargeter:
         """Local rotations of her file (2) and the hips' local translation."""
         character, body = self.character, self.body
         rotations = np.tile(character.rotations, (frames, 1, 1))
-        # The turn from our axes to those of her file.
-        back = body.axes.T
-        parents = character.world_rotations()
         world: dict[int, Array] = {}
+        local: list[Array] = []
         for node, parent in enumerate(character.parents):
-            above = world.get(parent, parents[parent] if parent >= 0 else np.array([1.0, 0.0, 0.0, 0.0]))
+            above = world.get(parent, body.rest_turns[parent] if parent >= 0 else body.axes)
             if node in turns:
-                world[node] = Rotation.from_matrix(back @ turns[node]).as_quat(scalar_first=True)
-                local = rotation.multiply(rotation.conjugate(above), world[node])
-                rotations[:, node] = rotation.continuous(rotation.normalise(local))
+                world[node] = turns[node]
+                local.append(np.swapaxes(above, -1, -2) @ turns[node])
             elif parent in world:
-                world[node] = rotation.multiply(above, character.rotations[node])
+                world[node] = above @ body.local_turns[node]
+        moved = tuple(sorted(turns))
+        rotations[:, moved] = rotation.continuous(np.stack([
+            Rotation.from_matrix(turn).as_quat(scalar_first=True) for turn in local], axis=1))
         translations = None
         if root is not None:
             hips = self.mapping.joints["Hips"]
@@ -214,16 +211,13 @@ class Retargeter:
             places = root / body.unit @ body.axes
             translations = (places - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
         return CharacterMotion(character, rotations, translations, fps, self.mapping.named(),
-                               tuple(sorted(turns)), body.unit)
-
-
-_TRUNK = tuple(name for name in skeletons.JOINTS if name.startswith(("Spine", "Neck")) or name == "Head")
+                               moved, body.unit)
 
 
 def _between(a: Array, b: Array, share: float) -> Array:
-    """[T, 4] the rotation `share` of the way from a to b, along the shortest arc."""
-    turn = rotation.to_exponential_map(rotation.multiply(rotation.conjugate(a), b))
-    return rotation.multiply(a, rotation.from_exponential_map(share * turn))
+    """[T, 3, 3] the rotation `share` of the way from a to b, along the shortest arc."""
+    turn = Rotation.from_matrix(np.swapaxes(a, -1, -2) @ b).as_rotvec()
+    return a @ Rotation.from_rotvec(share * turn).as_matrix()
 
 
 def reach_with_leg(turns: dict[int, Array], body: Body, mapping: RigMapping, side: str, ankle: Array) -> None:

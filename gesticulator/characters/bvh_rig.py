@@ -136,7 +136,7 @@ def plain_skeleton(character: Character, rotations: Array, placed: tuple[int, Ar
     scale = 100.0 * (character.unit or 1.0)
     names = _distinct_names([character.names[node] for node in kept])
     parents = [kept.index(character.parents[node]) if character.parents[node] in kept else -1 for node in kept]
-    straight = np.array([unrotated(bind[node]) for node in range(len(character))])
+    straight = _quaternions(turns_of(bind))
     world = _world_rotations(character, rotations)
     turned = np.stack([rotation.multiply(world[node], rotation.conjugate(straight[node])) for node in kept], axis=1)
     local = turned.copy()
@@ -150,7 +150,7 @@ def plain_skeleton(character: Character, rotations: Array, placed: tuple[int, Ar
         above = rest[kept[parent]] if parent >= 0 else np.eye(4)
         way = rest[node, :3, 3] - above[:3, 3]
         if parent >= 0:
-            turn = rotation.multiply(straight[kept[parent]], rotation.conjugate(unrotated(above)))
+            turn = rotation.multiply(straight[kept[parent]], rotation.conjugate(_quaternions(turns_of(above))))
             way = rotation.rotate(turn, way)
         offsets[place] = scale * way
     root = np.broadcast_to(offsets[0], (len(rotations), 3))
@@ -196,13 +196,18 @@ def _distinct_names(names: list[str]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def unrotated(matrix: Array) -> Array:
-    """[4] the rotation of a matrix [4, 4] without its scale: the nearest rotation, by singular values."""
+def turns_of(matrices: Array) -> Array:
+    """[..., 3, 3] the rotations of matrices [..., 4, 4] without their scale: the nearest, by singular values."""
+    left, _, right = np.linalg.svd(matrices[..., :3, :3])
+    left[..., :, 2] *= np.sign(np.linalg.det(left @ right))[..., None]
+    return left @ right
+
+
+def _quaternions(turns: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
-    left, _, right = np.linalg.svd(matrix[:3, :3])
-    turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
-    return Rotation.from_matrix(turn).as_quat(scalar_first=True)
+    flat = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    return flat.reshape(*turns.shape[:-2], 4)
 
 
 def _world_rotations(character: Character, rotations: Array) -> Array:

@@ -19,7 +19,7 @@ from data_module.motion import rotation, skeletons
 from data_module.motion.skeletons import FINGERS, WHOLE_BODY
 from data_module.types import Array
 from gesticulator.characters import shape
-from gesticulator.characters.bvh_rig import unrotated
+from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.mapping import SIDES, RigMapping
 from gesticulator.characters.rig import Character
 
@@ -57,8 +57,9 @@ class Body:
 
     axes: [3, 3] rows are her left, up and forward in the file's axes: ours = axes @ file's * unit.
     unit: metres per unit of her world. lift: metres by which she must be lifted to stand on the floor.
-    rest_places: [N, 3] the nodes at rest. bind_turns: [N, 3, 3] from the nodes' axes to ours in the bind pose.
-    offsets: [N, 3] metres from each node's parent, in the parent's axes. leg_ratio: her leg's length by ours.
+    rest_places: [N, 3] the nodes at rest; rest_turns: [N, 3, 3] from the nodes' axes to ours at rest; local_turns:
+    [N, 3, 3] the same to their parents' axes. offsets: [N, 3] metres from each node's parent, in the parent's axes.
+    leg_ratio: her leg's length by ours.
     """
 
     character: Character
@@ -67,7 +68,8 @@ class Body:
     unit: float
     lift: float
     rest_places: Array
-    bind_turns: Array
+    rest_turns: Array
+    local_turns: Array
     offsets: Array
     leg_ratio: float
     segments: tuple[Segment, ...]
@@ -82,11 +84,11 @@ class Body:
         way = [node]
         while way[-1] != hips:
             way.append(self.character.parents[way[-1]])
-        turn = turns.get(hips, self.axes @ _matrix(self.character.world_rotations()[hips])[None])
+        turn = turns[hips] if hips in turns else self.rest_turns[hips][None]
         place = np.zeros((1, 3))
         for at in reversed(way[:-1]):
             place = place + turn @ self.offsets[at]
-            turn = turns[at] if at in turns else turn @ _matrix(self.character.rotations[at])
+            turn = turns[at] if at in turns else turn @ self.local_turns[at]
         return place
 
 
@@ -98,15 +100,13 @@ def measure(character: Character, mapping: RigMapping) -> Body:
     """A character's body; `InputError` where bones have no length."""
     bind = shape.bind_matrices(character)
     axes = _axes(character, mapping, bind[:, :3, 3])
-    rest, turns = character.world_matrices()[:, :3, 3], character.world_rotations()
+    rest, turns, local = character.world_matrices()[:, :3, 3], character.world_turns(), character.local_turns()
     unit = character.unit or _unit(mapping, rest)
     places = rest @ axes.T * unit
-    offsets = places.copy()
-    for node, parent in enumerate(character.parents):
-        if parent >= 0:
-            offsets[node] = unit * rotation.rotate(rotation.conjugate(turns[parent]), rest[node] - rest[parent])
-    straight = turns if character.bind is None else np.array([unrotated(matrix) for matrix in bind])
-    rig = _Rig(character, mapping, axes @ _matrix(straight), offsets)
+    parents = np.maximum(character.parents, 0)
+    # Row vectors: v @ M is the transpose of M times v.
+    offsets = unit * np.einsum("ni,nij->nj", rest - rest[parents], turns[parents])
+    rig = _Rig(character, mapping, axes @ (turns if character.bind is None else turns_of(bind)), offsets)
     segments = (*rig.trunk(), *rig.arms(), *rig.legs())
     legs = frozenset(mapping.joints[name] for name in skeletons.LEG_JOINTS if name in mapping.joints)
     lift = 0.0
@@ -120,7 +120,7 @@ def measure(character: Character, mapping: RigMapping) -> Body:
             ankle = float(np.mean([places[mapping.joints[side + "Foot"], 1] for side in SIDES]))
             # A file that tells neither toes nor tips says nothing of the height of an ankle: that of ours, in scale.
             lift = -min(lowest, ankle - _ANKLE * ratio)
-    return Body(character, mapping, axes, unit, lift, places, rig.bind, offsets, ratio, segments, legs)
+    return Body(character, mapping, axes, unit, lift, places, axes @ turns, local, offsets, ratio, segments, legs)
 
 
 _OURS = {name: WHOLE_BODY.offsets[index] for index, name in enumerate(WHOLE_BODY.names)}
@@ -190,7 +190,7 @@ class _Rig:
 
     def __init__(self, character: Character, mapping: RigMapping, bind: Array, offsets: Array) -> None:
         self.character, self.mapping, self.joints = character, mapping, mapping.joints
-        self.bind, self._offsets = bind, offsets
+        self.bind, self._offsets, self._local = bind, offsets, character.local_turns()
 
     def way(self, above: int, below: int) -> Array | None:
         """[3] metres from a node to one under it, in the upper's axes; None where it is not under it."""
@@ -203,7 +203,7 @@ class _Rig:
         place, turn = np.zeros(3), np.eye(3)
         for at in reversed(line[:-1]):
             place = place + turn @ self._offsets[at]
-            turn = turn @ _matrix(self.character.rotations[at])
+            turn = turn @ self._local[at]
         return place
 
     def length(self, name: str) -> float:

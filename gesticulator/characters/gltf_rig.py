@@ -18,10 +18,11 @@ from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.types import Array
-from gesticulator.characters.bvh_rig import unrotated
+from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.rig import Character
 
 LARGEST = 1 << 31
@@ -180,7 +181,8 @@ def _transform(told: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     """Translation, rotation (w first) and scale of a node."""
     if "matrix" in told:
         matrix = np.array(told["matrix"], dtype=np.float64).reshape(4, 4).T
-        return matrix[:3, 3], unrotated(matrix), np.linalg.norm(matrix[:3, :3], axis=0)
+        turn = Rotation.from_matrix(turns_of(matrix)).as_quat(scalar_first=True)
+        return matrix[:3, 3], turn, np.linalg.norm(matrix[:3, :3], axis=0)
     x, y, z, w = map(float, told.get("rotation", (0.0, 0.0, 0.0, 1.0)))
     turn = np.array([w, x, y, z])
     length = float(np.linalg.norm(turn))

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.motion import rotation
 from data_module.types import Array
 
 
@@ -70,22 +69,22 @@ class Character:
     def local_matrices(self, rotations: Array | None = None) -> Array:
         """[..., N, 4, 4] the nodes' local matrices for local rotations [..., N, 4]; at rest when not told."""
         q = self.rotations if rotations is None else rotations
-        w, x, y, z = np.moveaxis(q, -1, 0)
-        turn = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-                         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
         out = np.zeros((*q.shape[:-1], 4, 4))
-        out[..., :3, :3] = turn.reshape(*q.shape[:-1], 3, 3) * self.scales[:, None, :]
+        out[..., :3, :3] = _turns(q) * self.scales[:, None, :]
         out[..., :3, 3] = self.translations
         out[..., 3, 3] = 1.0
         return out
 
-    def world_rotations(self) -> Array:
-        """[N, 4] the nodes' world rotations at rest, in the file's axes; scales turn nothing."""
-        world = self.rotations.copy()
+    def local_turns(self) -> Array:
+        """[N, 3, 3] the nodes' local rotations at rest, as matrices."""
+        return _turns(self.rotations)
+
+    def world_turns(self) -> Array:
+        """[N, 3, 3] the nodes' world rotations at rest, in the file's axes; scales turn nothing."""
+        world = self.local_turns()
         for node, parent in enumerate(self.parents):
             if parent >= 0:
-                world[node] = rotation.multiply(world[parent], world[node])
+                world[node] = world[parent] @ world[node]
         return world
 
     def world_matrices(self, rotations: Array | None = None, translations: Mapping[int, Array] | None = None) -> Array:
@@ -101,3 +100,12 @@ class Character:
             if parent >= 0:
                 local[..., node, :, :] = local[..., parent, :, :] @ local[..., node, :, :]
         return local
+
+
+def _turns(q: Array) -> Array:
+    """[..., 3, 3] the matrices of unit quaternions [..., 4]."""
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    turn = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                     2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                     2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+    return turn.reshape(*q.shape[:-1], 3, 3)
