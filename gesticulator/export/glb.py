@@ -1,0 +1,68 @@
+"""`.glb`: the skeleton as nodes with a plain figure on it, and one animation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from data_module.files import write_bytes
+from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree
+from gesticulator.export.nodes import NodeMotion, of_performance
+from gesticulator.export.stick_figure import figure
+
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
+
+ANIMATION = "gesture"
+"""Name of the one animation that is added."""
+_COLOUR = [0.24, 0.45, 0.47, 1.0]
+"""Of the figure: linear red, green, blue, opacity."""
+
+
+def write_glb(path: Path, performance: Performance) -> Path:
+    """Write the motion as GLB, whole or not at all. Returns `path`."""
+    write_bytes(path, skeleton_glb(of_performance(performance)))
+    return path
+
+
+def skeleton_glb(motion: NodeMotion) -> bytes:
+    """A skeleton with a figure of spindles on it, that moves: the bytes of a GLB file."""
+    from gesticulator import __version__
+
+    gltf = GltfDocument({
+        "asset": {"version": "2.0", "generator": f"gesticulator {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [node for node, parent in enumerate(motion.parents) if parent < 0]}],
+        "nodes": node_tree(motion),
+    })
+    _dress(gltf, motion)
+    gltf.animate(ANIMATION, motion, {node: node for node in range(len(motion.names))})
+    return gltf.to_bytes()
+
+
+def _dress(gltf: GltfDocument, motion: NodeMotion) -> None:
+    """Hang the figure on the joints, as a skin: what tools take for an armature."""
+    body, bind = figure(motion), motion.rest_matrices()
+    inverse = np.linalg.inv(bind)
+    inverse[:, 3] = [0, 0, 0, 1]  # to the last bit, as the format asks for
+    joints = np.zeros((len(body.joints), 4), "<u2")
+    joints[:, 0] = body.joints
+    weights = np.zeros((len(body.joints), 4), "<f4")
+    weights[:, 0] = 1.0
+    document: dict[str, Any] = gltf.document
+    document["skins"] = [{"name": "skeleton", "joints": list(range(len(motion.names))), "skeleton": 0,
+                          "inverseBindMatrices": gltf.accessor(inverse.astype("<f4"))}]
+    attributes = {
+        "POSITION": gltf.accessor(body.positions.astype("<f4"), VERTICES, bounds=True),
+        "NORMAL": gltf.accessor(body.normals.astype("<f4"), VERTICES),
+        "JOINTS_0": gltf.accessor(joints, VERTICES),
+        "WEIGHTS_0": gltf.accessor(weights, VERTICES),
+    }
+    document["meshes"] = [{"name": "figure", "primitives": [{"attributes": attributes, "material": 0}]}]
+    document["materials"] = [{"name": "figure", "pbrMetallicRoughness": {
+        "baseColorFactor": _COLOUR, "metallicFactor": 0.0, "roughnessFactor": 0.8}}]
+    # Beside the skeleton, not in it: where a skinned mesh stands is told by its joints alone.
+    document["scenes"][0]["nodes"].append(len(document["nodes"]))
+    document["nodes"].append({"name": "figure", "mesh": 0, "skin": 0})
