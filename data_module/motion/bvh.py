@@ -10,7 +10,7 @@ import io
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -187,6 +187,26 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
         except InputError:
             unit = CENTIMETRES
     return skeletons.scaled(motion, unit)
+
+
+def read_hierarchy(path: str | os.PathLike[str]) -> tuple[Motion, tuple[tuple[str, ...], ...]]:
+    """The skeleton of a BVH file as it stands there: its own units and axes, and the channels of each joint.
+
+    The motion is its first frame, or one of zeros where the file has none. Nothing is scaled; the root keeps its own
+    offset, and places of other joints are those of their offsets.
+    """
+    where = str(path)
+    text = read_text(path, "give a .bvh file", _LARGEST_FILE)
+    at = text.find("Frame Time:")
+    if at < 0:
+        raise InputError(where, "is not a BVH file (no 'Frame Time:')", "give a .bvh file")
+    end = text.find("\n", at)
+    header = _parse_header(text[:end if end >= 0 else len(text)], where)
+    width = sum(map(len, header.channels))
+    first = next((line for line in text[end:].splitlines() if line.strip()), "") if end >= 0 else ""
+    rows = _rows(first, width, where) if first else np.zeros((1, width))
+    motion = _assemble(header, rows, header.fps)
+    return replace(motion, skeleton=header.skeleton), header.channels
 
 
 def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
