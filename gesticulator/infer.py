@@ -86,6 +86,9 @@ def arguments(p: argparse.ArgumentParser) -> None:
                        help="the same seed gives the same bytes (default 0)")
     style.add_argument("--variation", type=number("variation"), default=0, metavar="N",
                        help="the same beats and lexemes, drawn in another manner (default 0)")
+    style.add_argument("--legs", action="store_true",
+                       help="let her stand on legs (54 joints): she shifts her weight, her feet stay planted")
+    style.add_argument("--seated", action="store_true", help="let her sit on a chair, legs and hips still (54 joints)")
     style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
@@ -224,7 +227,8 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
 
         return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
                       seed=int(asked.seed), variation=int(asked.variation), temperature=asked.temperature,
-                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls)
+                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls, legs=asked.legs,
+                      seated=asked.seated)
 
 
 @contextmanager

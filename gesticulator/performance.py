@@ -139,6 +139,10 @@ class InferenceOptions:
     """Mean horizontal distance of both hands from the body's axis, metres."""
     controls: Controls | None = None
     """The three hand controls in one object, instead of them."""
+    legs: bool = False
+    """Give her legs to stand on (54 joints): the weight shifts, the feet are planted (`gesticulator.stance`)."""
+    seated: bool = False
+    """Let her sit: with legs, they and the hips quite still."""
 
     def __post_init__(self) -> None:
         for name in ("seed", "variation", "temperature", "activity", "fps", "gain"):
@@ -169,6 +173,8 @@ class InferenceArguments(TypedDict, total=False):
     hand_speed: HandControl
     hand_radius: HandControl
     controls: Controls | None
+    legs: bool
+    seated: bool
 
 
 # ---------------------------------------------------------------------------------------------------- the result
@@ -177,12 +183,12 @@ class InferenceArguments(TypedDict, total=False):
 class Performance:
     """Gesture for one recording.
 
-    motion: on the character of 16 or 46 joints, at any frame rate. speech: the sound. blocks: N blocks that tile it.
-    lexemes: [N] the lexeme that was played. best: [N, M] the M best lexemes, best first; scores: [N, M] what the
-    interpreter thought of them, falling along M. M is `BEST`, or the size of the lexicon where that is smaller.
-    The played lexeme need not be the first of `best` (it may have been drawn, or asked for). codes: [N, d_z] style
-    codes. gate: [N] how likely a gesture was on each block, NaN where the gate was not asked. notes: what the user
-    should know, a line each.
+    motion: on the character of 16, 46 or, with legs, 54 joints, at any frame rate. speech: the sound. blocks: N blocks
+    that tile it. lexemes: [N] the lexeme that was played. best: [N, M] the M best lexemes, best first; scores: [N, M]
+    what the interpreter thought of them, falling along M. M is `BEST`, or the size of the lexicon where that is
+    smaller. The played lexeme need not be the first of `best` (it may have been drawn, or asked for). codes: [N, d_z]
+    style codes. gate: [N] how likely a gesture was on each block, NaN where the gate was not asked. notes: what the
+    user should know, a line each.
     """
 
     motion: Motion
