@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from data_module.controls import Controls, Curve
     from data_module.types import Array, Blocks, Motion, Speech
+    from gesticulator.retarget import CharacterMotion
     from interpreters.base import LexemeInterpreter
 
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
@@ -204,6 +205,8 @@ class Performance:
     """What the scores are: natural logarithms of probabilities, or "Q value". A Q value is what RACER's Q-network gives
     a lexeme. It ranks lexemes, and is no expected return: the conservative loss pushes it down where the data have few
     examples (RACER Eq. 11), so its size is not that of any sum of rewards."""
+    character: CharacterMotion | None = None
+    """The same motion on a character of the user's: what .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet show then."""
     made_by: Mapping[str, Any] = field(default_factory=dict)
     """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
 
@@ -338,5 +341,10 @@ def write_bvh_file(path: Path, performance: Performance, unit: str = "cm") -> Pa
     from data_module.motion import bvh
     from data_module.motion.skeletons import standing
 
-    bvh.write_bvh(path, standing(performance.motion), UNITS[unit])
+    motion = standing(performance.motion)
+    if performance.character is not None:
+        from gesticulator.export.nodes import of_character, with_identity_rest
+
+        motion = with_identity_rest(of_character(performance.character))
+    bvh.write_bvh(path, motion, UNITS[unit])
     return path

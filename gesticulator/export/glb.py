@@ -1,4 +1,4 @@
-"""`.glb`: the skeleton as nodes with a plain figure on it, and one animation."""
+"""`.glb`: the skeleton as nodes with a plain figure on it, and one animation; or the user's own character, animated."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.files import write_bytes
-from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree
+from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion, of_performance
 from gesticulator.export.stick_figure import figure
 
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
+    from gesticulator.retarget import CharacterMotion
 
 ANIMATION = "gesture"
 """Name of the one animation that is added."""
@@ -23,8 +24,30 @@ _COLOUR = [0.24, 0.45, 0.47, 1.0]
 
 def write_glb(path: Path, performance: Performance) -> Path:
     """Write the motion as GLB, whole or not at all. Returns `path`."""
-    write_bytes(path, skeleton_glb(of_performance(performance)))
+    character = performance.character
+    own = character is not None and character.character.kind == "glb"
+    write_bytes(path, character_glb(character) if character is not None and own
+                else skeleton_glb(of_performance(performance)))
     return path
+
+
+def character_glb(moved: CharacterMotion) -> bytes:
+    """The character's own file with one animation more: the bytes of a GLB file.
+
+    Nothing else in it changes, apart from nodes that are moved and have a matrix, which becomes a translation, a
+    rotation and a scale. Buffers and pictures that lie beside a .gltf are put inside.
+    """
+    character = moved.character
+    gltf = open_gltf(character.path)
+    for node in moved.moved:
+        own = gltf.document["nodes"][character.node_ids[node]]
+        if own.pop("matrix", None) is not None:
+            own |= transform(character.translations[node], character.rotations[node], character.scales[node])
+    shifts = {} if moved.translations is None else {moved.hips: moved.translations}
+    motion = NodeMotion(character.names, character.parents, character.translations, character.rotations,
+                        character.scales, moved.rotations, shifts, {}, moved.fps)
+    gltf.animate(ANIMATION, motion, {node: character.node_ids[node] for node in sorted({*moved.moved, *shifts})})
+    return gltf.to_bytes()
 
 
 def skeleton_glb(motion: NodeMotion) -> bytes:
