@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
 from gesticulator.cli import PROGRAM, Command
-from gesticulator.performance import FPS, RANGES
+from gesticulator.performance import FPS, RANGES, UNITS, WRITERS, check_output
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
@@ -38,8 +38,10 @@ STDIN = "-"
 TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 """Endings of the files that a folder of transcripts is searched for, in this order."""
 EXIT_PART_FAILED = 1
-_OUTPUTS = {"output": ".bvh", "preview": ".html", "explain": ".json"}
-"""Argument that names a file to write -> its suffix."""
+_OUTPUTS = {"preview": ".html", "explain": ".json"}
+"""Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
+FORMAT = "bvh"
+"""What is written to a folder that --output names, when not told."""
 
 
 def number(name: str) -> Callable[[str], float]:
@@ -49,14 +51,17 @@ def number(name: str) -> Callable[[str], float]:
 
 def arguments(p: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE.bvh [options]"
+    p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
     p.add_argument("speech", nargs="*", metavar="SPEECH", help="sound files (WAV, FLAC, OGG, MP3; M4A, MP4, "
                    "WebM and other video with PyAV; 0.3 s to one hour), folders of them, patterns such as '*.wav', or "
                    "- for standard input")
     out = p.add_argument_group("what is written (one of them at least)", "A path that ends in / or is a folder takes a "
                                "file for each recording, by its\nname; anything else is the file itself. Missing "
                                "folders are made.")
-    out.add_argument("-o", "--output", metavar="FILE.bvh", help="the motion")
+    out.add_argument("-o", "--output", metavar="FILE", action="append", help="the motion, in the format of its suffix: "
+                     + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; may be given several times")
+    out.add_argument("--format", metavar="SUFFIX", help=f"what -o writes where it is a folder (default {FORMAT})")
+    out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length of a .bvh (default cm)")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--explain", metavar="FILE.json", help="what was done: settings, blocks, their best lexemes")
     heard = p.add_argument_group("what is heard")
@@ -81,6 +86,9 @@ def arguments(p: argparse.ArgumentParser) -> None:
                        help="the same seed gives the same bytes (default 0)")
     style.add_argument("--variation", type=number("variation"), default=0, metavar="N",
                        help="the same beats and lexemes, drawn in another manner (default 0)")
+    style.add_argument("--legs", action="store_true",
+                       help="let her stand on legs (54 joints): she shifts her weight, her feet stay planted")
+    style.add_argument("--seated", action="store_true", help="let her sit on a chair, legs and hips still (54 joints)")
     style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
@@ -128,8 +136,31 @@ def _went_well(step: Callable[[], None], alone: bool) -> bool:
 def _plan(asked: argparse.Namespace) -> list[Job]:
     if not asked.speech:
         raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
-    outputs = {suffix: getattr(asked, name) for name, suffix in _OUTPUTS.items() if getattr(asked, name) is not None}
-    return plan(asked.speech, outputs, asked.text)
+    return plan(asked.speech, _asked_outputs(asked), asked.text)
+
+
+def _asked_outputs(asked: argparse.Namespace) -> dict[str, str]:
+    """Suffix -> the file or folder to write to. `InputError` for what cannot be written here, or twice."""
+    given = [(_suffix_of(name, asked.format), name) for name in asked.output or ()]
+    given += [(suffix, getattr(asked, name)) for name, suffix in _OUTPUTS.items() if getattr(asked, name) is not None]
+    outputs: dict[str, str] = {}
+    for suffix, name in given:
+        if suffix in outputs:
+            raise InputError(name, f"is a second {suffix} beside {outputs[suffix]}", "name one of them")
+        check_output(Path(name) / f"gesture{suffix}" if _is_folder(name) else name)
+        outputs[suffix] = name
+    if asked.unit != "cm" and ".bvh" not in outputs:
+        raise InputError("--unit", "is for .bvh", "leave it out: other formats have their own")
+    return outputs
+
+
+def _suffix_of(name: str, told: str | None) -> str:
+    """The kind of file that an output is."""
+    if _is_folder(name):
+        return "." + (told or FORMAT).lower().lstrip(".")
+    if told is not None:
+        raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
+    return Path(name).suffix.lower() or f".{FORMAT}"
 
 
 def _check(job: Job, asked: argparse.Namespace) -> None:
@@ -164,7 +195,8 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
     begin = time.perf_counter()
     made = _performed(job, speech, system, asked, controls)
     spent = time.perf_counter() - begin
-    written = ", ".join(str(made.save(target)) for target in job.targets)
+    written = ", ".join(str(made.save(target, unit=asked.unit if target.suffix.lower() == ".bvh" else "cm"))
+                        for target in job.targets)
     if not asked.quiet:
         print(f"{job.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
               f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.vectors)} lexemes, "
@@ -195,7 +227,8 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
 
         return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
                       seed=int(asked.seed), variation=int(asked.variation), temperature=asked.temperature,
-                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls)
+                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls, legs=asked.legs,
+                      seated=asked.seated)
 
 
 @contextmanager
@@ -383,6 +416,8 @@ COMMAND = Command(
     examples=(
         "infer speech.wav -o gesture.bvh --preview gesture.html",
         "infer speech.wav -o gesture.bvh --text speech.txt",
+        "infer speech.wav -o gesture.glb -o gesture.vrma -o gesture.mp4",
+        "infer recordings/ -o out/ --format fbx",
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
         "infer recordings/ -o out/ --preview out/ --text texts/",
         "infer - -o gesture.bvh < speech.wav",

@@ -119,15 +119,24 @@ class Shifts:
         self._extend(last)
         reach = math.ceil(_SETTLED * s.tau / s.every + 1)
         first = max(0, math.floor(times.min() / s.every) - reach)
-        numbers = np.arange(first, last + 1)
-        begins = (numbers + s.jitter * (2.0 * uniform(self.seed, self.channel, numbers) - 1.0)) * s.every
-        a = np.maximum(times[:, None] - begins, 0.0) / s.tau
+        a = np.maximum(times[:, None] - self.begins(np.arange(first, last + 1)), 0.0) / s.tau
         done = 1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a)
         postures = np.array(self._postures[first:last + 1])
         before = self._postures[first - 1] if first > 0 else np.zeros(len(s.spread))
         steps = np.diff(postures, axis=0, prepend=before[None])
         moved: Array = before + done @ steps
         return moved
+
+    def begins(self, numbers: NDArray[np.int64]) -> Array:
+        """Seconds at which these shifts [...] begin."""
+        s = self.style
+        early_or_late: Array = s.jitter * (2.0 * uniform(self.seed, self.channel, numbers) - 1.0)
+        return (numbers + early_or_late) * s.every
+
+    def posture(self, number: int) -> Array:
+        """[D] where shift `number` ends."""
+        self._extend(number)
+        return self._postures[number]
 
     def _extend(self, last: int) -> None:
         """The chain of postures, to number `last`: each is drawn from the same spread, neither too near the one before
@@ -176,6 +185,23 @@ _CHANNELS = np.append(_NOISE_CHANNEL + np.arange(_SWAYS + len(_DRIFTS) + _CURLS)
 _STEPS = np.array([_SWAY_STEP] * _SWAYS + [step for *_, step in _DRIFTS] + [_CURL_STEP] * _CURLS + [_BREATH_STEP])
 
 
+def weight_shifts(seed: int) -> Shifts:
+    """The weight from one leg to the other: [3] degrees of the hips' roll (above 0 on the left leg), pitch and yaw."""
+    return Shifts(seed, _WEIGHT_CHANNEL, _WEIGHT)
+
+
+def breath(seed: int, times: Array) -> Array:
+    """-1 (out) to 1 (in), [T], at `times` [T] seconds."""
+    return _breathed(seed, times, noise(seed, np.array([_BREATH_CHANNEL]), times, np.array([_BREATH_STEP]))[:, 0])
+
+
+def _breathed(seed: int, times: Array, wander: Array) -> Array:
+    """`breath` with the noise of its phase; breathing out takes longer than breathing in."""
+    begins = float(uniform(seed, _BREATH_CHANNEL + 1, np.zeros(1, np.int64))[0])
+    phase = 2.0 * np.pi * (_BREATHS * times + _BREATH_WANDERS * wander + begins)
+    return np.sin(phase + 0.4 * np.sin(phase))
+
+
 class Idle:
     """Idle life of a body with these joints, as a function of time: drivers (shifts, gaze, breath, sway, drifts and
     curls), mixed into the axes of the joints."""
@@ -186,8 +212,7 @@ class Idle:
         self.seed = seed
         self._shifts = Shifts(seed, _SHIFT_CHANNEL, _HEAD_SHIFT)
         self._gaze = Shifts(seed, _GAZE_CHANNEL, _GAZE)
-        self._weight = Shifts(seed, _WEIGHT_CHANNEL, _WEIGHT)
-        self._begins = float(uniform(seed, _BREATH_CHANNEL + 1, np.zeros(1, np.int64))[0])
+        self._weight = weight_shifts(seed)
         self._mixing = np.radians(_mixing(list(joints), rest)).reshape(-1, 3 * len(joints))
 
     def __call__(self, times: Array) -> Array:
@@ -195,16 +220,11 @@ class Idle:
         times = np.asarray(times, dtype=np.float64)
         smooth = noise(self.seed, _CHANNELS, times, _STEPS)
         sway = self._weight.at(times) + _SWAY * smooth[:, :_SWAYS]
-        breath = self._breath(times, smooth[:, -1])
-        drivers = np.concatenate([self._shifts.at(times), self._gaze.at(times), breath[:, None], sway,
+        breathed = _breathed(self.seed, times, smooth[:, -1])
+        drivers = np.concatenate([self._shifts.at(times), self._gaze.at(times), breathed[:, None], sway,
                                   smooth[:, _SWAYS:-1]], axis=1)
         life: Array = (drivers @ self._mixing).reshape(len(times), -1, 3)
         return life
-
-    def _breath(self, times: Array, wander: Array) -> Array:
-        """-1 to 1, [T]; breathing out takes longer than breathing in."""
-        phase = 2.0 * np.pi * (_BREATHS * times + _BREATH_WANDERS * wander + self._begins)
-        return np.sin(phase + 0.4 * np.sin(phase))
 
 
 def _mixing(joints: list[str], rest: Array) -> Array:

@@ -167,7 +167,8 @@ class Gesticulator:
         if options.variation:
             sampling = replace(sampling, variation=int(options.variation))
             made = rollout(self.bundle, system, who, sampling, activity).run(encoded, rows, on_block, made.lexemes)
-        return Performance(motion=self.to_motion(made.motion, encoded, who, options.fps), speech=speech,
+        motion = on_legs(self.to_motion(made.motion, encoded, who, options.fps), options)
+        return Performance(motion=motion, speech=speech,
                            blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
                            codes=made.codes, gate=made.gate, score_is="Q value" if by_value else "log-probability",
                            made_by=self._made_by(replace(
@@ -238,6 +239,8 @@ class Gesticulator:
             "speaker": options.speaker, "interpreter": name, "words": words, "seed": int(options.seed),
             "variation": int(options.variation),
             **{key: float(getattr(options, key)) for key in ("temperature", "activity", "fps", "gain")}}
+        if options.legs or options.seated:
+            settings["legs"] = "seated" if options.seated else "standing"
         controls = options.controls or Controls.free()
         for feature, value in zip(FEATURES, (controls.height, controls.speed, controls.radius), strict=True):
             if value is not None:
@@ -280,6 +283,15 @@ def _usable(device: str | torch.device) -> torch.device:
         raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
                          'choose "cpu", or "cuda" where torch finds a GPU') from None
     return found
+
+
+def on_legs(motion: Motion, options: InferenceOptions) -> Motion:
+    """The motion with the legs that the options ask for; itself where they ask for none."""
+    if not (options.legs or options.seated):
+        return motion
+    from gesticulator import stance
+
+    return stance.seated(motion) if options.seated else stance.with_legs(motion, int(options.seed))
 
 
 def _moved(bundle: Bundle, device: torch.device) -> Bundle:

@@ -1,7 +1,7 @@
 """BVH, read and written: the animation format that every tool opens.
 
-In the file angles are degrees; lengths are the file's own unit (centimetres in what we write). In memory everything
-is radians and metres.
+In the file angles are degrees; lengths are the file's own unit (centimetres in what we write, unless told). In memory
+everything is radians and metres.
 """
 
 from __future__ import annotations
@@ -248,13 +248,15 @@ def _compose(angles: Array, order: str) -> Array:
     return out
 
 
-def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
-    """Write a motion as BVH in centimetres, rotations in the order ZXY, written whole or not at all."""
-    write_text(path, bvh_text(motion))
+def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIMETRES) -> None:
+    """Write a motion as BVH, rotations in the order ZXY, whole or not at all. unit: metres per unit of the file."""
+    write_text(path, bvh_text(motion, unit))
 
 
-def bvh_text(motion: Motion) -> str:
-    """The BVH file of a motion, as text."""
+def bvh_text(motion: Motion, unit: float = CENTIMETRES) -> str:
+    """The BVH file of a motion, as text. unit: metres per unit of the file; its numbers have six decimals."""
+    if unit != 1.0:
+        motion = skeletons.scaled(motion, 1.0 / unit)
     skeleton = motion.skeleton
     children: list[list[int]] = [[] for _ in skeleton.names]
     for joint, parent in enumerate(skeleton.parents):
@@ -266,8 +268,7 @@ def bvh_text(motion: Motion) -> str:
     lines += ["MOTION", f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.fps:.10f}"]
     # Unwrapped angles keep curves smooth in tools that interpolate the channels one by one.
     angles = np.degrees(np.unwrap(rotation.to_euler(motion.rotations, _WRITTEN_ORDER), axis=0))
-    root = motion.root_positions / CENTIMETRES
-    values = np.concatenate([root, angles[:, order].reshape(len(motion), -1)], axis=1)
+    values = np.concatenate([motion.root_positions, angles[:, order].reshape(len(motion), -1)], axis=1)
     body = io.StringIO()
     np.savetxt(body, values + 0.0, fmt="%.6f")
     return "\n".join(lines) + "\n" + body.getvalue()
@@ -290,5 +291,5 @@ def _write_joint(skeleton: Skeleton, joint: int, children: Sequence[Sequence[int
     lines.append(pad + "}")
 
 
-def _triple(metres: Array) -> str:
-    return " ".join(f"{value:.6f}" for value in np.asarray(metres) / CENTIMETRES + 0.0)
+def _triple(lengths: Array) -> str:
+    return " ".join(f"{value:.6f}" for value in np.asarray(lengths) + 0.0)

@@ -326,11 +326,19 @@ def facing(motion: Motion) -> Motion:
     return replace(motion, rotations=rotations, root_positions=np.zeros_like(motion.root_positions))
 
 
+def has_legs(motion: Motion) -> bool:
+    """True where both of its legs are known, or were made up to go with the body."""
+    return all(name in motion.skeleton.names and name not in motion.absent for name in LEG_JOINTS)
+
+
 def standing(motion: Motion) -> Motion:
     """The motion lifted (or lowered) so that the root's median height is `HIP_HEIGHT`; doing it twice changes nothing.
 
-    Models work with the root at the origin; a viewer's floor is at zero.
+    Models work with the root at the origin; a viewer's floor is at zero. Legs that are known stay on their own floor:
+    such a motion is given back as it is.
     """
+    if has_legs(motion):
+        return motion
     lift = np.array([0.0, HIP_HEIGHT - float(np.median(motion.root_positions[:, 1])), 0.0])
     return replace(motion, root_positions=motion.root_positions + lift)
 

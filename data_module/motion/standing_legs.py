@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.skeletons import HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY
-from data_module.types import Array, Motion
+from data_module.types import Array, Motion, Skeleton
 
 _BALANCE = 0.25
 """Metres that the hips go back for each metre that the chest comes forward or goes to a side."""
@@ -52,7 +52,8 @@ def with_standing_legs(motion: Motion) -> Motion:
     rotations = motion.rotations.copy()
     for side, sign in _SIDES:
         toes = rotation.multiply(heading, _about_up(sign * _TOES_OUT))
-        thigh, shin = _leg(ankles[side] - root - sockets[side], rotation.rotate(toes, np.array([0.0, 0.0, 1.0])), side)
+        thigh, shin = bent_leg(ankles[side] - root - sockets[side], rotation.rotate(toes, np.array([0.0, 0.0, 1.0])),
+                               leg_lengths(WHOLE_BODY, side))
         foot = np.broadcast_to(toes, thigh.shape)
         own = (rotation.multiply(rotation.conjugate(hips), thigh), rotation.multiply(rotation.conjugate(thigh), shin),
                rotation.multiply(rotation.conjugate(shin), foot), np.tile([1.0, 0.0, 0.0, 0.0], (len(motion), 1)))
@@ -82,16 +83,16 @@ def _travel(motion: Motion) -> Array:
     return -_BALANCE * (slow - slow.mean(axis=0))
 
 
-def _lengths(side: str) -> tuple[float, float]:
-    """Metres of thigh and shin."""
-    thigh, shin = (float(np.linalg.norm(WHOLE_BODY.offsets[WHOLE_BODY.index(side + part)])) for part in ("Leg", "Foot"))
+def leg_lengths(skeleton: Skeleton, side: str) -> tuple[float, float]:
+    """Metres of thigh and shin of a skeleton with our names, of its "Left" or "Right"."""
+    thigh, shin = (float(np.linalg.norm(skeleton.offsets[skeleton.index(side + part)])) for part in ("Leg", "Foot"))
     return thigh, shin
 
 
 def _reach(socket: Array, ankle: Array) -> Array:
     """[T] metres over the floor at which the socket may be, for the leg to reach the ankle; its own height apart."""
     level = np.sum((socket - ankle)[:, [0, 2]] ** 2, axis=-1)
-    return ankle[1] + np.sqrt(np.maximum((_STRETCHED * sum(_lengths("Left"))) ** 2 - level, 0.0))
+    return ankle[1] + np.sqrt(np.maximum((_STRETCHED * sum(leg_lengths(WHOLE_BODY, "Left"))) ** 2 - level, 0.0))
 
 
 def _under(limit: Array, fps: float) -> Array:
@@ -101,12 +102,18 @@ def _under(limit: Array, fps: float) -> Array:
     return gaussian_filter1d(least, _DIP_WIDTH * fps, mode="nearest", radius=half)
 
 
-def _leg(way: Array, toes: Array, side: str) -> tuple[Array, Array]:
-    """World rotations [T, 4] of thigh and shin. way: [T, 3] from the hip's socket to the ankle; toes: [3] ahead."""
-    thigh, shin = _lengths(side)
+def bent_leg(way: Array, toes: Array, lengths: tuple[float, float]) -> tuple[Array, Array]:
+    """World rotations [T, 4] of thigh and shin, for bones that hang at rest (-Y): inverse kinematics of two bones.
+
+    By the law of cosines the knee lies (a^2 + d^2 - b^2) / 2d along the way d from hip to ankle, and beside it to where
+    the toes point. way: [T, 3] from the hip's socket to the ankle; toes: [3] or [T, 3] the direction of the knee, not
+    along the way; lengths: a and b, metres of thigh and shin. A way that is longer than both stretches the leg and
+    stops short.
+    """
+    thigh, shin = lengths
     length = np.clip(np.linalg.norm(way, axis=-1, keepdims=True), abs(thigh - shin) + 1e-6, thigh + shin - 1e-6)
     along = way / np.linalg.norm(way, axis=-1, keepdims=True)
-    ahead = toes - (along @ toes)[:, None] * along
+    ahead = toes - np.sum(along * toes, axis=-1, keepdims=True) * along
     ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
     share = (thigh ** 2 + length ** 2 - shin ** 2) / (2.0 * length)
     knee = share * along + np.sqrt(np.maximum(thigh ** 2 - share ** 2, 0.0)) * ahead

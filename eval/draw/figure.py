@@ -1,8 +1,8 @@
 """The body that every picture and film draws: limbs of a 16-joint character as capsules, flattened by a way to look.
 
 A part is a few limbs with one thin outline around them all, such as the shirt; parts are drawn far ones first. Strips
-look straight at the figure from the front and from the side (`VIEWS`), films through a camera. Legs stand still: the
-data knows nothing below the hips.
+look straight at the figure from the front and from the side (`VIEWS`), films through a camera. Legs stand still, as
+models know nothing below the hips, unless a motion's own are asked for.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.types import Array, Motion
 
@@ -51,23 +52,34 @@ class View(NamedTuple):
 VIEWS = {"front": View(from_front, 1.0), "side": View(from_side, 0.72)}
 
 
-def figure_points(motion: Motion, times: Array) -> dict[str, Array]:
+def figure_points(motion: Motion, times: Array, legs: bool = False) -> dict[str, Array]:
     """Where everything that is drawn lies: joint (or "LeftHandTip", "HeadTip", "Nose") -> [len(times), 3] metres.
 
-    Any upper body is brought onto the 16-joint character, faces +Z, and stands at `skeletons.HIP_HEIGHT`.
+    Any upper body is brought onto the 16-joint character, faces +Z, and stands at `skeletons.HIP_HEIGHT`. With `legs`,
+    a motion that has them is drawn on them, where it stands; InputError for one that has none.
     """
+    if legs and not skeletons.has_legs(motion):
+        raise InputError("--legs", "are not in this motion", "make it with infer --legs, or leave them out")
     frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
     first = int(frames.min())
     # Only the frames around these moments: a take may last an hour.
-    near = skeletons.facing(skeletons.to_character(motion.crop(first, int(np.ceil(frames.max())) + 1)))
-    rotations = rotation.interpolate(near.rotations, frames - first)
+    near = motion.crop(first, int(np.ceil(frames.max())) + 1)
     root = np.tile([0.0, skeletons.HIP_HEIGHT, 0.0], (len(frames), 1))
+    if legs:
+        near = skeletons.to_character(near, skeleton=skeletons.WHOLE_BODY)
+        root = np.stack([np.interp(frames - first, np.arange(len(near)), axis) for axis in near.root_positions.T], -1)
+    else:
+        near = skeletons.facing(skeletons.to_character(near))
+    rotations = rotation.interpolate(near.rotations, frames - first)
     skeleton = near.skeleton
     places = kinematics.joint_positions(skeleton, rotations, root)
     world = kinematics.global_rotations(skeleton, rotations)
     points = {name: places[:, joint] for joint, name in enumerate(skeleton.names)}
     for joint, tip in skeleton.end_sites.items():
         points[skeleton.names[joint] + "Tip"] = places[:, joint] + rotation.rotate(world[:, joint], tip)
+    for hand in ("LeftHand", "RightHand"):  # of the character without fingers
+        tip = skeletons.CHARACTER.end_sites[skeleton.index(hand)]
+        points[hand + "Tip"] = points[hand] + rotation.rotate(world[:, skeleton.index(hand)], tip)
     head = skeleton.index("Head")
     points["Nose"] = places[:, head] + rotation.rotate(world[:, head], _NOSE)
     return points
@@ -96,14 +108,24 @@ class BodyPart:
     shown: NDArray[np.bool_] | None = None
 
 
-def legs() -> list[BodyPart]:
-    """At one moment, under hips at the origin."""
+def legs(now: Mapping[str, Array] | None = None) -> list[BodyPart]:
+    """Of `figure_points` that have them; else at one moment, under hips at the origin."""
+    if now is not None and "LeftUpLeg" in now:
+        return [_leg(now, side) for side in ("Left", "Right")]
+
     def at(x: float, y: float, z: float) -> Array:
         return np.array([[x, y, z]])
 
     return [BodyPart(tuple(limb for x in (0.095, -0.095) for limb in (
         Limb(at(x * 0.85, 0.9, 0), at(x * 1.25, 0.07, 0), 0.17, 0.095, TROUSERS),
         Limb(at(x * 1.25, 0.035, 0), at(x * 1.5, 0.03, 0.15), 0.085, 0.07, INK))), 0.0)]
+
+
+def _leg(now: Mapping[str, Array], side: str) -> BodyPart:
+    hip, knee, ankle, ball, tip = (now[side + name] for name in ("UpLeg", "Leg", "Foot", "ToeBase", "ToeBaseTip"))
+    heel = ankle + 0.62 * (ball - ankle) * [0.0, 1.0, 0.0] + 0.35 * (ankle - ball) * [1.0, 0.0, 1.0]
+    return BodyPart((Limb(hip, knee, 0.17, 0.115, TROUSERS), Limb(knee, ankle, 0.115, 0.09, TROUSERS),
+                     Limb(heel, ball, 0.085, 0.07, INK), Limb(ball, tip, 0.07, 0.05, INK)), -0.02)
 
 
 def body(now: Mapping[str, Array], look: Look, trunk: float = 1.0) -> list[BodyPart]:
@@ -183,7 +205,7 @@ def flattened(part: BodyPart, look: Look) -> FlatPart:
 def seen(points: Mapping[str, Array], view: View) -> list[FlatPart]:
     """The figure of one moment, points [1, 3]: legs, then all parts that are shown, the far ones first."""
     parts = [flattened(part, view.look) for part in body(points, view.look, view.trunk)]
-    return [*(flattened(part, view.look) for part in legs()),
+    return [*sorted((flattened(part, view.look) for part in legs(points)), key=lambda part: float(np.mean(part.near))),
             *sorted((part for part in parts if part.shown is None or part.shown[0]), key=lambda part: part.near[0])]
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,6 +57,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, default=8, help="how many figures (8; of a page four a second)")
     parser.add_argument("--fps", type=float, help="frame rate, where the file's own is wrong")
     parser.add_argument("--sound", type=Path, help="the recording, drawn underneath with its beats")
+    parser.add_argument("--legs", action="store_true", help="draw the motions' own legs, where they stand")
     parser.add_argument("--title", default="")
     page = parser.add_argument_group("several on one page")
     page.add_argument("--take", action="store_true", help="the real take in GESTICULATOR_DATA, with its credit")
@@ -78,11 +80,13 @@ def run(arguments: argparse.Namespace) -> list[Path]:
             raise InputError(told.motion, "stands beside --take, --corpus, --ours or --system",
                              f"name it, too: --system NAME={told.motion}")
         layout, dpi = STRIP, 150
+    if told.legs:
+        layout = replace(layout, legs=True, low=STRIP.low)
     out: Path | None = told.out or (told.motion and told.motion.with_suffix(".png"))
     if out is None:
         raise InputError("--out", "is missing", "name the picture: --out page.png")
     sources, speech = _sources(told)
-    times = (frame_times(sources[0].motion, told.start, told.seconds, told.frames) if layout is STRIP else
+    times = (frame_times(sources[0].motion, told.start, told.seconds, told.frames) if told.motion is not None else
              page_times(told.start, SECONDS if told.seconds is None else told.seconds,
                         max((source.motion.duration for source in sources), default=0.0)))
     beats = None if speech is None else find_beats(speech, BeatSettings())

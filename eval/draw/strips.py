@@ -45,7 +45,7 @@ _TITLE, _CAPTION, _SOUND, _CLOCK, _CREDIT, _AIR, _GAP = 0.34, 0.24, 0.46, 0.16, 
 class Layout:
     """How rows of figures are laid out. spacing, margin: metres between figures, and beside the first and the last (a
     stretched arm ends inside); low, high: metres over the floor that are shown; line: figures of a line; scale: inches
-    for a metre; views: a row for each."""
+    for a metre; views: a row for each; legs: of the motion itself, see `figure_points`."""
 
     spacing: float
     margin: float
@@ -54,6 +54,7 @@ class Layout:
     line: int
     scale: float
     views: Sequence[str] = tuple(VIEWS)
+    legs: bool = False
 
 
 STRIP = Layout(1.12, 0.72, -0.08, 1.93, 1000, 1.2)
@@ -161,7 +162,7 @@ def draw_row(axis: Axes, motion: Motion, times: Array, view: str, layout: Layout
     gap = float(times[1] - times[0]) if len(times) > 1 else 0.0
     for k, time in enumerate(times):
         moments = np.linspace(max(time - gap, 0.0), time, _TRAIL_STEPS) if k else np.array([time])
-        _draw_figure(axis, figure_points(motion, moments), view, k * layout.spacing, 100 * k)
+        _draw_figure(axis, figure_points(motion, moments, layout.legs), view, k * layout.spacing, 100 * k)
     axis.axhline(max(layout.low, 0.0), color=FLOOR, linewidth=1.5, zorder=-10)
     axis.text(0.1 - layout.margin, layout.high - 0.07, view, fontsize=9, color=SOFT, style="italic", va="top")
     axis.set(xlim=(-layout.margin, (len(times) - 1) * layout.spacing + layout.margin), ylim=(layout.low, layout.high))

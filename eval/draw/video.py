@@ -8,7 +8,8 @@ Frame k shows the motion at start + k / fps; picture and sound begin at 0 and ar
 the same pictures and samples as long as the encoders stay the same: one thread, no date, no version of the muxer. WebM
 gives the same bytes too; an H.264 stream was seen to differ by a byte now and then, though not in what it shows.
 
-What it cannot show: fingers, face, and a body's walk; legs stand still. Outlines lie on half pixels, and colours are
+What it cannot show: fingers, face, and a body's walk; legs stand still, unless a motion's own are asked for (--legs).
+Outlines lie on half pixels, and colours are
 stored at half the resolution (4:2:0), as in most videos.
 """
 
@@ -116,8 +117,8 @@ def _polygons(part: FlatPart, ink: _Ink) -> list[tuple[NDArray[np.int64], _Colou
     return [(np.rint(corners).astype(np.int64), ink(colour)) for corners, colour in part.polygons(PAPER)]
 
 
-def _background(camera: Camera, size: tuple[int, int], ink: _Ink) -> Image:
-    """Paper, a soft shadow on the floor, and the legs: what no frame changes."""
+def _background(camera: Camera, size: tuple[int, int], ink: _Ink, still_legs: bool) -> Image:
+    """Paper, a soft shadow on the floor, and legs that stand still: what no frame changes."""
     from PIL import Image, ImageDraw, ImageFilter
 
     picture = Image.new("RGB", size, ink(PAPER))
@@ -128,7 +129,7 @@ def _background(camera: Camera, size: tuple[int, int], ink: _Ink) -> Image:
         pen.ellipse([*(place - reach), *(place + reach)], fill=ink(colour))
     picture = picture.filter(ImageFilter.GaussianBlur(0.012 * float(scale)))
     pen = ImageDraw.Draw(picture)
-    for part in legs():
+    for part in legs() if still_legs else ():
         for polygon, code in _polygons(flattened(part, partial(camera.project, size=size)), ink):
             pen.polygon(polygon[0].ravel().tolist(), fill=code)
     return picture
@@ -155,9 +156,10 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
         from PIL import ImageDraw
     except ImportError:
         raise _missing("Pillow") from None
+    moving = legs(points) if "LeftUpLeg" in points else []
     camera, large = Camera(), (size[0] * _OVER, size[1] * _OVER)
-    look, background = partial(camera.project, size=large), _background(camera, large, ink)
-    parts = [flattened(part, look) for part in body(points, look)]
+    look, background = partial(camera.project, size=large), _background(camera, large, ink, not moving)
+    parts = [flattened(part, look) for part in (*moving, *body(points, look))]
     drawn = [_polygons(part, ink) for part in parts]
     # Only the box that the figure ever touches is drawn anew: the rest, most of the picture, stays.
     every = np.concatenate([corners.reshape(-1, 2) for polygons in drawn for corners, _ in polygons])
@@ -302,10 +304,11 @@ def _sound_frame(samples: Samples, first: int) -> Any:
 
 
 def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: float = 0.0, seconds: float | None = None,
-                size: tuple[int, int] = SIZE, fps: int = FPS) -> None:
+                size: tuple[int, int] = SIZE, fps: int = FPS, legs: bool = False) -> None:
     """Write the stretch from `start`, `seconds` long (or as long as both last), whole or not at all.
 
-    size: pixels across and down, both even. InputError for what `encode` refuses and for a stretch without a frame.
+    size: pixels across and down, both even; legs: see `figure_points`. InputError for what `encode` refuses and for a
+    stretch without a frame.
     """
     target = Path(path)
     format_of(target.suffix)
@@ -315,7 +318,7 @@ def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: floa
         stretch = f"from {start:g} s" + ("" if seconds is None else f", {seconds:g} s long,")
         raise InputError("video", f"the stretch {stretch} holds no frame: the motion lasts {motion.duration:.2f} s and "
                          f"the sound {speech.duration:.2f} s", "give another start or length")
-    points = figure_points(motion, start + np.arange(math.floor((end - start) * fps)) / fps)
+    points = figure_points(motion, start + np.arange(math.floor((end - start) * fps)) / fps, legs)
     samples = speech.samples[round(start * speech.sample_rate):]
     write_bytes(target, encode(points, Speech(samples, speech.sample_rate), target.suffix, size=size, fps=fps))
 
@@ -328,6 +331,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
     parser.add_argument("--seconds", type=float, help="how long a stretch (all of it)")
     parser.add_argument("--fps", type=float, help="the motion's frame rate, where the file's own is wrong")
+    parser.add_argument("--legs", action="store_true", help="draw the motion's own legs, where it stands")
 
 
 def run(arguments: argparse.Namespace) -> list[Path]:
@@ -335,5 +339,6 @@ def run(arguments: argparse.Namespace) -> list[Path]:
     out = arguments.out or arguments.motion.with_suffix(".mp4")
     format_of(out.suffix)
     motion = bvh.read_bvh(arguments.motion, fps=arguments.fps)
-    write_video(out, motion, load_speech(arguments.sound), start=arguments.start, seconds=arguments.seconds)
+    write_video(out, motion, load_speech(arguments.sound), start=arguments.start, seconds=arguments.seconds,
+                legs=arguments.legs)
     return [out]
