@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
 
     from data_module.controls import Controls, Curve
     from data_module.types import Array, Blocks, Motion, Speech
+    from gesticulator.characters.mapping import RigMapping
+    from gesticulator.characters.rig import Character
+    from gesticulator.retarget import CharacterMotion
     from interpreters.base import LexemeInterpreter
 
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
@@ -36,11 +41,27 @@ _END_TOLERANCE = 0.05
 
 WRITERS = {
     ".bvh": "gesticulator.performance:write_bvh_file",
+    ".csv": "gesticulator.export.table:write_csv",
+    ".fbx": "gesticulator.export.fbx:write_fbx",
+    ".glb": "gesticulator.export.glb:write_glb",
     ".html": "gesticulator.export.html:write_preview",
     ".json": "gesticulator.export.plan:write_plan",
+    ".npz": "gesticulator.export.smplx:write_smplx",
+    ".parquet": "gesticulator.export.table:write_parquet",
+    ".usda": "gesticulator.export.usd:write_usd",
+    ".usdc": "gesticulator.export.usd:write_usd",
+    ".vrma": "gesticulator.export.vrma:write_vrma",
 }
 """Suffix -> module and name of writer(path, performance) -> path, imported when something is written. A new format is
 one writer in `gesticulator.export` and one entry here."""
+NEEDS = {
+    ".parquet": ("pyarrow", "pyarrow", "parquet"),
+    ".usda": ("pxr", "usd-core", "usd"),
+    ".usdc": ("pxr", "usd-core", "usd"),
+}
+"""Suffix -> module that its writer imports, the package that has it, and our extra that installs it."""
+UNITS = {"cm": 0.01, "m": 1.0}
+"""Unit of length of a BVH file -> metres."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +236,8 @@ class Performance:
     examples (RACER Eq. 11), so its size is not that of any sum of rewards."""
     weighed: LexemeWorth | None = None
     """Of the interpreter "advantage": what the candidates are worth."""
+    character: CharacterMotion | None = None
+    """The same motion on a character of the user's: what .bvh, .glb, .fbx, .usda, .csv and .parquet show then."""
     made_by: Mapping[str, Any] = field(default_factory=dict)
     """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
 
@@ -261,15 +284,29 @@ class Performance:
 
         return positions_of(standing(self.motion))
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write it, whole or not at all, in the format of the suffix (`WRITERS`): .bvh the motion,
-        .html a page that plays it, .json its plan.
+    def save(self, path: str | os.PathLike[str], *, unit: str = "cm") -> Path:
+        """Write it, whole or not at all, in the format of the suffix (`WRITERS`): .bvh, .glb, .fbx and so on the
+        motion, .html a page that plays it, .json its plan.
 
-        Folders that are missing are made. `InputError` for an unknown suffix; OSError where the disk refuses.
+        unit: "cm" or "m", the unit of length of a BVH file; all other formats are in metres, or tell their unit.
+        Folders that are missing are made. `InputError` for an unknown suffix, or where what its writer needs is not
+        installed; OSError where the disk refuses.
         """
-        writer_for(path)  # before a folder is made
+        check_output(path, unit)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        return write(path, self)
+        return write(path, self, unit=unit)
+
+    def on(self, character: Character | str | os.PathLike[str],
+           mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True) -> Performance:
+        """The performance with its motion on a character as well (`gesticulator.retarget`), which `save` then writes.
+
+        character: a file (.bvh, .glb, .gltf, .vrm, .fbx), or what `read_character` gives. mapping: a file as
+        `save_mapping` writes it, where her joints are not found. contacts: keep hands out of her trunk.
+        `InputError` where she cannot be read, or her joints can only be guessed.
+        """
+        from gesticulator.retarget import retarget
+
+        return replace(self, character=retarget(self, character, mapping, contacts=contacts))
 
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture, ready for JSON.
@@ -312,30 +349,63 @@ class Performance:
 
 # ---------------------------------------------------------------------------------------------------- its files
 
-def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Path]:
-    """The writer for a path by its suffix, in any case; InputError that lists the known ones."""
+def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
+    """`InputError` where a file of that name cannot be written here: its suffix is unknown (the known ones are listed),
+    or what its writer needs is not installed, or the unit is not its own."""
     target = Path(path)
-    writer = WRITERS.get(target.suffix.lower())
-    if writer is None:
+    suffix = target.suffix.lower()
+    if suffix not in WRITERS:
         said = f"'{target.suffix}' is no format that can be written" if target.suffix else "has no suffix"
         raise InputError(target, said, f"use one of {', '.join(sorted(WRITERS))}")
-    module, name = writer.split(":")
+    if unit not in UNITS:
+        raise InputError(f"unit {unit}", "is unknown", f"use one of {', '.join(UNITS)}")
+    if unit != "cm" and suffix != ".bvh":
+        raise InputError(target, f"cannot be in {unit}", "the unit is for .bvh; other formats have their own")
+    module, package, extra = NEEDS.get(suffix, ("", "", ""))
+    if module and find_spec(module) is None:
+        raise InputError(target, f"needs {package}, which is not installed", f'pip install "gesticulator[{extra}]"')
+    if suffix == ".fbx":
+        from gesticulator.export.blender import check_blender
+
+        check_blender(target)
+
+
+def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Path]:
+    """The writer for a path by its suffix, in any case; `InputError` as of `check_output`."""
+    check_output(path)
+    module, name = WRITERS[Path(path).suffix.lower()].split(":")
     found: Callable[[Path, Performance], Path] = getattr(import_module(module), name)
     return found
 
 
-def write(path: str | os.PathLike[str], performance: Performance) -> Path:
-    """Write a performance, whole or not at all, in the format of the suffix.
+def write(path: str | os.PathLike[str], performance: Performance, *, unit: str = "cm") -> Path:
+    """Write a performance, whole or not at all, in the format of the suffix; unit: that of a BVH file.
 
-    Returns `path`. InputError for an unknown suffix; OSError where the disk refuses.
+    Returns `path`. `InputError` as of `check_output`; OSError where the disk refuses.
     """
-    return writer_for(path)(Path(path), performance)
+    check_output(path, unit)
+    return (writer_for(path) if unit == "cm" else partial(write_bvh_file, unit=unit))(Path(path), performance)
 
 
-def write_bvh_file(path: Path, performance: Performance) -> Path:
-    """Write the motion, standing on the floor, at its own frame rate. Returns `path`."""
+def write_bvh_file(path: Path, performance: Performance, unit: str = "cm") -> Path:
+    """Write the motion, standing on the floor, at its own frame rate. Returns `path`.
+
+    A character of a BVH file is written as that file has her, in its own unit.
+    """
     from data_module.motion import bvh
     from data_module.motion.skeletons import standing
 
-    bvh.write_bvh(path, standing(performance.motion))
+    moved = performance.character
+    if moved is not None and moved.character.kind == "bvh":
+        from gesticulator.characters.bvh_rig import write_character_bvh
+
+        placed = None if moved.translations is None else (moved.hips, moved.translations)
+        write_character_bvh(path, moved.character, moved.rotations, placed, moved.fps)
+        return path
+    motion = standing(performance.motion)
+    if moved is not None:
+        from gesticulator.export.nodes import of_character, with_identity_rest
+
+        motion = with_identity_rest(of_character(moved))
+    bvh.write_bvh(path, motion, UNITS[unit])
     return path
