@@ -206,7 +206,7 @@ class Performance:
     a lexeme. It ranks lexemes, and is no expected return: the conservative loss pushes it down where the data have few
     examples (RACER Eq. 11), so its size is not that of any sum of rewards."""
     character: CharacterMotion | None = None
-    """The same motion on a character of the user's: what .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet show then."""
+    """The same motion on a character of the user's, shown by .bvh, .glb, .fbx, .usda, .usdc, .csv, .parquet."""
     made_by: Mapping[str, Any] = field(default_factory=dict)
     """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
 
