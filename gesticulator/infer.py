@@ -16,7 +16,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from data_module.types import Speech
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.retarget import Retargeter
 
 STDIN = "-"
 """The name of standard input on the command line."""
@@ -91,6 +92,14 @@ def arguments(p: argparse.ArgumentParser) -> None:
     style.add_argument("--seated", action="store_true", help="let her sit on a chair, legs and hips still (54 joints)")
     style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
+    body = p.add_argument_group("whose body", "A character of yours, from Mixamo, VRM, Unreal, Blender or elsewhere; "
+                                "see gesticulator character --help.")
+    body.add_argument("--character", metavar="FILE", help="move this character: .bvh, .glb, .gltf, .vrm, or .fbx where "
+                      "Blender is installed; she stands on her legs, unless --seated leaves them and her hips alone")
+    body.add_argument("--mapping", metavar="FILE.json", help="which of her nodes is which joint, where they are not "
+                      "found by themselves")
+    body.add_argument("--save-mapping", metavar="FILE.json", help="write what was found, to look at or to correct")
+    body.add_argument("--no-contacts", action="store_true", help="copy directions only: hands may enter a wide trunk")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
     p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle has, and do nothing else")
     p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
@@ -102,6 +111,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     """Do every recording; exit code 0, 1 where a part of them failed, 2 where none could be done."""
     jobs = [] if asked.list else _plan(asked)
+    retargeter = None if asked.list else _retargeter(asked)
     alone = len(jobs) == 1
     done = 0
     with _our_warnings():
@@ -115,7 +125,8 @@ def run(asked: argparse.Namespace) -> int:
                     return _list(system, asked.list)
                 system.speaker_index(asked.speaker)
                 controls = asked_controls(system, asked)
-                done = sum(_went_well(partial(perform, job, system, asked, controls), alone) for job in ready)
+                done = sum(_went_well(partial(perform, job, system, asked, controls, retargeter), alone)
+                           for job in ready)
     return 0 if alone else _conclude(len(jobs), done, asked.quiet)
 
 
@@ -189,11 +200,32 @@ def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls 
     return controls_from(*asked_for, system.bundle.levels)
 
 
-def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None) -> None:
+def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
+    """What brings motions onto the character that is asked for; None for our own skeleton.
+
+    The mapping is saved before it is judged: what cannot be used as it is can then be corrected.
+    """
+    if asked.character is None:
+        for name in ("mapping", "save_mapping"):
+            if getattr(asked, name) is not None:
+                raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
+        return None
+    from gesticulator.characters.choice import choose
+    from gesticulator.retarget import Retargeter
+
+    character, mapping = choose(asked.character, asked.mapping, asked.save_mapping)
+    return Retargeter(character, mapping, contacts=not asked.no_contacts, legs=not asked.seated)
+
+
+def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None,
+            retargeter: Retargeter | None = None) -> None:
     """Do one recording and print its summary."""
     speech = _load(job, asked)
     begin = time.perf_counter()
-    made = _performed(job, speech, system, asked, controls)
+    stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
+    made = _performed(job, speech, system, asked, controls, asked.legs or stands)
+    if retargeter is not None:
+        made = replace(made, character=retargeter(made.motion))
     spent = time.perf_counter() - begin
     written = ", ".join(str(made.save(target, unit=asked.unit if target.suffix.lower() == ".bvh" else "cm"))
                         for target in job.targets)
@@ -215,8 +247,8 @@ def _load(job: Job, asked: argparse.Namespace) -> Speech:
     return speech
 
 
-def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None
-               ) -> Performance:
+def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None,
+               legs: bool) -> Performance:
     from tqdm import tqdm
 
     with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
@@ -227,7 +259,7 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
 
         return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
                       seed=int(asked.seed), variation=int(asked.variation), temperature=asked.temperature,
-                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls, legs=asked.legs,
+                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls, legs=legs,
                       seated=asked.seated)
 
 
@@ -418,6 +450,7 @@ COMMAND = Command(
         "infer speech.wav -o gesture.bvh --text speech.txt",
         "infer speech.wav -o gesture.glb -o gesture.vrma -o gesture.mp4",
         "infer recordings/ -o out/ --format fbx",
+        "infer speech.wav --character rig.glb -o talk.glb",
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
         "infer recordings/ -o out/ --preview out/ --text texts/",
         "infer - -o gesture.bvh < speech.wav",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     from data_module.controls import Controls, Curve
     from data_module.types import Array, Blocks, Motion, Speech
+    from gesticulator.characters.mapping import RigMapping
+    from gesticulator.characters.rig import Character
     from gesticulator.retarget import CharacterMotion
     from interpreters.base import LexemeInterpreter
 
@@ -269,6 +271,18 @@ class Performance:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         return write(path, self, unit=unit)
 
+    def on(self, character: Character | str | os.PathLike[str],
+           mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True) -> Performance:
+        """The performance with its motion on a character as well (`gesticulator.retarget`), which `save` then writes.
+
+        character: a file (.bvh, .glb, .gltf, .vrm, .fbx), or what `read_character` gives. mapping: a file as
+        `save_mapping` writes it, where her joints are not found. contacts: keep hands out of her trunk.
+        `InputError` where she cannot be read, or her joints can only be guessed.
+        """
+        from gesticulator.retarget import retarget
+
+        return replace(self, character=retarget(self, character, mapping, contacts=contacts))
+
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture, ready for JSON.
 
@@ -343,14 +357,24 @@ def write(path: str | os.PathLike[str], performance: Performance, *, unit: str =
 
 
 def write_bvh_file(path: Path, performance: Performance, unit: str = "cm") -> Path:
-    """Write the motion, standing on the floor, at its own frame rate. Returns `path`."""
+    """Write the motion, standing on the floor, at its own frame rate. Returns `path`.
+
+    A character of a BVH file is written as that file has her, in its own unit.
+    """
     from data_module.motion import bvh
     from data_module.motion.skeletons import standing
 
+    moved = performance.character
+    if moved is not None and moved.character.kind == "bvh":
+        from gesticulator.characters.bvh_rig import write_character_bvh
+
+        placed = None if moved.translations is None else (moved.hips, moved.translations)
+        write_character_bvh(path, moved.character, moved.rotations, placed, moved.fps)
+        return path
     motion = standing(performance.motion)
-    if performance.character is not None:
+    if moved is not None:
         from gesticulator.export.nodes import of_character, with_identity_rest
 
-        motion = with_identity_rest(of_character(performance.character))
+        motion = with_identity_rest(of_character(moved))
     bvh.write_bvh(path, motion, UNITS[unit])
     return path

@@ -49,6 +49,8 @@ from gesticulator.inverse_kinematics import bend
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
 
+_STANDS = 0.003
+"""Metres, in the scale of her legs, that a foot may be off the place where it stands: nobody sees them."""
 _FINGERED = len(skeletons.FINGERED)
 
 
@@ -184,7 +186,12 @@ class Retargeter:
         wanted = stance + travel
         root = (wanted - reached).mean(axis=1)
         for place, side in enumerate(SIDES):
-            reach_with_leg(turns, body, self.mapping, side, wanted[:, place] - root)
+            # What is left over comes from hips of another width. A knee that is nearly straight would bend by degrees
+            # for millimetres, so the first of them are let pass.
+            miss = wanted[:, place] - root - reached[:, place]
+            far = np.linalg.norm(miss, axis=-1, keepdims=True)
+            share = np.maximum(0.0, 1.0 - _STANDS * body.leg_ratio / np.maximum(far, 1e-9))
+            reach_with_leg(turns, body, self.mapping, side, reached[:, place] + share * miss)
         return root
 
     def _finish(self, turns: Mapping[int, Array], root: Array | None, frames: int, fps: float) -> CharacterMotion:

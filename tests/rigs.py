@@ -162,6 +162,7 @@ class _Builder:
         self.nodes: dict[str, _Node] = {}
         self.spine: list[str] = []
         self.neck: list[str] = []
+        self._below: dict[str | None, list[str]] | None = None
 
     def add(self, key: str, parent: str | None, place: Sequence[float], name: str | None = None) -> None:
         """A node at a place of the T-pose, metres."""
@@ -341,9 +342,13 @@ class _Builder:
                         self._rotate(f"{side}Hand{finger}{place}", hand @ turn("Z", -curl * place))
 
     def _under(self, key: str) -> list[str]:
+        if self._below is None:
+            self._below = {}
+            for node in self.nodes.values():
+                self._below.setdefault(node.parent, []).append(node.key)
         out = [key]
         for one in out:
-            out += [node.key for node in self.nodes.values() if node.parent == one]
+            out += self._below.get(one, [])
         return out
 
     def _rotate(self, key: str, turn: np.ndarray) -> None:

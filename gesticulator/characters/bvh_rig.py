@@ -11,7 +11,6 @@ import numpy as np
 from data_module.files import write_text
 from data_module.motion import bvh, rotation
 from data_module.types import Array
-from gesticulator.characters import shape
 from gesticulator.characters.rig import Character
 
 DEFAULT_CHANNELS = ("Zrotation", "Xrotation", "Yrotation")
@@ -48,16 +47,14 @@ def _is_a_line(places: Array) -> bool:
 
 def write_character_bvh(path: str | os.PathLike[str], character: Character, rotations: Array,
                         placed: tuple[int, Array] | None, fps: float) -> None:
-    """Write a motion of a character's own nodes as BVH, whole or not at all; `read_bvh_character` is the inverse.
+    """Write a motion of a BVH character's own nodes, whole or not at all: her hierarchy, order of channels, units and
+    axes are those of her file. `read_bvh_character` and `data_module.motion.bvh.read_bvh` read it.
 
-    A BVH character keeps her hierarchy, order of channels, units and axes. Of another character the joints of the skin
-    are written (with the nodes that join them), in a rest pose without rotations: each joint's world rotation is
-    written relative to that of the bind pose, so the offsets show the bind pose.
-
-    rotations: [T, N, 4] local; placed: a node and its local translation [T, 3]; fps: frames per second.
+    rotations: [T, N, 4] local; placed: a node and its local translation [T, 3], None where all stay as at rest;
+    fps: frames per second. ValueError for a character of another format.
     """
     if character.kind != "bvh":
-        character, rotations, placed = plain_skeleton(character, rotations, placed)
+        raise ValueError(f"a {character.kind} character has no BVH hierarchy of her own")
     frames, n = len(rotations), len(character)
     below: list[list[int]] = [[] for _ in range(n)]
     for node, parent in enumerate(character.parents):
@@ -109,9 +106,8 @@ def _describe(character: Character, node: int, below: list[list[int]], channels:
             lines.append(pad + "}")
             continue
         order.append(at)
-        offset = np.zeros(3) if depth == 0 and character.kind != "bvh" else character.translations[at]
         lines += [f"{pad}{'JOINT' if depth else 'ROOT'} {character.names[at]}", pad + "{",
-                  f"{pad}  OFFSET {_triple(offset)}",
+                  f"{pad}  OFFSET {_triple(character.translations[at])}",
                   f"{pad}  CHANNELS {len(channels[at])} {' '.join(channels[at])}"]
         if not below[at] or at in character.tips:
             tip = character.tips.get(at, np.zeros(3))
@@ -124,96 +120,8 @@ def _triple(values: Array) -> str:
     return " ".join(f"{value:.6f}" for value in np.asarray(values) + 0.0)
 
 
-def plain_skeleton(character: Character, rotations: Array, placed: tuple[int, Array] | None
-                   ) -> tuple[Character, Array, tuple[int, Array] | None]:
-    """The joints of a character's skin as a skeleton whose rest is its bind pose without any rotation, in centimetres
-    of its world, and the same motion on it.
-
-    World rotation there = world rotation here * (world rotation in the bind pose) inverse.
-    """
-    kept = _kept(character, placed[0] if placed else -1)
-    bind = shape.bind_matrices(character)
-    scale = 100.0 * (character.unit or 1.0)
-    names = _distinct_names([character.names[node] for node in kept])
-    parents = [kept.index(character.parents[node]) if character.parents[node] in kept else -1 for node in kept]
-    straight = _quaternions(turns_of(bind))
-    world = _world_rotations(character, rotations)
-    turned = np.stack([rotation.multiply(world[node], rotation.conjugate(straight[node])) for node in kept], axis=1)
-    local = turned.copy()
-    for place, parent in enumerate(parents):
-        if parent >= 0:
-            local[:, place] = rotation.multiply(rotation.conjugate(turned[:, parent]), turned[:, place])
-    # Offsets from the transforms that the motion is played with: what the pose bends, it does not stretch.
-    rest = character.world_matrices()
-    offsets = np.zeros((len(kept), 3))
-    for place, (node, parent) in enumerate(zip(kept, parents, strict=True)):
-        above = rest[kept[parent]] if parent >= 0 else np.eye(4)
-        way = rest[node, :3, 3] - above[:3, 3]
-        if parent >= 0:
-            turn = rotation.multiply(straight[kept[parent]], rotation.conjugate(_quaternions(turns_of(above))))
-            way = rotation.rotate(turn, way)
-        offsets[place] = scale * way
-    root = np.broadcast_to(offsets[0], (len(rotations), 3))
-    if placed is not None:
-        matrices = [character.parents[placed[0]]]
-        above = rest[matrices[0]] if matrices[0] >= 0 else np.eye(4)
-        root = scale * (placed[1] @ above[:3, :3].T + above[:3, 3])
-    n = len(kept)
-    identity = np.zeros((n, 4))
-    identity[:, 0] = 1.0
-    plain = Character(names, tuple(parents), offsets, identity, np.ones((n, 3)), character.path, "plain",
-                      np.ones(n, dtype=bool), unit=0.01)
-    return plain, rotation.continuous(local), (0, root)
-
-
-def _kept(character: Character, root: int) -> list[int]:
-    """The nodes of the skin under `root` (the first joint where none is told), and those that join them to it."""
-    if root < 0:
-        root = int(np.flatnonzero(character.skinned)[0])
-    wanted = {root}
-    under = [False] * len(character)
-    under[root] = True
-    for node, parent in enumerate(character.parents):
-        under[node] = under[node] or (parent >= 0 and under[parent])
-    for node in np.flatnonzero(character.skinned):
-        above = int(node)
-        while under[above] and above not in wanted:
-            wanted.add(above)
-            above = character.parents[above]
-    return sorted(wanted)
-
-
-def _distinct_names(names: list[str]) -> tuple[str, ...]:
-    """Names without blanks, each once: BVH knows no quotes, and two joints of one name are one joint to many tools."""
-    out: list[str] = []
-    for name in names:
-        plain = "_".join(name.split()) or "node"
-        number, unique = 1, plain
-        while unique in out:
-            number += 1
-            unique = f"{plain}_{number}"
-        out.append(unique)
-    return tuple(out)
-
-
 def turns_of(matrices: Array) -> Array:
     """[..., 3, 3] the rotations of matrices [..., 4, 4] without their scale: the nearest, by singular values."""
     left, _, right = np.linalg.svd(matrices[..., :3, :3])
     left[..., :, 2] *= np.sign(np.linalg.det(left @ right))[..., None]
     return left @ right
-
-
-def _quaternions(turns: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    flat = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat(scalar_first=True)
-    return flat.reshape(*turns.shape[:-2], 4)
-
-
-def _world_rotations(character: Character, rotations: Array) -> Array:
-    """[N] of [T, 4] world rotations."""
-    world = np.empty((len(character), len(rotations), 4))
-    for node, parent in enumerate(character.parents):
-        own = rotations[:, node]
-        world[node] = own if parent < 0 else rotation.multiply(world[parent], own)
-    return world
