@@ -8,12 +8,12 @@ and a file stand alike.
 The weight is that of the idle life (`life.weight_shifts`), which rolls the hips a little by itself, together with the
 roll of the hips that was drawn, followed slowly:
 
-    u = w + r / r0        g(u) = u / sqrt(1 + u^2), between -1 (right leg) and 1 (left leg)
+    u = w + (r - habit of r) / r0        g(u) = u / sqrt(1 + u^2), between -1 (right leg) and 1 (left leg)
 
-The hips travel sideways by A g, and roll and turn with g; the spine takes this turn off again, so that the upper body
-stays in the room as it was drawn. They go back a little where the chest comes forward, and so high as both legs reach
-with bent knees: a soft minimum, since a knee that is stretched to its end snaps. Feet are placed, legs follow by
-inverse kinematics, so a planted foot does not slide at all.
+The hips travel sideways by A g, and roll and turn with g instead of their habit; the spine takes this off again, so
+that the upper body stays in the room as it was drawn. They go back a little where the chest comes forward, and as high
+as both legs reach with bent knees: a soft minimum, since a knee that is stretched to its end snaps. Feet are placed,
+legs follow by inverse kinematics, so a planted foot does not slide at all.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ _FOOT_OUT, _FOOT_BACK, _TOES_OUT = 0.008, 0.030, 9.0
 ankles), and degrees that the toes point outwards."""
 _SPREAD = (0.016, 0.026, 4.0)
 """Standard deviation of a foot's places about that: metres sideways and ahead, degrees."""
-_BENT = 0.995
-"""Share of a leg's length that is used: its knee is then bent by 11 degrees."""
+_BENT = 0.997
+"""Share of a leg's length that is used: its knee is then bent by 9 degrees."""
 _SOFT = 0.004
 """Metres over which the higher leg takes over from the lower."""
 
@@ -53,12 +53,14 @@ _LEANS = 0.045
 """Metres that they go ahead or back at most."""
 _ROLL_UNIT = 3.5
 """Degrees of drawn roll that bear as much weight as a unit of the idle life's."""
-_ROLLED, _TURNED = 1.6, 2.4
+_ROLLED, _TURNED = 2.2, 2.6
 """Degrees of roll and of yaw at the whole weight on a leg: the free side drops and comes ahead."""
 _BALANCE = 0.25
 """Metres that the hips go back for each metre that the chest comes forward or goes to a side."""
 _FOLLOWS = 0.16
 """Seconds, three times over, in which the weight follows the drawn body: slower than gestures are."""
+_HABIT = 2.0
+"""Seconds, three times over, in which a roll that stays is no weight any more but a habit, which the spine has."""
 _PITCHED_BACK = 0.006
 """Metres that the hips go back for each degree that the idle life tilts them forward."""
 _SWAY = ((0.0035, 2.1), (0.0015, 0.8), (0.0045, 2.4), (0.0015, 0.9))
@@ -74,8 +76,8 @@ _STEP_AFTER, _STEP_LASTS = 1.35, 0.68
 """Seconds from the shift's begin to the foot's, and until it stands."""
 _STEP_NEEDS = 4.4
 """Seconds to the next shift without which no step is made."""
-_OVER, _OVER_IN, _OVER_OUT = 0.074, 1.5, 2.2
-"""Metres from the middle that the hips stand over the other leg meanwhile, and seconds to go there and back."""
+_INSIDE, _OVER_IN, _OVER_OUT = 0.022, 1.5, 2.2
+"""Metres inside of the other ankle over which the hips are meanwhile, and seconds to go there and back."""
 _NEAR, _WIDE = 0.030, 0.085
 """Metres between a foot's places one after the other: what is nearer is not worth a step."""
 _LIFT, _HEEL = 0.028, 17.0
@@ -122,7 +124,7 @@ def seated(motion: Motion, skeleton: Skeleton = WHOLE_BODY) -> Motion:
         knees, toes = _about(_UP, sign * _SEAT_SPREAD), _about(_UP, sign * _SEAT_TOES)
         world = [np.tile(turn, (len(body), 1)) for turn in (rotation.multiply(knees, level), toes, toes, toes)]
         _hang(rotations, still, side, world)
-    return _on_legs(body, rotations, root, skeleton)
+    return _on_legs(body, rotations, root, skeleton, rotations[:0])
 
 
 # ---------------------------------------------------------------------------------------------------- the feet
@@ -233,6 +235,24 @@ def _bump(share: Array) -> Array:
 
 # ---------------------------------------------------------------------------------------------------- the body
 
+class _LowPass:
+    """What follows values in so many seconds, three times over, from those that came before alone."""
+
+    def __init__(self, seconds: float, fps: float) -> None:
+        self._share = 1.0 - math.exp(-1.0 / (fps * seconds))
+        self._states: list[Array] | None = None
+
+    def __call__(self, values: Array) -> Array:
+        """[T, D] of the next values [T, D]; it begins at the first."""
+        from scipy.signal import lfilter
+
+        if self._states is None:
+            self._states = [(1.0 - self._share) * values[:1]] * 3
+        for number, state in enumerate(self._states):
+            values, self._states[number] = lfilter([self._share], [1.0, self._share - 1.0], values, axis=0, zi=state)
+        return values
+
+
 class Stance:
     """Legs for one performance, stretch by stretch: `step` takes the frames as they come."""
 
@@ -245,8 +265,9 @@ class Stance:
         self._weight = weight_shifts(seed)
         socket, ball = (skeleton.offsets[skeleton.index("Left" + part)] for part in ("UpLeg", "ToeBase"))
         self.steps = Steps(seed, self.scale, abs(float(socket[0])), np.array([0.0, ball[1], ball[2]]))
-        self._slow: list[Array] | None = None
+        self._body, self._habit = _LowPass(_FOLLOWS, fps), _LowPass(_HABIT, fps)
         self._frames = 0
+        self._last = np.zeros((0, len(WHOLE_BODY), 4))
 
     def step(self, motion: Motion) -> Motion:
         """The next frames [T] of the body with legs, see `with_legs`."""
@@ -254,51 +275,48 @@ class Stance:
         times = (self._frames + np.arange(len(body))) / self.fps
         self._frames += len(body)
         rotations = body.rotations.copy()
-        roll = np.degrees(np.arcsin(rotation.rotate(body.rotations[:, 0], np.array([1.0, 0.0, 0.0]))[:, 1]))
-        slow = self._followed(np.column_stack([roll, self._chest(body)]))
+        left = rotation.rotate(body.rotations[:, 0], np.array([1.0, 0.0, 0.0]))
+        roll = np.degrees(np.arcsin(np.clip(left[:, 1], -1.0, 1.0)))
+        slow = self._body(np.column_stack([roll, self._chest(body)]))
+        habit = self._habit(slow[:, :1])[:, 0]
         weight = self._weight.at(times)
         feet = [self.steps.path(foot, times) for foot in range(len(SIDES))]
-        u = weight[:, 0] + slow[:, 0] / _ROLL_UNIT
+        u = weight[:, 0] + (slow[:, 0] - habit) / _ROLL_UNIT
         held, side = self.steps.over(times)
         g = (1.0 - held) * u / np.sqrt(1.0 + u * u) + held * side
-        turn = rotation.from_exponential_map(np.radians(np.stack([np.zeros(len(g)), _TURNED * g, _ROLLED * g], -1)))
+        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * g, _TURNED * g, _ROLLED * g - habit], -1)))
         hips = rotation.multiply(turn, body.rotations[:, 0])
         rotations[:, 0], rotations[:, WHOLE_BODY.index("Spine")] = _counter_turned(body, hips)
-        root = self._hips(times, g, held, slow[:, 1:], weight[:, 1], feet)
+        root = self._hips(times, feet, g, weight[:, 1], slow[:, 1:])
         self._stand(rotations, root, hips, feet, times)
-        return _on_legs(body, rotations, root, self.skeleton)
+        made = _on_legs(body, rotations, root, self.skeleton, self._last)
+        self._last = made.rotations[-1:]
+        return made
 
     def _chest(self, body: Motion) -> Array:
-        """[T, 2] metres along X and Z that the chest is off its resting place over the hips."""
+        """[T, 2] metres, of the character's own size, along X and Z that the chest is off its rest over the hips."""
         world, place, rest = body.rotations[:, 0], np.zeros((len(body), 3)), np.zeros(3)
         for name in _TRUNK:
             joint = WHOLE_BODY.index(name)
             place = place + rotation.rotate(world, self.skeleton.offsets[joint])
             rest = rest + self.skeleton.offsets[joint]
             world = rotation.multiply(world, body.rotations[:, joint])
-        return (place - rest)[:, [0, 2]]
+        return (place - rest)[:, [0, 2]] / self.scale
 
-    def _followed(self, values: Array) -> Array:
-        """[T, D] values that follow these slowly, from those that came before: three low-passes in a row."""
-        from scipy.signal import lfilter
-
-        share = 1.0 - math.exp(-1.0 / (self.fps * _FOLLOWS))
-        if self._slow is None:
-            self._slow = [(1.0 - share) * values[:1]] * 3
-        for number, state in enumerate(self._slow):
-            values, self._slow[number] = lfilter([share], [1.0, share - 1.0], values, axis=0, zi=state)
-        return values
-
-    def _hips(self, times: Array, g: Array, held: Array, lean: Array, pitch: Array, feet: Sequence[FootPath]) -> Array:
-        """[T, 3] where the hips are, their height still open. lean: [T, 2] of the chest; pitch: [T] degrees."""
+    def _hips(self, times: Array, feet: Sequence[FootPath], g: Array, pitch: Array, lean: Array) -> Array:
+        """[T, 3] where the hips are, their height still open. pitch: [T] degrees; lean: [T, 2] of the chest."""
+        held, side = self.steps.over(times)
         sizes, seconds = np.array(_SWAY).T
         sway = noise(self.seed, _SWAY_CHANNEL + np.arange(len(_SWAY)), times, seconds) * sizes
-        across = (_TRAVEL + held * (_OVER - _TRAVEL)) * g + sway[:, :2].sum(axis=1)
-        ahead = sway[:, 2:].sum(axis=1) - _PITCHED_BACK * pitch
-        middle = (feet[0].middle + feet[1].middle) / 2.0
+        across, ahead = sway[:, :2].sum(axis=1), sway[:, 2:].sum(axis=1)
+        both = (feet[0].middle + feet[1].middle) / 2.0
+        both[:, 0] += self.scale * _within(_TRAVEL * g + across - _BALANCE * lean[:, 0], _FAR)
+        one = np.where(side[:, None] > 0, feet[0].middle, feet[1].middle)
+        one[:, 0] += self.scale * (across - _INSIDE * side)
         root = np.zeros((len(times), 3))
-        root[:, 0] = middle[:, 0] + self.scale * _within(across - _BALANCE * lean[:, 0] * (1.0 - held), _FAR)
-        root[:, 2] = middle[:, 1] + self.scale * (_FOOT_BACK + _within(ahead - _BALANCE * lean[:, 1], _LEANS))
+        root[:, [0, 2]] = both + held[:, None] * (one - both)
+        leans = ahead - _PITCHED_BACK * pitch - _BALANCE * lean[:, 1]
+        root[:, 2] += self.scale * (_FOOT_BACK + _within(leans, _LEANS))
         return root
 
     def _stand(self, rotations: Array, root: Array, hips: Array, feet: Sequence[FootPath], times: Array) -> None:
@@ -357,10 +375,12 @@ def _ankle_height(skeleton: Skeleton) -> float:
     return scale * _SOLE - float(skeleton.offsets[skeleton.index("LeftToeBase")][1])
 
 
-def _on_legs(body: Motion, rotations: Array, root: Array, skeleton: Skeleton) -> Motion:
-    """The body with these rotations and this path; its legs count as made up."""
+def _on_legs(body: Motion, rotations: Array, root: Array, skeleton: Skeleton, before: Array) -> Motion:
+    """The body with these rotations and this path; its legs count as made up. before: [0 or 1, J, 4] the last frame
+    that was given out, with whose signs the quaternions go on."""
     filled = {*body.filled, *LEG_JOINTS}
-    return replace(body, skeleton=skeleton, rotations=rotation.continuous(rotations), root_positions=root,
+    rotations = rotation.continuous(np.concatenate([before, rotations]))[len(before):]
+    return replace(body, skeleton=skeleton, rotations=rotations, root_positions=root,
                    absent=tuple(name for name in body.absent if name not in LEG_JOINTS),
                    filled=tuple(name for name in WHOLE_BODY.names if name in filled))
 
