@@ -43,21 +43,27 @@ WRITERS = {
     ".bvh": "gesticulator.performance:write_bvh_file",
     ".csv": "gesticulator.export.table:write_csv",
     ".fbx": "gesticulator.export.fbx:write_fbx",
+    ".gif": "gesticulator.export.film:write_gif",
     ".glb": "gesticulator.export.glb:write_glb",
     ".html": "gesticulator.export.html:write_preview",
     ".json": "gesticulator.export.plan:write_plan",
+    ".mp4": "gesticulator.export.film:write_film",
     ".npz": "gesticulator.export.smplx:write_smplx",
     ".parquet": "gesticulator.export.table:write_parquet",
     ".usda": "gesticulator.export.usd:write_usd",
     ".usdc": "gesticulator.export.usd:write_usd",
     ".vrma": "gesticulator.export.vrma:write_vrma",
+    ".webm": "gesticulator.export.film:write_film",
 }
 """Suffix -> module and name of writer(path, performance) -> path, imported when something is written. A new format is
 one writer in `gesticulator.export` and one entry here."""
 NEEDS = {
+    ".gif": ("PIL", "Pillow", "video"),
+    ".mp4": ("av", "PyAV", "video"),
     ".parquet": ("pyarrow", "pyarrow", "parquet"),
     ".usda": ("pxr", "usd-core", "usd"),
     ".usdc": ("pxr", "usd-core", "usd"),
+    ".webm": ("av", "PyAV", "video"),
 }
 """Suffix -> module that its writer imports, the package that has it, and our extra that installs it."""
 UNITS = {"cm": 0.01, "m": 1.0}
@@ -237,7 +243,7 @@ class Performance:
     weighed: LexemeWorth | None = None
     """Of the interpreter "advantage": what the candidates are worth."""
     character: CharacterMotion | None = None
-    """The same motion on a character of the user's: what .bvh, .glb, .fbx, .usda, .csv and .parquet show then."""
+    """The same motion on a character of the user's, shown by .bvh, .glb, .fbx, .usda, .usdc, .csv, .parquet."""
     made_by: Mapping[str, Any] = field(default_factory=dict)
     """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
 

@@ -258,3 +258,32 @@ def test_half_the_frame_rate_is_every_second_frame() -> None:
     np.testing.assert_allclose(rotation.angle_between(third.rotations[3], motion.rotations[4]), 0, atol=1e-6)
     whole = rotation.angle_between(motion.rotations[2], motion.rotations[3])
     np.testing.assert_allclose(first + last, whole, atol=1e-6)
+
+
+def test_a_film_shows_the_figure_with_its_sound(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    made = perform(2.0)  # its tone pauses from 0.75 to 1.25 s
+    for suffix in (".mp4", ".webm"):
+        with av.open(str(write(tmp_path / f"a{suffix}", made))) as container:
+            pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        with av.open(str(tmp_path / f"a{suffix}")) as container:
+            sound = np.concatenate([part.to_ndarray().reshape(-1) for part in container.decode(audio=0)])
+        assert len(pictures) == 60
+        assert np.ptp(np.stack(pictures), axis=0).max() > 100, "something moves"
+        assert np.abs(sound[38_000:58_000]).max() < 0.05 < 0.3 < np.abs(sound[:34_000]).max()
+
+
+def test_a_gif_shows_what_the_film_shows(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    from gesticulator.export import film
+    from gesticulator.export.figure import figure_points
+
+    made = perform(1.0)
+    drawn = list(film.pictures(figure_points(made.motion, np.arange(25) / film.GIF_FPS), film.GIF_SIZE))
+    with image.open(write(tmp_path / "a.gif", made)) as shown:
+        assert (shown.n_frames, shown.size, shown.info["loop"]) == (25, film.GIF_SIZE, 0)
+        for frame in (0, 7, 24):
+            shown.seek(frame)
+            assert shown.info["duration"] == 40
+            apart = np.abs(np.array(shown.convert("RGB")).astype(int) - np.array(drawn[frame]).astype(int))
+            assert apart.mean() < 2 and np.percentile(apart, 99) < 30
