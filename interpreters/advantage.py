@@ -66,6 +66,9 @@ class Critics(nn.Module):
 
     unit: Tensor
     spread: Tensor
+    future_scale: Tensor
+    value_scale: Tensor
+    value_mean: Tensor
 
     def __init__(self, config: CriticConfig, frames: int, audio_width: int, lexemes: int, speakers: int) -> None:
         """frames: K; audio_width: d; lexemes: S; speakers: P."""
@@ -80,16 +83,31 @@ class Critics(nn.Module):
             head.apply(begin_small)
         self.register_buffer("unit", torch.ones(()))  # of the values, in rewards
         self.register_buffer("spread", torch.ones(()))  # standard deviation of A under pi_b, in units
+        # What heads of unit size are told in: returns differ by forty units where lexemes differ by one.
+        self.register_buffer("future_scale", torch.ones(()))
+        self.register_buffer("value_scale", torch.ones(()))
+        self.register_buffer("value_mean", torch.zeros(()))
 
     @property
     def weights(self) -> dict[str, float]:
         """Loss weights, keyed like `losses`."""
-        return {"reward": 1.0, "future": self.config.gamma ** 2, "value": 0.1}
+        return {"reward": 1.0, "future": 1.0, "value": self.config.value}
 
     def _of(self, features: Tensor) -> CriticValues:
         shape = (self.config.critics, self.lexemes)
-        return CriticValues(self.reward(features).unflatten(-1, shape), self.future(features).unflatten(-1, shape),
-                            self.value(features))
+        return CriticValues(self.reward(features).unflatten(-1, shape),
+                            self.future(features).unflatten(-1, shape) * self.future_scale,
+                            self.value(features) * self.value_scale + self.value_mean)
+
+    @torch.no_grad()
+    def scale_to(self, unit: float, gained: Tensor, returns: Tensor) -> None:
+        """Take the units of a data set: of rewards, and in these the deviation of what swaps gain [...] (NaN where
+        nothing was tried) and the mean and deviation of the returns [...]."""
+        tried = gained[~torch.isnan(gained)]
+        self.unit.fill_(unit)
+        self.future_scale.fill_(float(tried.square().mean().sqrt().clamp_min(1e-3)) if len(tried) else 1.0)
+        self.value_mean.copy_(returns.mean())
+        self.value_scale.copy_(returns.std().clamp_min(1e-3))
 
     def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> CriticValues:
         """Of each of M decisions; the arguments are those of `QNetwork.values`."""
@@ -97,6 +115,9 @@ class Critics(nn.Module):
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """Squared errors of reward, future and value, each critic on the recordings that are its own, unweighted.
+
+        Rewards are told from their mean under pi_b: what a state earns whatever is done is the value's to learn, and is
+        so much more that nothing else would be learned beside it. Future and value are in deviations of their own.
 
         batch: previous, action, silent, valid [B, T], audio [B, T, 3K, d], speaker one-hot [B, P]; every [B, T, S] the
         reward of each lexeme; log_prior [B, T, S]; return [B, T] the discounted sum of rewards from here on; swap
@@ -108,18 +129,22 @@ class Critics(nn.Module):
         prior = batch["log_prior"].softmax(-1)
         # Half for every lexeme alike, half for those that are likely: the others are seldom asked about.
         weight = 0.5 / self.lexemes + 0.5 * prior
-        error = (found.reward - batch["every"].unsqueeze(-2)).square() * weight.unsqueeze(-2)
+        told = advantages(batch["every"].unsqueeze(-2), batch["log_prior"]).unsqueeze(-2)
+        own_mean = (found.reward * prior.unsqueeze(-2)).sum(-1, keepdim=True)
+        error = (found.reward - own_mean - told).square() * weight.unsqueeze(-2)
         tried = ~torch.isnan(batch["gained"])
         own = found.future.gather(-1, _each(batch["action"].unsqueeze(-1), found.future))
         other = found.future.gather(-1, _each(batch["swap"], found.future))
-        missed = (other - own - batch["gained"].nan_to_num().unsqueeze(-2)).square() * tried.unsqueeze(-2)
+        missed = ((other - own - batch["gained"].nan_to_num().unsqueeze(-2)) / self.future_scale).square()
+        missed = missed * tried.unsqueeze(-2)
         with torch.no_grad():
             spread = self.advantage(found, batch["log_prior"]).square() * prior
             now = masked_mean(spread.sum(-1), batch["valid"]).sqrt()
             self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
         return {"reward": masked_mean(error.sum(-1), valid),
                 "future": masked_mean(missed.sum(-1), valid) / tried.float().mean().clamp_min(1e-3) / tried.shape[-1],
-                "value": masked_mean((found.value - batch["return"].unsqueeze(-1)).square(), valid)}
+                "value": masked_mean(((found.value - batch["return"].unsqueeze(-1)) / self.value_scale).square(),
+                                     valid)}
 
     def advantage(self, found: CriticValues, log_prior: Tensor) -> Tensor:
         """A [..., S] in units."""

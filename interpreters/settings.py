@@ -219,6 +219,8 @@ class CriticConfig:
     """J, of which the least advantage is taken."""
     heard: Share = 0.7
     """Chance of a recording to be among those that a critic learns from: who saw the same agrees for nothing."""
+    value: NotNegative = 0.3
+    """Weight of the error of the state's value, which no choice is made by."""
     gamma: Share = 0.9
     """What a reward one block later is worth now. A lexeme is heard by the rewards of `reward.window` blocks."""
     states: Count = 24_000

@@ -198,6 +198,31 @@ def test_critics_learn_what_lexemes_earn_now_and_later() -> None:
     assert float(model.spread) > 0.2
 
 
+def test_heads_are_told_in_the_units_of_the_data() -> None:
+    """A state's return is many times what lexemes differ by: neither may drown the other."""
+    model = critics()
+    model.scale_to(0.05, torch.tensor([[3.0, -3.0], [float("nan"), 3.0]]), torch.tensor([10.0, 30.0, 50.0]))
+    assert float(model.unit) == pytest.approx(0.05) and float(model.future_scale) == pytest.approx(3.0)
+    assert float(model.value_mean) == pytest.approx(30.0) and float(model.value_scale) == pytest.approx(20.0)
+    with torch.no_grad():
+        model.value.weight.zero_()
+        model.value.bias.zero_()
+    found, _ = model.step(model.trunk.start(0, 1), heard(), 1)
+    np.testing.assert_allclose(found.value.numpy(), 30.0)  # who knows nothing says the mean
+
+
+def test_what_a_state_earns_whatever_is_done_is_not_the_rewards_to_learn() -> None:
+    known, audio = data()
+    windows = known.windows(np.random.default_rng(0), 8, 4)
+    batch = {**windows, "audio": audio[windows["block"]], "heard": torch.ones(8, 2),
+             "speaker": torch.nn.functional.one_hot(windows["speaker"], SPEAKERS).float()}
+    model = critics()
+    with torch.no_grad():
+        plain = model.losses(batch)["reward"]
+        more = model.losses({**batch, "every": batch["every"] + 40 * torch.randn(8, 4, 1)})["reward"]
+    torch.testing.assert_close(plain, more, atol=1e-3, rtol=1e-3)
+
+
 def test_a_critic_learns_from_its_own_recordings_alone() -> None:
     known, audio = data()
     model = critics()

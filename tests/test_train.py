@@ -58,7 +58,7 @@ def test_every_stage_learned(work: Path) -> None:
                         ("generator", "val_reconstruction"), ("interpreter", "nll"),
                         ("interpreter_text", "nll"), ("style", "code"), ("style_text", "code"),
                         ("gate", "activity"), ("reward", "contrast"), ("reward_judge", "contrast"),
-                        ("q_network", "conservative"), ("advantage", "reward")):
+                        ("q_network", "conservative")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
         values = [row[term] for row in rows if term in row]

@@ -218,7 +218,7 @@ def _train(run: Run, model: Critics, folder: Path, stage: Stage[Critics], reward
     everything = np.ones((len(held.lengths), config.critics), np.float32)
     checks = [critic_batch(corpus, held, held.windows(fitting.generator_for(4, i), _WINDOWS, config.decisions), unit,
                            everything) for i in range(_CHECKS)]
-    model.unit.fill_(unit)
+    model.scale_to(unit, torch.as_tensor(data.gained) / unit, torch.as_tensor(data.total) / unit)
 
     @torch.no_grad()
     def validate() -> Figures:
