@@ -39,11 +39,10 @@ from data_module.speech.audio import load_speech
 from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
 from eval import anova
-from eval.draw import video
-from eval.draw.figure import figure_points
 from eval.foreign import find_sound
 from eval.table import publish
-from gesticulator.export import sound
+from gesticulator.export import film, sound
+from gesticulator.export.figure import figure_points
 
 ASPECTS = {
     "human_likeness": "How human-like does the figure move? Please leave the speech aside for this question.",
@@ -213,7 +212,7 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
                                              options.videos)
     if videos is not None:
         # What cannot be written is said before minutes of drawing.
-        video.format_of(f".{videos}")
+        film.format_of(f".{videos}")
     takes = read_takes(systems)
     chosen = choose_clips(takes, clips, seconds, seed)
     # Ids are hashes of the whole sources, which no rater has: knowing the seed and the names would not undo them.
@@ -250,11 +249,11 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
 def _film(items: dict[str, tuple[dict[str, NDArray[np.float64]], Speech]], folder: Path, suffix: str) -> None:
     """Each item as `folder`/ID`suffix`, all of one size in bytes, written in the order of their ids."""
     # The page's last place is the end of its last frame; a video's last frame begins one before.
-    films = {name: video.encode({joint: places[:-1] for joint, places in shown.items()}, heard, suffix, fps=FPS)
+    films = {name: film.encode({joint: places[:-1] for joint, places in shown.items()}, heard, suffix, fps=FPS)
              for name, (shown, heard) in items.items()}
-    size = max(map(len, films.values())) + video.LEAST_FILLING
-    for name, film in films.items():
-        write_bytes(folder / f"{name}{suffix}", video.filled(film, size, suffix))
+    size = max(map(len, films.values())) + film.LEAST_FILLING
+    for name, data in films.items():
+        write_bytes(folder / f"{name}{suffix}", film.filled(data, size, suffix))
 
 
 def _opaque(source: str, what: str) -> str:
@@ -312,7 +311,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     m.add_argument("--seed", type=int, default=0, metavar="K", help="which stretches, and the order (0)")
     m.add_argument("--raters", type=int, default=30, metavar="N", help="how many different orders (30)")
     m.add_argument("--aspects", nargs="+", choices=ASPECTS, default=list(DEFAULT_ASPECTS), help="what is asked")
-    m.add_argument("--videos", choices=[suffix[1:] for suffix in video.FORMATS],
+    m.add_argument("--videos", choices=[suffix[1:] for suffix in film.FORMATS],
                    help="write each item as a video beside the page, which else draws the figure itself")
     a = commands.add_parser("analyse", help="means, intervals, ANOVA and Tukey HSD, ranks")
     a.add_argument("--key", type=Path, required=True, metavar="FILE.json")

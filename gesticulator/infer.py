@@ -16,7 +16,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
 from gesticulator.cli import PROGRAM, Command
-from gesticulator.performance import FPS, RANGES
+from gesticulator.performance import FPS, RANGES, UNITS, WRITERS, check_output
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
@@ -32,14 +32,17 @@ if TYPE_CHECKING:
     from data_module.types import Speech
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.retarget import Retargeter
 
 STDIN = "-"
 """The name of standard input on the command line."""
 TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 """Endings of the files that a folder of transcripts is searched for, in this order."""
 EXIT_PART_FAILED = 1
-_OUTPUTS = {"output": ".bvh", "preview": ".html", "explain": ".json"}
-"""Argument that names a file to write -> its suffix."""
+_OUTPUTS = {"preview": ".html", "explain": ".json"}
+"""Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
+FORMAT = "bvh"
+"""What is written to a folder that --output names, when not told."""
 
 
 def number(name: str) -> Callable[[str], float]:
@@ -49,14 +52,17 @@ def number(name: str) -> Callable[[str], float]:
 
 def arguments(p: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE.bvh [options]"
+    p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
     p.add_argument("speech", nargs="*", metavar="SPEECH", help="sound files (WAV, FLAC, OGG, MP3; M4A, MP4, "
                    "WebM and other video with PyAV; 0.3 s to one hour), folders of them, patterns such as '*.wav', or "
                    "- for standard input")
     out = p.add_argument_group("what is written (one of them at least)", "A path that ends in / or is a folder takes a "
                                "file for each recording, by its\nname; anything else is the file itself. Missing "
                                "folders are made.")
-    out.add_argument("-o", "--output", metavar="FILE.bvh", help="the motion")
+    out.add_argument("-o", "--output", metavar="FILE", action="append", help="the motion, in the format of its suffix: "
+                     + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; may be given several times")
+    out.add_argument("--format", metavar="SUFFIX", help=f"what -o writes where it is a folder (default {FORMAT})")
+    out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length of a .bvh (default cm)")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--explain", metavar="FILE.json", help="what was done: settings, blocks, their best lexemes")
     heard = p.add_argument_group("what is heard")
@@ -77,6 +83,9 @@ def arguments(p: argparse.ArgumentParser) -> None:
         f"{name} ({entry.about})" for name, entry in INTERPRETERS.items()))
     style.add_argument("--temperature", type=number("temperature"), metavar="T",
                        help="how freely lexemes are sampled; 0 always takes the likeliest")
+    style.add_argument("--beta", type=number("beta"), metavar="B",
+                       help="with --interpreter advantage: how far lexemes are drawn to what a learned reward says "
+                       "they are worth; 0 gives exactly those of lstm")
     style.add_argument("--seed", type=number("seed"), default=0, metavar="N",
                        help="the same seed gives the same bytes (default 0)")
     style.add_argument("--variation", type=number("variation"), default=0, metavar="N",
@@ -86,6 +95,14 @@ def arguments(p: argparse.ArgumentParser) -> None:
     style.add_argument("--seated", action="store_true", help="let her sit on a chair, legs and hips still (54 joints)")
     style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
+    body = p.add_argument_group("whose body", "A character of yours, from Mixamo, VRM, Unreal, Blender or elsewhere; "
+                                "see gesticulator character --help.")
+    body.add_argument("--character", metavar="FILE", help="move this character: .bvh, .glb, .gltf, .vrm, or .fbx where "
+                      "Blender is installed; she stands on her legs, unless --seated leaves them and her hips alone")
+    body.add_argument("--mapping", metavar="FILE.json", help="which of her nodes is which joint, where they are not "
+                      "found by themselves")
+    body.add_argument("--save-mapping", metavar="FILE.json", help="write what was found, to look at or to correct")
+    body.add_argument("--no-contacts", action="store_true", help="copy directions only: hands may enter a wide trunk")
     p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
     p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle has, and do nothing else")
     p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
@@ -97,6 +114,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     """Do every recording; exit code 0, 1 where a part of them failed, 2 where none could be done."""
     jobs = [] if asked.list else _plan(asked)
+    retargeter = None if asked.list else _retargeter(asked)
     alone = len(jobs) == 1
     done = 0
     with _our_warnings():
@@ -110,7 +128,8 @@ def run(asked: argparse.Namespace) -> int:
                     return _list(system, asked.list)
                 system.speaker_index(asked.speaker)
                 controls = asked_controls(system, asked)
-                done = sum(_went_well(partial(perform, job, system, asked, controls), alone) for job in ready)
+                done = sum(_went_well(partial(perform, job, system, asked, controls, retargeter), alone)
+                           for job in ready)
     return 0 if alone else _conclude(len(jobs), done, asked.quiet)
 
 
@@ -131,8 +150,31 @@ def _went_well(step: Callable[[], None], alone: bool) -> bool:
 def _plan(asked: argparse.Namespace) -> list[Job]:
     if not asked.speech:
         raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
-    outputs = {suffix: getattr(asked, name) for name, suffix in _OUTPUTS.items() if getattr(asked, name) is not None}
-    return plan(asked.speech, outputs, asked.text)
+    return plan(asked.speech, _asked_outputs(asked), asked.text)
+
+
+def _asked_outputs(asked: argparse.Namespace) -> dict[str, str]:
+    """Suffix -> the file or folder to write to. `InputError` for what cannot be written here, or twice."""
+    given = [(_suffix_of(name, asked.format), name) for name in asked.output or ()]
+    given += [(suffix, getattr(asked, name)) for name, suffix in _OUTPUTS.items() if getattr(asked, name) is not None]
+    outputs: dict[str, str] = {}
+    for suffix, name in given:
+        if suffix in outputs:
+            raise InputError(name, f"is a second {suffix} beside {outputs[suffix]}", "name one of them")
+        check_output(Path(name) / f"gesture{suffix}" if _is_folder(name) else name)
+        outputs[suffix] = name
+    if asked.unit != "cm" and ".bvh" not in outputs:
+        raise InputError("--unit", "is for .bvh", "leave it out: other formats have their own")
+    return outputs
+
+
+def _suffix_of(name: str, told: str | None) -> str:
+    """The kind of file that an output is."""
+    if _is_folder(name):
+        return "." + (told or FORMAT).lower().lstrip(".")
+    if told is not None:
+        raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
+    return Path(name).suffix.lower() or f".{FORMAT}"
 
 
 def _check(job: Job, asked: argparse.Namespace) -> None:
@@ -161,13 +203,35 @@ def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls 
     return controls_from(*asked_for, system.bundle.levels)
 
 
-def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None) -> None:
+def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
+    """What brings motions onto the character that is asked for; None for our own skeleton.
+
+    The mapping is saved before it is judged: what cannot be used as it is can then be corrected.
+    """
+    if asked.character is None:
+        for name in ("mapping", "save_mapping"):
+            if getattr(asked, name) is not None:
+                raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
+        return None
+    from gesticulator.characters.choice import choose
+    from gesticulator.retarget import Retargeter
+
+    character, mapping = choose(asked.character, asked.mapping, asked.save_mapping)
+    return Retargeter(character, mapping, contacts=not asked.no_contacts, legs=not asked.seated)
+
+
+def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None,
+            retargeter: Retargeter | None = None) -> None:
     """Do one recording and print its summary."""
     speech = _load(job, asked)
     begin = time.perf_counter()
-    made = _performed(job, speech, system, asked, controls)
+    stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
+    made = _performed(job, speech, system, asked, controls, asked.legs or stands)
+    if retargeter is not None:
+        made = replace(made, character=retargeter(made.motion))
     spent = time.perf_counter() - begin
-    written = ", ".join(str(made.save(target)) for target in job.targets)
+    written = ", ".join(str(made.save(target, unit=asked.unit if target.suffix.lower() == ".bvh" else "cm"))
+                        for target in job.targets)
     if not asked.quiet:
         print(f"{job.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
               f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.vectors)} lexemes, "
@@ -186,8 +250,8 @@ def _load(job: Job, asked: argparse.Namespace) -> Speech:
     return speech
 
 
-def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None
-               ) -> Performance:
+def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None,
+               legs: bool) -> Performance:
     from tqdm import tqdm
 
     with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
@@ -198,8 +262,8 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
 
         return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
                       seed=int(asked.seed), variation=int(asked.variation), temperature=asked.temperature,
-                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls, legs=asked.legs,
-                      seated=asked.seated)
+                      beta=asked.beta, activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls,
+                      legs=legs, seated=asked.seated)
 
 
 @contextmanager
@@ -387,6 +451,9 @@ COMMAND = Command(
     examples=(
         "infer speech.wav -o gesture.bvh --preview gesture.html",
         "infer speech.wav -o gesture.bvh --text speech.txt",
+        "infer speech.wav -o gesture.glb -o gesture.vrma -o gesture.mp4",
+        "infer recordings/ -o out/ --format fbx",
+        "infer speech.wav --character rig.glb -o talk.glb",
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
         "infer recordings/ -o out/ --preview out/ --text texts/",
         "infer - -o gesture.bvh < speech.wav",

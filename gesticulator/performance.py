@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
 
     from data_module.controls import Controls, Curve
     from data_module.types import Array, Blocks, Motion, Speech
+    from gesticulator.characters.mapping import RigMapping
+    from gesticulator.characters.rig import Character
+    from gesticulator.retarget import CharacterMotion
     from interpreters.base import LexemeInterpreter
 
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
@@ -36,11 +41,33 @@ _END_TOLERANCE = 0.05
 
 WRITERS = {
     ".bvh": "gesticulator.performance:write_bvh_file",
+    ".csv": "gesticulator.export.table:write_csv",
+    ".fbx": "gesticulator.export.fbx:write_fbx",
+    ".gif": "gesticulator.export.film:write_gif",
+    ".glb": "gesticulator.export.glb:write_glb",
     ".html": "gesticulator.export.html:write_preview",
     ".json": "gesticulator.export.plan:write_plan",
+    ".mp4": "gesticulator.export.film:write_film",
+    ".npz": "gesticulator.export.smplx:write_smplx",
+    ".parquet": "gesticulator.export.table:write_parquet",
+    ".usda": "gesticulator.export.usd:write_usd",
+    ".usdc": "gesticulator.export.usd:write_usd",
+    ".vrma": "gesticulator.export.vrma:write_vrma",
+    ".webm": "gesticulator.export.film:write_film",
 }
 """Suffix -> module and name of writer(path, performance) -> path, imported when something is written. A new format is
 one writer in `gesticulator.export` and one entry here."""
+NEEDS = {
+    ".gif": ("PIL", "Pillow", "video"),
+    ".mp4": ("av", "PyAV", "video"),
+    ".parquet": ("pyarrow", "pyarrow", "parquet"),
+    ".usda": ("pxr", "usd-core", "usd"),
+    ".usdc": ("pxr", "usd-core", "usd"),
+    ".webm": ("av", "PyAV", "video"),
+}
+"""Suffix -> module that its writer imports, the package that has it, and our extra that installs it."""
+UNITS = {"cm": 0.01, "m": 1.0}
+"""Unit of length of a BVH file -> metres."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +105,7 @@ RANGES = {
     "variation": Range(0, 2**32 - 1, "a whole number from 0", whole=True),
     # At 1000 the lexemes are already as good as equally likely.
     "temperature": Range(0, 1000, "0 (always the likeliest lexeme) to 1000"),
+    "beta": Range(0, 20, "0 (the behaviour policy itself) to 20"),
     "activity": Range(0, 1, "0 (stillness) to 1 (never holds back)"),
     "fps": Range(1, 1000, "1 to 1000 frames per second"),
     # 64 dB bring the faintest speech that is listened for (-90 dBFS) to the usual level (-26 dBFS).
@@ -99,13 +127,17 @@ class InferenceOptions:
     speaker: str | None = None
     """Whose habits of moving: a performer of the bundle (`Gesticulator.speakers`), not a voice."""
     interpreter: str | LexemeInterpreter | None = None
-    """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "statistical") or an object."""
+    """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "advantage", "statistical") or an
+    object."""
     seed: int = 0
     """The same seed, bundle and speech give the same performance."""
     variation: int = 0
     """The same beats and lexemes, drawn in another manner; 0 is the seed's own."""
     temperature: float | None = None
     """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
+    beta: float | None = None
+    """Of the interpreter "advantage": how far lexemes are drawn to what the reward says they are worth, 0 to 20. 0
+    gives exactly the lexemes of "lstm"; a lexeme of one standard deviation above the mean is e^beta times likelier."""
     activity: float | None = None
     """How much of the time of speech to gesture in, 0 (stillness) to 1 (all of it); bundles that know no rest by
     phrases (silence.rest=decay) take it as the threshold of their gate."""
@@ -127,9 +159,9 @@ class InferenceOptions:
     """Let her sit: with legs, they and the hips quite still."""
 
     def __post_init__(self) -> None:
-        for name in ("seed", "variation", "temperature", "activity", "fps", "gain"):
+        for name in ("seed", "variation", "temperature", "beta", "activity", "fps", "gain"):
             value = getattr(self, name)
-            if value is not None or name not in ("temperature", "activity"):
+            if value is not None or name not in ("temperature", "beta", "activity"):
                 RANGES[name].check(name, value)
         if self.controls is not None and any(part is not None for part in self.hands):
             raise InputError("controls", "are given beside hand_height, hand_speed or hand_radius", "give one or other")
@@ -148,6 +180,7 @@ class InferenceArguments(TypedDict, total=False):
     seed: int
     variation: int
     temperature: float | None
+    beta: float | None
     activity: float | None
     fps: float
     gain: float
@@ -160,6 +193,27 @@ class InferenceArguments(TypedDict, total=False):
 
 
 # ---------------------------------------------------------------------------------------------------- the result
+
+@dataclass(frozen=True)
+class LexemeWorth:
+    """What the interpreter "advantage" weighed, for the M best lexemes of each block and, last, the one that was
+    played. prior: [N, M + 1] how likely the behaviour policy makes it; advantage: [N, M + 1] how much more than the
+    behaviour policy's mean the reward expects of it, in standard deviations."""
+
+    prior: NDArray[np.float64]
+    advantage: NDArray[np.float64]
+
+    def entry(self, block: int, candidate: int) -> dict[str, float]:
+        """Of a candidate (-1: the lexeme that was played), ready for JSON."""
+        return {"prior": float(self.prior[block, candidate]), "advantage": float(self.advantage[block, candidate])}
+
+    def runner_up(self, best: NDArray[np.int64], played: int, block: int) -> dict[str, float]:
+        """The best of the candidates [M] that was not played: its lexeme, and by how much more (or less) than the
+        played one the reward expects of it."""
+        other = next((place for place, lexeme in enumerate(best) if int(lexeme) != played), 0)
+        return {"id": int(best[other]), "worth_more": float(
+            self.advantage[block, other] - self.advantage[block, -1])}
+
 
 @dataclass(frozen=True)
 class Performance:
@@ -186,6 +240,10 @@ class Performance:
     """What the scores are: natural logarithms of probabilities, or "Q value". A Q value is what RACER's Q-network gives
     a lexeme. It ranks lexemes, and is no expected return: the conservative loss pushes it down where the data have few
     examples (RACER Eq. 11), so its size is not that of any sum of rewards."""
+    weighed: LexemeWorth | None = None
+    """Of the interpreter "advantage": what the candidates are worth."""
+    character: CharacterMotion | None = None
+    """The same motion on a character of the user's, shown by .bvh, .glb, .fbx, .usda, .usdc, .csv, .parquet."""
     made_by: Mapping[str, Any] = field(default_factory=dict)
     """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
 
@@ -199,6 +257,8 @@ class Performance:
             raise ValueError(f"scores must be finite and shaped as best, {self.best.shape}")
         if (np.diff(self.scores, axis=1) > 0).any():
             raise ValueError("scores must fall: the best candidate first")
+        if self.weighed is not None and self.weighed.prior.shape != (n, self.best.shape[1] + 1):
+            raise ValueError(f"the worth of lexemes {self.weighed.prior.shape} does not fit best {self.best.shape}")
         if self.blocks.edges[0] != 0 or abs(self.blocks.edges[-1] - self.speech.duration) > _END_TOLERANCE:
             raise ValueError(f"blocks from {self.blocks.edges[0]} to {self.blocks.edges[-1]} s do not tile "
                              f"{self.speech.duration} s of sound")
@@ -230,15 +290,29 @@ class Performance:
 
         return positions_of(standing(self.motion))
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write it, whole or not at all, in the format of the suffix (`WRITERS`): .bvh the motion,
-        .html a page that plays it, .json its plan.
+    def save(self, path: str | os.PathLike[str], *, unit: str = "cm") -> Path:
+        """Write it, whole or not at all, in the format of the suffix (`WRITERS`): .bvh, .glb, .fbx and so on the
+        motion, .html a page that plays it, .json its plan.
 
-        Folders that are missing are made. `InputError` for an unknown suffix; OSError where the disk refuses.
+        unit: "cm" or "m", the unit of length of a BVH file; all other formats are in metres, or tell their unit.
+        Folders that are missing are made. `InputError` for an unknown suffix, or where what its writer needs is not
+        installed; OSError where the disk refuses.
         """
-        writer_for(path)  # before a folder is made
+        check_output(path, unit)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        return write(path, self)
+        return write(path, self, unit=unit)
+
+    def on(self, character: Character | str | os.PathLike[str],
+           mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True) -> Performance:
+        """The performance with its motion on a character as well (`gesticulator.retarget`), which `save` then writes.
+
+        character: a file (.bvh, .glb, .gltf, .vrm, .fbx), or what `read_character` gives. mapping: a file as
+        `save_mapping` writes it, where her joints are not found. contacts: keep hands out of her trunk.
+        `InputError` where she cannot be read, or her joints can only be guessed.
+        """
+        from gesticulator.retarget import retarget
+
+        return replace(self, character=retarget(self, character, mapping, contacts=contacts))
 
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture, ready for JSON.
@@ -246,6 +320,8 @@ class Performance:
         {"made_by": what made it, "notes": what the user should know, "score": what a score is,
          "blocks": [{"start", "end", "flag", "silent", "played", "lexemes": [{"id", "score"}, ... best first]}]};
         seconds;
+        with the interpreter "advantage" a lexeme also has `prior` and `advantage` (see `LexemeWorth`), and the block
+        `chosen`, the same of the lexeme that was played, and `runner_up`;
         `flag` is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last
         one ended; `played` is the lexeme that was taken, and `gate`, where the gate was asked, how likely it thought a
         gesture.
@@ -255,6 +331,7 @@ class Performance:
         from data_module.types import BeatFlag
 
         edges = self.blocks.edges.tolist()
+        worth = self.weighed
         gates = np.full(len(self.blocks), np.nan) if self.gate is None else self.gate
         return {"made_by": dict(self.made_by), "notes": list(self.notes), "score": self.score_is, "blocks": [
             {
@@ -264,41 +341,77 @@ class Performance:
                 "silent": bool(silent),
                 "played": int(played),
                 **({} if np.isnan(gate) else {"gate": float(gate)}),
-                "lexemes": [{"id": int(lexeme), "score": float(score)}
-                            for lexeme, score in zip(best, scores, strict=True)],
+                **({} if worth is None else {"chosen": worth.entry(block, -1),
+                                             "runner_up": worth.runner_up(best, int(played), block)}),
+                "lexemes": [{"id": int(lexeme), "score": float(score),
+                             **({} if worth is None else worth.entry(block, place))}
+                            for place, (lexeme, score) in enumerate(zip(best, scores, strict=True))],
             }
-            for start, end, flag, silent, played, gate, best, scores in zip(
+            for block, (start, end, flag, silent, played, gate, best, scores) in enumerate(zip(
                 edges[:-1], edges[1:], self.blocks.flags, self.blocks.silent, self.lexemes, gates, self.best,
-                self.scores, strict=True)
+                self.scores, strict=True))
         ]}
 
 
 # ---------------------------------------------------------------------------------------------------- its files
 
-def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Path]:
-    """The writer for a path by its suffix, in any case; InputError that lists the known ones."""
+def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
+    """`InputError` where a file of that name cannot be written here: its suffix is unknown (the known ones are listed),
+    or what its writer needs is not installed, or the unit is not its own."""
     target = Path(path)
-    writer = WRITERS.get(target.suffix.lower())
-    if writer is None:
+    suffix = target.suffix.lower()
+    if suffix not in WRITERS:
         said = f"'{target.suffix}' is no format that can be written" if target.suffix else "has no suffix"
         raise InputError(target, said, f"use one of {', '.join(sorted(WRITERS))}")
-    module, name = writer.split(":")
+    if unit not in UNITS:
+        raise InputError(f"unit {unit}", "is unknown", f"use one of {', '.join(UNITS)}")
+    if unit != "cm" and suffix != ".bvh":
+        raise InputError(target, f"cannot be in {unit}", "the unit is for .bvh; other formats have their own")
+    module, package, extra = NEEDS.get(suffix, ("", "", ""))
+    if module and find_spec(module) is None:
+        raise InputError(target, f"needs {package}, which is not installed", f'pip install "gesticulator[{extra}]"')
+    if suffix == ".fbx":
+        from gesticulator.export.blender import check_blender
+
+        check_blender(target)
+
+
+def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Path]:
+    """The writer for a path by its suffix, in any case; `InputError` as of `check_output`."""
+    check_output(path)
+    module, name = WRITERS[Path(path).suffix.lower()].split(":")
     found: Callable[[Path, Performance], Path] = getattr(import_module(module), name)
     return found
 
 
-def write(path: str | os.PathLike[str], performance: Performance) -> Path:
-    """Write a performance, whole or not at all, in the format of the suffix.
+def write(path: str | os.PathLike[str], performance: Performance, *, unit: str = "cm") -> Path:
+    """Write a performance, whole or not at all, in the format of the suffix; unit: that of a BVH file.
 
-    Returns `path`. InputError for an unknown suffix; OSError where the disk refuses.
+    Returns `path`. `InputError` as of `check_output`; OSError where the disk refuses.
     """
-    return writer_for(path)(Path(path), performance)
+    check_output(path, unit)
+    return (writer_for(path) if unit == "cm" else partial(write_bvh_file, unit=unit))(Path(path), performance)
 
 
-def write_bvh_file(path: Path, performance: Performance) -> Path:
-    """Write the motion, standing on the floor, at its own frame rate. Returns `path`."""
+def write_bvh_file(path: Path, performance: Performance, unit: str = "cm") -> Path:
+    """Write the motion, standing on the floor, at its own frame rate. Returns `path`.
+
+    A character of a BVH file is written as that file has her, in its own unit.
+    """
     from data_module.motion import bvh
     from data_module.motion.skeletons import standing
 
-    bvh.write_bvh(path, standing(performance.motion))
+    moved = performance.character
+    if moved is not None and moved.character.kind == "bvh":
+        from gesticulator.characters.bvh_rig import write_character_bvh
+
+        placed = None if moved.translations is None else (moved.hips, moved.translations)
+        write_character_bvh(path, moved.character, moved.rotations, placed, moved.fps)
+        return path
+    motion = standing(performance.motion)
+    if moved is not None:
+        from gesticulator.export.nodes import of_character, with_identity_rest
+
+        motion = with_identity_rest(of_character(moved))
+    bvh.write_bvh(path, motion, UNITS[unit])
     return path

@@ -10,15 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from gltf_reader import GlbFile
+from small_characters import write_character
 
+from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from gesticulator import Gesticulator
+from gesticulator.export.blender import check_blender, run_in_blender
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
-RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples"}
+RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples", "to_blender", "to_character", "to_vrm"}
 NEEDS_MORE = {"make_speech"}
 """Examples that need a program that is not installed with the tests."""
 
@@ -82,3 +86,36 @@ def test_rotations_for_an_engine(recording: Path, tmp_path: Path) -> None:
     assert all(tuple(frame["bones"]) == gesture.joints for frame in frames)
     poses = np.array([list(frame["bones"].values()) for frame in frames])
     assert rotation.angle_between(poses[..., [3, 0, 1, 2]], gesture.rotations).max() < 1e-4, "w is the last one"
+
+
+def test_a_character_and_a_vrm_animation(recording: Path, tmp_path: Path) -> None:
+    for vrm, source in ((False, tmp_path / "her.glb"), (True, tmp_path / "her.vrm")):
+        before = GlbFile.parse(write_character(source, vrm=vrm).read_bytes())
+        example("to_character")(str(recording), str(source), str(tmp_path / "out.glb"))
+        after = GlbFile.parse((tmp_path / "out.glb").read_bytes())
+        assert after.names() == before.names() and after.document["meshes"] == before.document["meshes"]
+        animation = after.document["animations"][0]
+        times = after.numbers(animation["samplers"][0]["input"])[:, 0]
+        assert times[-1] == pytest.approx(SECONDS, abs=0.05)
+        places = after.worlds(0)[..., :3, 3]
+        foot, hand = (places[:, after.names().index(f"mixamorig:Left{name}")] for name in ("ToeBase", "Hand"))
+        assert np.ptp(hand, axis=0).max() > 0.05 > np.ptp(foot, axis=0).max(), "hands move, feet stand"
+    example("to_vrm")(str(recording), str(tmp_path / "talk.vrma"))
+    assert "VRMC_vrm_animation" in GlbFile.parse((tmp_path / "talk.vrma").read_bytes()).document["extensions"]
+
+
+def test_a_scene_for_blender(recording: Path, tmp_path: Path) -> None:
+    try:
+        check_blender(tmp_path)
+    except InputError as lacking:
+        pytest.skip(str(lacking))
+    Gesticulator.from_pretrained()(recording, fps=30).save(tmp_path / "talk.glb")
+    run_in_blender(tmp_path, EXAMPLES / "to_blender.py", str(tmp_path / "talk.glb"), str(recording),
+                   str(tmp_path / "talk.blend"))
+    look = tmp_path / "look.py"
+    look.write_text("import bpy, json, sys\nbpy.ops.wm.open_mainfile(filepath=sys.argv[-1])\n"
+                    "scene = bpy.context.scene\n"
+                    "strips = getattr(scene.sequence_editor, 'strips', None) or scene.sequence_editor.sequences\n"
+                    "print('told', json.dumps([scene.frame_end, scene.render.fps, len(strips), strips[0].type]))\n")
+    told = run_in_blender(tmp_path, look, str(tmp_path / "talk.blend"))
+    assert json.loads(told.split("told ")[1].splitlines()[0]) == [round(SECONDS * 30) - 1, 30, 1, "SOUND"]

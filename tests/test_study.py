@@ -24,9 +24,9 @@ from data_module.types import Array, Speech
 from eval import anova, study
 from eval.anova import Key
 from eval.commands import STUDY
-from eval.draw.figure import figure_points
 from eval.stats import crossed_means
 from eval.table import load
+from gesticulator.export.figure import figure_points
 
 NAMES = ("zebrafish", "quokka", "marmoset")
 RATE = 16000
@@ -403,7 +403,7 @@ def test_nothing_in_the_videos_names_a_system(films: dict[str, Path], systems: d
 def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str, Path]) -> None:
     import av
 
-    from eval.draw import video
+    from gesticulator.export import film
 
     key = json.loads((films["webm"] / "key.json").read_text())
     for name, own in key["items"].items():
@@ -416,7 +416,7 @@ def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str
         for system, folder in systems.items():
             motion = bvh.read_bvh(folder / f"{clip['recording']}.bvh")
             points = figure_points(motion, clip["start"] + np.array([20]) / 30)
-            far[system] = np.abs(np.array(next(video.pictures(points))).astype(int) - shown[20]).mean()
+            far[system] = np.abs(np.array(next(film.pictures(points))).astype(int) - shown[20]).mean()
         assert min(far, key=lambda system: far[system]) == own["system"]
         with av.open(str(films["webm"] / "page" / f"{name}.webm")) as container:
             heard = np.concatenate([part.to_ndarray().reshape(-1) for part in container.decode(audio=0)])

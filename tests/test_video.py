@@ -18,14 +18,15 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Speech
 from eval.commands import DRAW
 from eval.draw import video
-from eval.draw.figure import figure_points
+from gesticulator.export import film
+from gesticulator.export.figure import figure_points
 
 av = pytest.importorskip("av")
 pytest.importorskip("PIL")
 
 RATE = 16000
 SMALL = (180, 240)
-SUFFIXES = tuple(video.FORMATS)
+SUFFIXES = tuple(film.FORMATS)
 SKIN = np.array([0xDC, 0xB9, 0x99])
 
 
@@ -65,7 +66,7 @@ def _decode(file: Path | bytes) -> tuple[Array, list[float], Array, float]:
 def _raised(pictures: Array, left_half: bool) -> Array:
     """[K] whether there is skin above the crown in that half of the picture."""
     crown = figure_points(_motion(1.0), np.zeros(1))["HeadTip"]
-    row = int(video.Camera().project(crown, SMALL)[0][0, 1])
+    row = int(film.Camera().project(crown, SMALL)[0][0, 1])
     part = pictures[:, :row - 4]
     part = part[:, :, :SMALL[0] // 2] if left_half else part[:, :, SMALL[0] // 2:]
     return (np.abs(part - SKIN).max(-1) < 14).sum((1, 2)) > 10
@@ -98,15 +99,15 @@ def test_picture_and_sound_are_as_long_as_they_should_be(suffix: str, tmp_path: 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_raised_arm_is_seen_on_its_side_from_its_frame_on(suffix: str) -> None:
     points = figure_points(_motion(1.0, raised={"Right": 0.5}), np.arange(30) / 30)
-    pictures = _decode(video.encode(points, _speech(1.0), suffix, size=SMALL))[0]
+    pictures = _decode(film.encode(points, _speech(1.0), suffix, size=SMALL))[0]
     # The viewer faces the figure: its right is the picture's left.
     np.testing.assert_array_equal(_raised(pictures, left_half=True), np.arange(30) >= 15)
     assert not _raised(pictures, left_half=False).any()
     other = figure_points(_motion(0.2, raised={"Left": 0.0}), np.arange(6) / 30)
-    pictures = _decode(video.encode(other, _speech(0.2), suffix, size=SMALL))[0]
+    pictures = _decode(film.encode(other, _speech(0.2), suffix, size=SMALL))[0]
     assert _raised(pictures, left_half=False).all() and not _raised(pictures, left_half=True).any()
     # The colours come back as they were drawn, which a wrong matrix of the encoder would shift.
-    drawn = np.array(next(video.pictures(other, SMALL))).astype(int)
+    drawn = np.array(next(film.pictures(other, SMALL))).astype(int)
     assert np.abs(pictures[0] - drawn).mean() < 2.5 and np.abs(pictures[0, :20, :20] - drawn[:20, :20]).max() <= 3
 
 
@@ -123,19 +124,19 @@ def test_a_click_is_heard_at_its_time(suffix: str, start: float, tmp_path: Path)
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_same_input_same_video_and_filling_changes_nothing(suffix: str) -> None:
     points = figure_points(_motion(0.5, raised={"Right": 0.2}), np.arange(15) / 30)
-    first = video.encode(points, _speech(0.5), suffix, size=SMALL)
-    again = video.encode(points, _speech(0.5), suffix, size=SMALL)
+    first = film.encode(points, _speech(0.5), suffix, size=SMALL)
+    again = film.encode(points, _speech(0.5), suffix, size=SMALL)
     # x264 differs by a byte now and then, but not in what is seen.
     assert suffix == ".mp4" or first == again
     for own, other in zip(_decode(again), _decode(first), strict=True):
         np.testing.assert_array_equal(own, other)
-    for more in (0, video.LEAST_FILLING, 70_000):
-        filled = video.filled(first, len(first) + more, suffix)
+    for more in (0, film.LEAST_FILLING, 70_000):
+        filled = film.filled(first, len(first) + more, suffix)
         assert len(filled) == len(first) + more
         for own, other in zip(_decode(filled), _decode(first), strict=True):
             np.testing.assert_array_equal(own, other)
     with pytest.raises(ValueError, match="too few"):
-        video.filled(first, len(first) + 3, suffix)
+        film.filled(first, len(first) + 3, suffix)
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

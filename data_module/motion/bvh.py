@@ -1,7 +1,7 @@
 """BVH, read and written: the animation format that every tool opens.
 
-In the file angles are degrees; lengths are the file's own unit (centimetres in what we write). In memory everything
-is radians and metres.
+In the file angles are degrees; lengths are the file's own unit (centimetres in what we write, unless told). In memory
+everything is radians and metres.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import io
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -189,6 +189,26 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
     return skeletons.scaled(motion, unit)
 
 
+def read_hierarchy(path: str | os.PathLike[str]) -> tuple[Motion, tuple[tuple[str, ...], ...]]:
+    """The skeleton of a BVH file as it stands there: its own units and axes, and the channels of each joint.
+
+    The motion is its first frame, or one of zeros where the file has none. Nothing is scaled; the root keeps its own
+    offset, and places of other joints are those of their offsets.
+    """
+    where = str(path)
+    text = read_text(path, "give a .bvh file", _LARGEST_FILE)
+    at = text.find("Frame Time:")
+    if at < 0:
+        raise InputError(where, "is not a BVH file (no 'Frame Time:')", "give a .bvh file")
+    end = text.find("\n", at)
+    header = _parse_header(text[:end if end >= 0 else len(text)], where)
+    width = sum(map(len, header.channels))
+    first = next((line for line in text[end:].splitlines() if line.strip()), "") if end >= 0 else ""
+    rows = _rows(first, width, where) if first else np.zeros((1, width))
+    motion = _assemble(header, rows, header.fps)
+    return replace(motion, skeleton=header.skeleton), header.channels
+
+
 def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
     skeleton = header.skeleton
     rotations = np.zeros((len(rows), len(skeleton), 4))
@@ -228,13 +248,15 @@ def _compose(angles: Array, order: str) -> Array:
     return out
 
 
-def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
-    """Write a motion as BVH in centimetres, rotations in the order ZXY, written whole or not at all."""
-    write_text(path, bvh_text(motion))
+def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIMETRES) -> None:
+    """Write a motion as BVH, rotations in the order ZXY, whole or not at all. unit: metres per unit of the file."""
+    write_text(path, bvh_text(motion, unit))
 
 
-def bvh_text(motion: Motion) -> str:
-    """The BVH file of a motion, as text."""
+def bvh_text(motion: Motion, unit: float = CENTIMETRES) -> str:
+    """The BVH file of a motion, as text. unit: metres per unit of the file; its numbers have six decimals."""
+    if unit != 1.0:
+        motion = skeletons.scaled(motion, 1.0 / unit)
     skeleton = motion.skeleton
     children: list[list[int]] = [[] for _ in skeleton.names]
     for joint, parent in enumerate(skeleton.parents):
@@ -246,8 +268,7 @@ def bvh_text(motion: Motion) -> str:
     lines += ["MOTION", f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.fps:.10f}"]
     # Unwrapped angles keep curves smooth in tools that interpolate the channels one by one.
     angles = np.degrees(np.unwrap(rotation.to_euler(motion.rotations, _WRITTEN_ORDER), axis=0))
-    root = motion.root_positions / CENTIMETRES
-    values = np.concatenate([root, angles[:, order].reshape(len(motion), -1)], axis=1)
+    values = np.concatenate([motion.root_positions, angles[:, order].reshape(len(motion), -1)], axis=1)
     body = io.StringIO()
     np.savetxt(body, values + 0.0, fmt="%.6f")
     return "\n".join(lines) + "\n" + body.getvalue()
@@ -270,5 +291,5 @@ def _write_joint(skeleton: Skeleton, joint: int, children: Sequence[Sequence[int
     lines.append(pad + "}")
 
 
-def _triple(metres: Array) -> str:
-    return " ".join(f"{value:.6f}" for value in np.asarray(metres) / CENTIMETRES + 0.0)
+def _triple(lengths: Array) -> str:
+    return " ".join(f"{value:.6f}" for value in np.asarray(lengths) + 0.0)

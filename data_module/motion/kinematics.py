@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from data_module.motion import rotation
@@ -23,6 +25,25 @@ def local_rotations(skeleton: Skeleton, world: Array) -> Array:
     for joint, parent in enumerate(skeleton.parents):
         own = world[..., joint, :]
         local[..., joint, :] = own if parent < 0 else rotation.multiply(rotation.conjugate(world[..., parent, :]), own)
+    return local
+
+
+def copied_rotations(motion: Motion, sources: Mapping[str, tuple[str, ...]], parents: Mapping[str, str | None]
+                     ) -> dict[str, Array]:
+    """Local rotations [T, 4] of another tree of joints, whose rest is the same pose, by copying world rotations.
+
+    sources: joint there -> the joints of the motion whose world rotation it takes (of two: halfway between them), the
+    joint's parent before it. parents: joint there -> the joint above it, None for the root.
+    """
+    world = global_rotations(motion.skeleton, motion.rotations)
+    turned: dict[str, Array] = {}
+    local: dict[str, Array] = {}
+    for joint, names in sources.items():
+        first, last = (world[:, motion.skeleton.index(name)] for name in (names[0], names[-1]))
+        turned[joint] = rotation.normalise(first + np.where(np.sum(first * last, -1, keepdims=True) < 0, -last, last))
+        above = parents[joint]
+        own = turned[joint] if above is None else rotation.multiply(rotation.conjugate(turned[above]), turned[joint])
+        local[joint] = rotation.continuous(rotation.normalise(own))
     return local
 
 

@@ -1,8 +1,8 @@
-"""SMPL-X motion files (`.npz`: axis-angle poses, translation, frame rate) as any other motion.
+"""SMPL-X motion files (`.npz`: axis-angle poses, translation, frame rate), read and written.
 
-Only rotations and the path of the pelvis are read. The body's own template is under a licence of its own and is not
-here: the offsets below are those of our character in SMPL-X's joints, standing in a T-pose, Y up, facing +Z, the
-character's left to +X, which is also SMPL-X's rest pose.
+Only rotations and the path of the pelvis are read; body shape and face are written as zeros. The body's own template is
+under a licence of its own and is not here: the offsets below are those of our character in SMPL-X's joints, standing in
+a T-pose, Y up, facing +Z, the character's left to +X, which is also SMPL-X's rest pose.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError
-from data_module.motion import rotation
+from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE
-from data_module.motion.skeletons import FINGERED
+from data_module.motion.skeletons import FINGERED, NAME_TABLES
 from data_module.types import Motion, Skeleton
 
 # Name, parent, offset in metres: the first 22 of SMPL-X's 55 joints, in its order.
@@ -51,6 +51,8 @@ _TIPS = {"head": (0.0, 0.170, 0.020), "left_wrist": (0.160, 0.0, 0.0), "right_wr
 _FINGERS_AT = {55: 25, 52: 22}
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 JOINTS = 55
+_BETAS, _EXPRESSIONS = 300, 100
+"""Numbers of the body's shape and of the face, as BEAT2 has them."""
 _PELVIS_BELOW_ORIGIN = 0.35
 """Metres: `trans` moves the body's origin, which lies about the breastbone, and our root is the pelvis."""
 
@@ -80,6 +82,10 @@ def _build() -> Skeleton:
 
 
 SKELETON: Skeleton = _build()
+# SMPL-X's joint -> our joints whose world rotation it takes.
+_SOURCES: dict[str, tuple[str, ...]] = {
+    theirs: (ours,) for theirs in SKELETON.names for ours, name in NAME_TABLES["smplx"].items() if name == theirs
+} | {"spine2": ("Spine1", "Spine2"), "spine3": ("Spine3",)}
 
 
 def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Motion:
@@ -115,6 +121,37 @@ def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Mot
     turns = rotation.continuous(rotation.from_exponential_map(values.reshape(frames, len(SKELETON), 3)))
     return Motion(SKELETON, turns, root - np.array([0.0, _PELVIS_BELOW_ORIGIN, 0.0]), rate,
                   () if hands else SKELETON.names[joints:])
+
+
+def smplx_arrays(motion: Motion) -> dict[str, NDArray[Any]]:
+    """A motion of our character, standing on the floor, as the arrays of an SMPL-X file; the inverse of `read_smplx`.
+
+    They are those that BEAT2 has, and that its leaderboard reads, float32: poses [T, 165] (axis times angle, radians,
+    in SMPL-X's order: 22 of the body, jaw, eyes, 15 of each hand), trans [T, 3] metres, betas [300] and expressions
+    [T, 100] (zeros: the mean body and a still face), mocap_frame_rate, model and gender. Hands are turns against a flat
+    hand. World rotations are copied: SMPL-X has three joints in the spine for our four, and one in the neck for two.
+    Joints that the motion lacks are left at rest, in the frame of the joint above.
+    """
+    there = set(motion.skeleton.names) - set(motion.absent)
+    sources = {joint: names for joint, names in _SOURCES.items() if set(names) <= there}
+    parents = {joint: None if parent < 0 else SKELETON.names[parent]
+               for joint, parent in zip(SKELETON.names, SKELETON.parents, strict=True)}
+    turns = kinematics.copied_rotations(motion, sources, parents)
+    poses = np.zeros((len(motion), JOINTS, 3))
+    for joint, own in turns.items():
+        index = SKELETON.index(joint)
+        column = index if index < len(_BODY) else index - len(_BODY) + _FINGERS_AT[JOINTS]
+        poses[:, column] = rotation.unroll(rotation.to_exponential_map(own))
+    trans = motion.root_positions + np.array([0.0, _PELVIS_BELOW_ORIGIN, 0.0])
+    return {
+        "betas": np.zeros(_BETAS, np.float32),
+        "poses": poses.reshape(len(motion), -1).astype(np.float32),
+        "expressions": np.zeros((len(motion), _EXPRESSIONS), np.float32),
+        "trans": trans.astype(np.float32),
+        "model": np.array("smplx2020"),
+        "gender": np.array("neutral"),
+        "mocap_frame_rate": np.array(int(motion.fps) if float(motion.fps).is_integer() else motion.fps),
+    }
 
 
 def _rate(arrays: Mapping[str, NDArray[Any]]) -> float | None:

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
-from eval.draw.figure import INK, SOFT
+from gesticulator.export.figure import INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

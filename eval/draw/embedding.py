@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from data_module.types import Array
 from eval.draw.canvas import COLUMNS, TEXT, WIDE, bare, canvas
-from eval.draw.figure import INK, SOFT
+from gesticulator.export.figure import INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ import numpy as np
 
 from data_module.types import Array, Motion
 from eval.draw.embedding import colours
-from eval.draw.figure import HANDS, VIEWS, figure_points, seen
+from gesticulator.export.figure import HANDS, VIEWS, figure_points, seen
 
 _SLOT = re.compile(r"\{\{([a-z]+)\}\}")
 _CROP = {"front": (-0.72, 1.44), "side": (-0.78, 1.14)}

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_module.types import Array, Motion
-from eval.draw.figure import INK, SOFT, figure_points
 from eval.draw.strips import STRIP, draw_row
+from gesticulator.export.figure import INK, SOFT, figure_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

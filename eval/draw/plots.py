@@ -27,9 +27,9 @@ from data_module.speech.beats import merged
 from data_module.types import Array, Beats, Speech, Word
 from eval.draw.canvas import COLUMNS, TEXT, WIDE, bare, canvas
 from eval.draw.embedding import Labels, colours
-from eval.draw.figure import FLOOR, INK, SOFT
 from eval.draw.strips import draw_wave
 from eval.metrics import pmb
+from gesticulator.export.figure import FLOOR, INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.types import Array, BeatFlag, Beats, Motion, Speech
-from eval.draw.figure import FLOOR, HANDS, INK, SOFT, VIEWS, figure_points, seen
+from gesticulator.export.figure import FLOOR, HANDS, INK, SOFT, VIEWS, figure_points, seen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

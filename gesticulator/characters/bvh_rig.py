@@ -1,0 +1,127 @@
+"""Characters in BVH files, and motion written onto them in the file's own joints, channels, units and axes."""
+
+from __future__ import annotations
+
+import os
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from data_module.files import write_text
+from data_module.motion import bvh, rotation
+from data_module.types import Array
+from gesticulator.characters.rig import Character
+
+DEFAULT_CHANNELS = ("Zrotation", "Xrotation", "Yrotation")
+"""What is written for a joint of a character whose file is no BVH, or that has no channels of rotation in it."""
+PLACES = ("Xposition", "Yposition", "Zposition")
+
+
+def read_bvh_character(path: str | os.PathLike[str]) -> Character:
+    """The skeleton of a BVH file, in its own units and axes.
+
+    Its rest pose is that of all angles zero, as the format means it. Where that is no pose of a body (some tools write
+    every offset along one axis, and the body stands only by the angles of the first frame), the first frame is taken
+    as the pose to align with (`Character.bind`). `InputError` where the file is no BVH.
+    """
+    motion, channels = bvh.read_hierarchy(path)
+    skeleton = motion.skeleton
+    n = len(skeleton)
+    rest = np.zeros((n, 4))
+    rest[:, 0] = 1.0
+    character = Character(skeleton.names, skeleton.parents, skeleton.offsets, rest, np.ones((n, 3)), Path(path), "bvh",
+                          np.ones(n, dtype=bool), tips=dict(skeleton.end_sites), channels=channels)
+    if _is_a_line(character.world_matrices()[:, :3, 3]):
+        bind = character.world_matrices(motion.rotations[0], {0: motion.root_positions[0]})
+        if not _is_a_line(bind[:, :3, 3]):
+            character = Character(**{**vars(character), "bind": bind})
+    return character
+
+
+def _is_a_line(places: Array) -> bool:
+    """Whether nodes lie along one line: hanging arms leave a body three times as wide, offsets along one axis half."""
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(spread[1] < 0.15 * spread[0])
+
+
+def write_character_bvh(path: str | os.PathLike[str], character: Character, rotations: Array,
+                        placed: tuple[int, Array] | None, fps: float) -> None:
+    """Write a motion of a BVH character's own nodes, whole or not at all: her hierarchy, order of channels, units and
+    axes are those of her file. `read_bvh_character` and `data_module.motion.bvh.read_bvh` read it.
+
+    rotations: [T, N, 4] local; placed: a node and its local translation [T, 3], None where all stay as at rest;
+    fps: frames per second. ValueError for a character of another format.
+    """
+    if character.kind != "bvh":
+        raise ValueError(f"a {character.kind} character has no BVH hierarchy of her own")
+    frames, n = len(rotations), len(character)
+    below: list[list[int]] = [[] for _ in range(n)]
+    for node, parent in enumerate(character.parents):
+        if parent >= 0:
+            below[parent].append(node)
+    channels = [_channels(character, node, placed[0] if placed else -1) for node in range(n)]
+    lines, order = ["HIERARCHY"], list[int]()
+    _describe(character, 0, below, channels, lines, order)
+    columns: list[Array] = []
+    for node in order:
+        columns += _values(character, node, channels[node], rotations[:, node],
+                           placed[1] if placed and placed[0] == node else None)
+    body = StringIO()
+    np.savetxt(body, np.stack(columns, axis=-1) + 0.0, fmt="%.6f")
+    lines += ["MOTION", f"Frames: {frames}", f"Frame Time: {1.0 / fps:.10f}"]
+    write_text(path, "\n".join(lines) + "\n" + body.getvalue())
+
+
+def _channels(character: Character, node: int, placed: int) -> tuple[str, ...]:
+    """The file's own channels, with those that the motion needs and the file lacks."""
+    own = character.channels[node] if character.channels else ()
+    turns = tuple(name for name in own if name.endswith("rotation"))
+    places = tuple(name for name in own if name.endswith("position"))
+    if sorted(turns) != sorted(DEFAULT_CHANNELS):
+        own = (*places, *DEFAULT_CHANNELS)
+    if (node == 0 or node == placed) and len(places) < 3:
+        own = (*PLACES, *(name for name in own if name.endswith("rotation")))
+    return own
+
+
+def _values(character: Character, node: int, channels: tuple[str, ...], turns: Array, places: Array | None
+            ) -> list[Array]:
+    """The columns [T] of a node's channels; a place that the motion does not tell is that at rest."""
+    order = "".join(name[0] for name in channels if name.endswith("rotation"))
+    angles = np.degrees(np.unwrap(rotation.to_euler(turns, order), axis=0))
+    still = np.broadcast_to(character.translations[node], (len(turns), 3))
+    there = still if places is None else places
+    return [there[:, PLACES.index(name)] if name in PLACES else angles[:, order.index(name[0])] for name in channels]
+
+
+def _describe(character: Character, node: int, below: list[list[int]], channels: list[tuple[str, ...]],
+              lines: list[str], order: list[int]) -> None:
+    """The hierarchy as text, and the order in which its joints stand; without recursion, for trees of any depth."""
+    todo: list[tuple[int, int, bool]] = [(node, 0, False)]
+    while todo:
+        at, depth, done = todo.pop()
+        pad = "  " * depth
+        if done:
+            lines.append(pad + "}")
+            continue
+        order.append(at)
+        lines += [f"{pad}{'JOINT' if depth else 'ROOT'} {character.names[at]}", pad + "{",
+                  f"{pad}  OFFSET {_triple(character.translations[at])}",
+                  f"{pad}  CHANNELS {len(channels[at])} {' '.join(channels[at])}"]
+        if not below[at] or at in character.tips:
+            tip = character.tips.get(at, np.zeros(3))
+            lines += [f"{pad}  End Site", pad + "  {", f"{pad}    OFFSET {_triple(tip)}", pad + "  }"]
+        todo.append((at, depth, True))
+        todo += [(child, depth + 1, False) for child in reversed(below[at])]
+
+
+def _triple(values: Array) -> str:
+    return " ".join(f"{value:.6f}" for value in np.asarray(values) + 0.0)
+
+
+def turns_of(matrices: Array) -> Array:
+    """[..., 3, 3] the rotations of matrices [..., 4, 4] without their scale: the nearest, by singular values."""
+    left, _, right = np.linalg.svd(matrices[..., :3, :3])
+    left[..., :, 2] *= np.sign(np.linalg.det(left @ right))[..., None]
+    return left @ right

@@ -1,0 +1,416 @@
+"""The frames of a character's bones: which way each points and is rolled, in the axes of its own node.
+
+`measure` gives, for each node that is moved, the joint of ours that it follows and the constant C of
+`gesticulator.retarget` (1). It needs no rest pose of any kind: where a bone points in its node's axes is the same in
+all poses. Only how a bone without a palm or a bent hinge is rolled must be taken from the pose that the mesh was bound
+in, where it is what the shortest turn from a T-pose makes of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_module.errors import InputError
+from data_module.motion import rotation, skeletons
+from data_module.motion.skeletons import FINGERS, WHOLE_BODY
+from data_module.types import Array
+from gesticulator.characters import shape
+from gesticulator.characters.bvh_rig import turns_of
+from gesticulator.characters.mapping import SIDES, RigMapping
+from gesticulator.characters.rig import Character
+
+_UPRIGHT = np.radians(30.0)
+"""An axis of the file within this of the way from hips to head is up; a body that leans more lies or hangs."""
+_SQUARE = np.radians(8.0)
+"""A body that faces along an axis of the file within this faces along it: shoulders are never quite level."""
+_BENT = np.radians(15.0)
+"""A joint that is bent by more than this at bind shows the axis of its hinge."""
+_LEANS, _LOOKS, _SHRUGS = np.radians(20.0), np.radians(35.0), np.radians(40.0)
+"""How far trunk, neck and clavicle may point other than ours before it is taken for a pose: less is her build."""
+_LENGTH = 0.6
+"""Metres from hips to head of an adult."""
+_SUNK = 0.2
+"""Share of her height that the feet of a BVH character are under 0, for her to be meant standing on 0."""
+_KNUCKLES = (("Index", "Pinky"), ("Index", "Ring"), ("Middle", "Pinky"), ("Index", "Middle"), ("Middle", "Ring"))
+"""Fingers whose first joints give the direction across the palm, the best first."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A node that is moved: G(t) = R(t) C, where R(t) is the world rotation of our `joint`, or what lies `share` of
+    the way from there to that of `other`. constant: C, [3, 3], from the node's axes to ours."""
+
+    node: int
+    joint: str
+    constant: Array
+    other: str = ""
+    share: float = 0.0
+
+
+@dataclass(frozen=True)
+class Body:
+    """A character, measured in our axes (Y up, facing +Z, left +X) and in metres.
+
+    axes: [3, 3] rows are her left, up and forward in the file's axes: ours = axes @ file's * unit.
+    unit: metres per unit of her world. lift: metres by which she must be lifted to stand on the floor.
+    rest_places: [N, 3] the nodes at rest; rest_turns: [N, 3, 3] from the nodes' axes to ours at rest; local_turns:
+    [N, 3, 3] the same to their parents' axes. offsets: [N, 3] metres from each node's parent, in the parent's axes.
+    leg_ratio: her leg's length by ours.
+    """
+
+    character: Character
+    mapping: RigMapping
+    axes: Array
+    unit: float
+    lift: float
+    rest_places: Array
+    rest_turns: Array
+    local_turns: Array
+    offsets: Array
+    leg_ratio: float
+    segments: tuple[Segment, ...]
+    leg_nodes: frozenset[int]
+
+    def place(self, turns: Mapping[int, Array], node: int) -> Array:
+        """[T, 3] where a node under the hips is, from the hips, metres; turns: node -> [T, 3, 3] its axes to ours.
+
+        Nodes that are not in `turns` stand to their parents as they do at rest.
+        """
+        hips = self.mapping.joints["Hips"]
+        way = [node]
+        while way[-1] != hips:
+            way.append(self.character.parents[way[-1]])
+        turn = turns[hips] if hips in turns else self.rest_turns[hips][None]
+        place = np.zeros((1, 3))
+        for at in reversed(way[:-1]):
+            place = place + turn @ self.offsets[at]
+            turn = turns[at] if at in turns else turn @ self.local_turns[at]
+        return place
+
+
+def _matrix(quaternion: Array) -> Array:
+    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+
+
+def measure(character: Character, mapping: RigMapping) -> Body:
+    """A character's body; `InputError` where bones have no length."""
+    bind = shape.bind_matrices(character)
+    axes = _axes(character, mapping, bind[:, :3, 3])
+    rest, turns, local = character.world_matrices()[:, :3, 3], character.world_turns(), character.local_turns()
+    unit = character.unit or _unit(mapping, rest)
+    places = rest @ axes.T * unit
+    parents = np.maximum(character.parents, 0)
+    # Row vectors: v @ M is the transpose of M times v.
+    offsets = unit * np.einsum("ni,nij->nj", rest - rest[parents], turns[parents])
+    rig = _Rig(character, mapping, axes @ (turns if character.bind is None else turns_of(bind)), offsets)
+    segments = (*rig.trunk(), *rig.arms(), *rig.legs())
+    legs = frozenset(mapping.joints[name] for name in skeletons.LEG_JOINTS if name in mapping.joints)
+    lift = 0.0
+    ratio = 1.0
+    if mapping.legs:
+        ratio = float(np.mean([rig.length(side + "Leg") + rig.length(side + "Foot") for side in SIDES])
+                      / (np.linalg.norm(_OURS["LeftLeg"]) + np.linalg.norm(_OURS["LeftFoot"])))
+        lowest = min(float(places[node, 1]) for node in legs)
+        height = float(places[mapping.joints["Head"], 1]) - lowest
+        if character.kind == "bvh" and lowest < -_SUNK * height:
+            ankle = float(np.mean([places[mapping.joints[side + "Foot"], 1] for side in SIDES]))
+            # A file that tells neither toes nor tips says nothing of the height of an ankle: that of ours, in scale.
+            lift = -min(lowest, ankle - _ANKLE * ratio)
+    return Body(character, mapping, axes, unit, lift, places, axes @ turns, local, offsets, ratio, segments, legs)
+
+
+_OURS = {name: WHOLE_BODY.offsets[index] for index, name in enumerate(WHOLE_BODY.names)}
+_ANKLE = 0.08
+"""Metres from the floor to our ankle."""
+
+
+def _unit(mapping: RigMapping, rest: Array) -> float:
+    """Metres per unit: 1, 0.01 or 0.001, whichever makes hips to head most like an adult's."""
+    chain = [mapping.joints["Hips"], *mapping.spine, *mapping.neck, mapping.joints["Head"]]
+    length = float(np.linalg.norm(np.diff(rest[chain], axis=0), axis=1).sum())
+    if length <= 0:
+        return 1.0
+    return min((1.0, 0.01, 0.001), key=lambda unit: abs(float(np.log(length * unit / _LENGTH))))
+
+
+def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
+    """[3, 3] her left, up and forward in the file's axes, from where her joints are in the bind pose."""
+    joints = mapping.joints
+    up = _unit_vector(character, places[joints["Head"]] - places[joints["Hips"]], "hips and head")
+    axis = np.zeros(3)
+    axis[np.argmax(np.abs(up))] = np.sign(up[np.argmax(np.abs(up))])
+    known = {"glb": [0.0, 1.0, 0.0], "fbx": [0.0, 0.0, 1.0]}.get(character.kind)
+    if known is not None and up @ np.array(known) > 0.5:
+        up = np.array(known)
+    elif up @ axis > np.cos(_UPRIGHT):
+        up = axis
+    left = np.zeros(3)
+    for part in ("Arm", "UpLeg"):
+        if "Left" + part in joints and "Right" + part in joints:
+            across = places[joints["Left" + part]] - places[joints["Right" + part]]
+            left = left + (across - (across @ up) * up)
+    left = _unit_vector(character, left, "both shoulders")
+    axis = np.zeros(3)
+    axis[np.argmax(np.abs(left))] = np.sign(left[np.argmax(np.abs(left))])
+    if left @ axis > np.cos(_SQUARE) and abs(axis @ up) < 1e-9:
+        left = axis
+    return np.stack([left, up, np.cross(left, up)])
+
+
+def _unit_vector(character: Character, vector: Array, what: str) -> Array:
+    length = float(np.linalg.norm(vector))
+    if length < 1e-12:
+        raise InputError(character.path, f"has {what} in one place", "check the mapping and the file's rest pose")
+    return vector / length
+
+
+def frame(along: Array, across: Array) -> Array:
+    """[3, 3] columns: `along`, what of `across` is at right angles to it, and their cross product."""
+    first = along / np.linalg.norm(along)
+    second = across - (across @ first) * first
+    second = second / np.linalg.norm(second)
+    return np.stack([first, second, np.cross(first, second)], axis=-1)
+
+
+def _turn(a: Array, b: Array) -> Array:
+    """[3, 3] the shortest turn from the direction a to b."""
+    return _matrix(rotation.between(a, b))
+
+
+def _angle(a: Array, b: Array) -> float:
+    return float(np.arccos(np.clip(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)), -1.0, 1.0)))
+
+
+class _Rig:
+    """The bones of a character in the bind pose, in our axes, beside ours at rest."""
+
+    def __init__(self, character: Character, mapping: RigMapping, bind: Array, offsets: Array) -> None:
+        self.character, self.mapping, self.joints = character, mapping, mapping.joints
+        self.bind, self._offsets, self._local = bind, offsets, character.local_turns()
+
+    def way(self, above: int, below: int) -> Array | None:
+        """[3] metres from a node to one under it, in the upper's axes; None where it is not under it."""
+        line = [below]
+        while line[-1] != above:
+            parent = self.character.parents[line[-1]]
+            if parent < 0:
+                return None
+            line.append(parent)
+        place, turn = np.zeros(3), np.eye(3)
+        for at in reversed(line[:-1]):
+            place = place + turn @ self._offsets[at]
+            turn = turn @ self._local[at]
+        return place
+
+    def length(self, name: str) -> float:
+        """Metres from the joint above to the joint `name`."""
+        above = WHOLE_BODY.names[WHOLE_BODY.parents[WHOLE_BODY.index(name)]]
+        way = self.way(self.joints[above], self.joints[name])
+        return 0.0 if way is None else float(np.linalg.norm(way))
+
+    def bone(self, name: str, below: str) -> Array:
+        """[3] from joint to joint in the bind pose, in our axes."""
+        node = self.joints[name]
+        way = self.way(node, self.joints[below])
+        if way is None or np.linalg.norm(way) < 1e-6:
+            raise InputError(self.character.path, f"has {name} and {below} in one place, or not one under the other",
+                             "check the mapping")
+        return self.bind[node] @ way
+
+    def _segment(self, name: str, change: Array) -> Segment:
+        """change: [3, 3] the turn from her bind pose to our rest pose, of this bone."""
+        return Segment(self.joints[name], name, change @ self.bind[self.joints[name]])
+
+    # ------------------------------------------------------------------------------------------------ the trunk
+
+    def trunk(self) -> list[Segment]:
+        """Hips, spine, neck and head. Spine and neck follow ours by where they are between hips, chest and head."""
+        joints, bind = self.joints, self.bind
+        out = [Segment(joints["Hips"], "Hips", bind[joints["Hips"]])]
+        chest_change = self._chest_change()
+        shares = self._shares([joints["Hips"], *self.mapping.spine])
+        ours = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
+        steps = np.cumsum([0.0, *(np.linalg.norm(_OURS[name]) for name in ours[1:])])
+        for node, share in zip(self.mapping.spine, shares[1:], strict=True):
+            if node != self.mapping.spine[-1] and self._carries_legs(node):
+                share = 0.0  # what carries the legs is of the hips
+            change = _matrix(rotation.from_exponential_map(share * chest_change))
+            out.append(Segment(node, *_place_among(ours, steps / steps[-1], share, change @ bind[node])))
+        look = self._head_change()
+        chain = [*self.mapping.neck, joints["Head"]]
+        shares = self._shares(chain)
+        for node, low, high in zip(self.mapping.neck, shares, shares[1:], strict=False):
+            # A neck of one joint bends where ours, of two, bends on average: by the middle of its bone.
+            out.append(Segment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (low + high) / 2.0,
+                                                   look @ bind[node])))
+        return [*out, Segment(joints["Head"], "Head", look @ bind[joints["Head"]])]
+
+    def _carries_legs(self, node: int) -> bool:
+        return any(self.way(node, self.joints[side + "UpLeg"]) is not None for side in SIDES
+                   if side + "UpLeg" in self.joints)
+
+    def _shares(self, chain: Sequence[int]) -> list[float]:
+        """[0 .. 1] where the nodes of a chain lie along it."""
+        ways = [self.way(above, below) for above, below in zip(chain, chain[1:], strict=False)]
+        lengths = [0.0 if way is None else float(np.linalg.norm(way)) for way in ways]
+        steps = np.cumsum([0.0, *lengths])
+        return [float(step / steps[-1]) if steps[-1] > 0 else place / max(len(chain) - 1, 1)
+                for place, step in enumerate(steps)]
+
+    def _bind_place(self, node: int) -> Array:
+        """[3] from the hips in the bind pose."""
+        hips = self.joints["Hips"]
+        line = [node]
+        while line[-1] != hips:
+            line.append(self.character.parents[line[-1]])
+        return np.sum([self.bind[above] @ self._offsets[below]
+                       for below, above in zip(line, line[1:], strict=False)], axis=0) if len(line) > 1 else np.zeros(3)
+
+    def _chest_change(self) -> Array:
+        """[3] log of the turn from the bind pose of her chest to ours at rest; zero where she stands upright."""
+        top = self.mapping.neck[0] if self.mapping.neck else self.joints["Head"]
+        spine = self._bind_place(top)
+        across = self._bind_place(self.joints["LeftArm"]) - self._bind_place(self.joints["RightArm"])
+        ours = np.sum([_OURS[name] for name in ("Spine", "Spine1", "Spine2", "Spine3", "Neck")], axis=0)
+        turn = frame(ours, np.array([1.0, 0.0, 0.0])) @ frame(spine, across).T
+        log = Rotation.from_matrix(turn).as_rotvec()
+        return log if np.linalg.norm(log) > _LEANS else np.zeros(3)
+
+    def _head_change(self) -> Array:
+        if not self.mapping.neck:
+            return np.eye(3)
+        neck = self._bind_place(self.joints["Head"]) - self._bind_place(self.mapping.neck[0])
+        ours = _OURS["Neck1"] + _OURS["Head"]
+        return _turn(neck, ours) if np.linalg.norm(neck) > 1e-6 and _angle(neck, ours) > _LOOKS else np.eye(3)
+
+    # ------------------------------------------------------------------------------------------------ arms
+
+    def arms(self) -> list[Segment]:
+        """Clavicles, arms, hands and fingers."""
+        out: list[Segment] = []
+        for side, sign in (("Left", 1.0), ("Right", -1.0)):
+            if side + "Shoulder" in self.joints:
+                own, ours = self.bone(side + "Shoulder", side + "Arm"), _OURS[side + "Arm"]
+                out.append(self._segment(side + "Shoulder", _turn(own, ours) if _angle(own, ours) > _SHRUGS
+                                         else np.eye(3)))
+            upper, lower = self.bone(side + "Arm", side + "ForeArm"), self.bone(side + "ForeArm", side + "Hand")
+            ours_upper, ours_lower = _OURS[side + "ForeArm"], _OURS[side + "Hand"]
+            hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
+            down = np.array([0.0, -sign, 0.0])  # the axis about which our straight arm would bend forward
+            out.append(self._segment(side + "Arm", _change(upper, hinge, ours_upper, down)))
+            along, back, ours_along, ours_back = self._palm(side, sign, lower)
+            if back is not None:
+                fore = _change(lower, back, ours_lower, ours_back)
+                hand = frame(ours_along, ours_back) @ frame(along, back).T
+            else:
+                fore = _change(lower, hinge, ours_lower, down)
+                # A hand without fingers is rolled as its forearm is.
+                hand = _turn(fore @ along, ours_along) @ fore
+            out += [self._segment(side + "ForeArm", fore), self._segment(side + "Hand", hand)]
+            out += self._fingers(side, along, back, ours_back, hand)
+        return out
+
+    def _palm(self, side: str, sign: float, forearm: Array) -> tuple[Array, Array | None, Array, Array]:
+        """Along her hand and out of its back in the bind pose (None without fingers), and the same of ours."""
+        found = [finger for finger in FINGERS[1:] if f"{side}Hand{finger}1" in self.joints]
+        pair = next((pair for pair in _KNUCKLES if set(pair) <= set(found)), None)
+        hand, ours_back = self.joints[side + "Hand"], np.array([0.0, 1.0, 0.0])
+        if not found:
+            tips = [self.way(hand, node) for node, parent in enumerate(self.character.parents) if parent == hand]
+            tips += [tip * self._tip_unit(hand) for node, tip in self.character.tips.items() if node == hand]
+            long = [self.bind[hand] @ tip for tip in tips if tip is not None and np.linalg.norm(tip) > 1e-3]
+            along = long[0] if len(long) == 1 and _angle(long[0], forearm) < np.radians(60.0) else forearm
+            return along, None, np.array([sign, 0.0, 0.0]), ours_back
+        middle = "Middle" if "Middle" in found else found[0]
+        along = self.bone(side + "Hand", f"{side}Hand{middle}1")
+        ours_along = _OURS[f"{side}Hand{middle}1"]
+        if pair is None:
+            return along, None, ours_along, ours_back
+        first, last = (f"{side}Hand{finger}1" for finger in pair)
+        across = self.bone(side + "Hand", first) - self.bone(side + "Hand", last)
+        return (along, sign * np.cross(across, along), ours_along,
+                sign * np.cross(_OURS[first] - _OURS[last], ours_along))
+
+    def _tip_unit(self, node: int) -> float:
+        """Metres per unit of the numbers in a node's own axes (BVH, where nothing is scaled)."""
+        own = float(np.linalg.norm(self.character.translations[node]))
+        return float(np.linalg.norm(self._offsets[node])) / own if own > 1e-9 else 1.0
+
+    def _fingers(self, side: str, along: Array, back: Array | None, ours_back: Array, hand: Array) -> list[Segment]:
+        """The joints of the fingers; each bone points as ours does, its back where the hand's back is."""
+        out = []
+        for finger in FINGERS:
+            before: Array | None = None
+            for place in (1, 2, 3):
+                name = f"{side}Hand{finger}{place}"
+                if name not in self.joints:
+                    break
+                way = self._phalanx(name, before)
+                before = way if way is not None else before
+                index = WHOLE_BODY.index(name)
+                ours = WHOLE_BODY.end_sites[index] if place == 3 else _OURS[f"{side}Hand{finger}{place + 1}"]
+                if way is None:
+                    out.append(self._segment(name, hand))
+                elif back is None:
+                    out.append(self._segment(name, _turn(hand @ way, ours) @ hand))
+                else:
+                    out.append(self._segment(name, _change(way, back, ours, ours_back)))
+        return out
+
+    def _phalanx(self, name: str, before: Array | None) -> Array | None:
+        """[3] along a finger's bone in the bind pose: to the next joint, to its tip, else as the bone before it."""
+        node, following = self.joints[name], name[:-1] + str(int(name[-1]) + 1)
+        ways = [self.way(node, self.joints[following])] if following in self.joints else [
+            self.way(node, child) for child, parent in enumerate(self.character.parents) if parent == node]
+        if node in self.character.tips and following not in self.joints:
+            ways.append(self.character.tips[node] * self._tip_unit(node))
+        long = [way for way in ways if way is not None and np.linalg.norm(way) > 1e-4]
+        return self.bind[node] @ max(long, key=lambda way: float(np.linalg.norm(way))) if long else before
+
+    # ------------------------------------------------------------------------------------------------ legs
+
+    def legs(self) -> list[Segment]:
+        """Thighs, shins, feet and toes; a foot stands flat in the bind pose, whatever the height of its heel."""
+        out: list[Segment] = []
+        for side in SIDES:
+            if any(side + part not in self.joints for part in ("UpLeg", "Leg", "Foot")):
+                continue
+            upper, lower = self.bone(side + "UpLeg", side + "Leg"), self.bone(side + "Leg", side + "Foot")
+            hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
+            # Knees bend backwards, about the character's left.
+            axis = np.array([1.0, 0.0, 0.0])
+            out += [self._segment(side + "UpLeg", _change(upper, hinge, _OURS[side + "Leg"], axis)),
+                    self._segment(side + "Leg", _change(lower, hinge, _OURS[side + "Foot"], axis))]
+            turn = np.eye(3)
+            if side + "ToeBase" in self.joints:
+                toes = self.bone(side + "Foot", side + "ToeBase")
+                level = toes * [1.0, 0.0, 1.0]
+                if np.linalg.norm(level) > 0.3 * np.linalg.norm(toes) and level[2] > 0.0:
+                    turn = _turn(level, _OURS[side + "ToeBase"] * [1.0, 0.0, 1.0])
+            out.append(self._segment(side + "Foot", turn))
+            if side + "ToeBase" in self.joints:
+                out.append(self._segment(side + "ToeBase", turn))
+        return out
+
+
+def _change(bone: Array, across: Array | None, ours: Array, ours_across: Array) -> Array:
+    """[3, 3] the turn from a bone of hers in the bind pose to ours at rest: bone onto bone, and what is across onto
+    what is across ours. Without it (or with one along the bone) the shortest turn."""
+    if across is None or np.linalg.norm(across) < 1e-9 or abs(np.cos(_angle(bone, across))) > 0.95 \
+            or abs(np.cos(_angle(ours, ours_across))) > 0.95:
+        return _turn(bone, ours)
+    return frame(ours, ours_across) @ frame(bone, across).T
+
+
+def _place_among(ours: Sequence[str], steps: Array, share: float, constant: Array
+                 ) -> tuple[str, Array, str, float]:
+    """The fields of a `Segment` that lies at `share` among joints of ours at `steps`: (joint, C, other, share)."""
+    place = int(np.clip(np.searchsorted(steps, share, side="right") - 1, 0, len(ours) - 1))
+    if place == len(ours) - 1:
+        return ours[place], constant, "", 0.0
+    part = float(np.clip((share - steps[place]) / (steps[place + 1] - steps[place]), 0.0, 1.0))
+    return ours[place], constant, ours[place + 1], part

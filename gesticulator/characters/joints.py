@@ -1,0 +1,367 @@
+"""Finding the joints of a body in a character: by the VRM table, by names, by the tree and by where its nodes are.
+
+The search is one for all tools. It looks for the ends (hands, feet, head) first, and for each limb it chooses among
+the nodes on the way from the trunk to the end: a choice is scored by what the names say and by what bones must look
+like, so that "LeftLeg" is a shin beside "LeftUpLeg" and a thigh above "LeftShin", and a bone without a telling name
+still finds its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from data_module.motion.skeletons import FINGERS, NAME_TABLES
+from data_module.types import Array
+from gesticulator.characters import shape
+from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, NEEDED, SIDES, RigMapping, ancestors
+from gesticulator.characters.names import Label, label
+from gesticulator.characters.rig import Character
+
+_VRM_PARTS = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
+              "Leg": "LowerLeg", "Foot": "Foot", "ToeBase": "Toes"}
+_VRM_FINGERS = {"Thumb": "Thumb", "Index": "Index", "Middle": "Middle", "Ring": "Ring", "Pinky": "Little"}
+# VRM 1.0 calls the thumb's three joints metacarpal, proximal and distal; 0.x proximal, intermediate and distal.
+_VRM_PLACES = {"0.x": ("Proximal", "Intermediate", "Distal"), "1.0": ("Metacarpal", "Proximal", "Distal")}
+
+_LONGEST_PATH = 14
+"""Nodes of a limb among which joints are chosen; a limb with more has the ones nearest to its end considered."""
+_METACARPAL = 0.45
+"""A finger that begins nearer to the wrist than this share of the way to its second joint begins with a metacarpal:
+in hands the knuckles lie at 0.65, in rigs the bases of metacarpals at 0.3."""
+_BY_NAME, _BY_SECOND_NAME, _BY_SHAPE = 1.0, 0.95, 0.7
+"""How sure a joint is that has a name of its own, one that other tools give to its neighbour, or none."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """What the search looks at: the tree, the labels and the places of N nodes."""
+
+    character: Character
+    labels: tuple[Label, ...]
+    places: Array
+    """[N, 3] in the file's units and axes, in the bind pose."""
+    up: Array
+    """[3] which way is up."""
+
+    def path(self, top: int, node: int) -> list[int]:
+        """The nodes from below `top` (-1: the root's parent) down to `node`."""
+        line = [node, *ancestors(self.character.parents, node)]
+        return (line[:line.index(top)] if top >= 0 else line)[::-1]
+
+    def meeting(self, a: int, b: int) -> int:
+        """The lowest node that both are under (or are); -1 for none."""
+        line = {a, *ancestors(self.character.parents, a)}
+        return next((node for node in [b, *ancestors(self.character.parents, b)] if node in line), -1)
+
+    def length(self, a: int, b: int) -> float:
+        """From one node to another, in the file's units."""
+        return float(np.linalg.norm(self.places[a] - self.places[b]))
+
+
+def find_joints(character: Character) -> RigMapping:
+    """The character's joints as well as they can be found, with how sure that is and what speaks against it.
+
+    Nothing is refused here: `gesticulator.characters.mapping.check` tells whether the mapping can be used.
+    """
+    if character.humanoid:
+        return _from_vrm(character)
+    labels = tuple(label(name) for name in character.names)
+    places = shape.bind_matrices(character)[:, :3, 3]
+    # glTF and Blender say which way is up; a BVH file may hold either.
+    ups = {"glb": [(0.0, 1.0, 0.0)], "fbx": [(0.0, 0.0, 1.0)]}.get(
+        character.kind, [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
+    found = []
+    for up in ups:
+        search = Search(character, labels, places, np.array(up))
+        found.append(_found(search))
+        if found[-1].confidence >= 0.9:
+            break
+    return max(found, key=lambda mapping: mapping.confidence)
+
+
+# ---------------------------------------------------------------------------------------------------- by the table
+
+def _from_vrm(character: Character) -> RigMapping:
+    """What the file's own table says; spine and neck are the nodes on the way that it names."""
+    table = character.humanoid
+    joints = {name: table[bone] for name, bone in (("Hips", "hips"), ("Head", "head")) if bone in table}
+    for side in SIDES:
+        for ours, bone in _VRM_PARTS.items():
+            if side.lower() + bone in table:
+                joints[side + ours] = table[side.lower() + bone]
+        for finger, theirs in _VRM_FINGERS.items():
+            for place in range(3):
+                kind = _VRM_PLACES["1.0" if finger == "Thumb" and character.vrm == "1.0" else "0.x"][place]
+                if f"{side.lower()}{theirs}{kind}" in table:
+                    joints[f"{side}Hand{finger}{place + 1}"] = table[f"{side.lower()}{theirs}{kind}"]
+    spine = tuple(table[bone] for bone in ("spine", "chest", "upperChest") if bone in table)
+    neck = (table["neck"],) if "neck" in table else ()
+    lacking = [name for name in NEEDED if name not in joints]
+    doubts = (f"its VRM table lacks {', '.join(lacking)}",) if lacking else ()
+    return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if lacking else 1.0, doubts)
+
+
+# ---------------------------------------------------------------------------------------------------- by all else
+
+def _found(search: Search) -> RigMapping:
+    ends = _ends(search)
+    joints: dict[str, int] = {}
+    sure: dict[str, float] = {}
+    doubts: list[str] = []
+    for kind, parts, least in (("Hand", ARM_PARTS, 3), ("Foot", LEG_PARTS, 3)):
+        pair = [ends.get(side + kind) for side in SIDES]
+        if pair[0] is None or pair[1] is None:
+            doubts.append("it has no arms that can be told" if kind == "Hand" else "it has no legs that can be told")
+            continue
+        top = search.meeting(pair[0], pair[1])
+        for side, end in zip(SIDES, pair, strict=True):
+            assert end is not None
+            chosen, how = _limb(search, _below(search, top, end), side, parts, least)
+            joints |= chosen
+            sure |= how
+    trunk = _trunk(search, joints, ends.get("Head"), doubts)
+    if trunk is not None:
+        hips, spine, neck, head, how = trunk
+        joints, sure = {"Hips": hips, "Head": head, **joints}, {**sure, **how}
+    else:
+        spine = neck = ()
+    for side in SIDES:
+        if side + "Hand" in joints:
+            joints |= _fingers(search, side, joints[side + "Hand"])
+    if _sides_are_guessed(search, ends):
+        joints = _turned_round(search, joints, doubts)
+    confidence = _confidence(search, joints, sure, doubts)
+    family = _family(search.character.names, [*joints.values(), *spine, *neck])
+    return RigMapping(joints, spine, neck, family, confidence, tuple(doubts))
+
+
+def _ends(search: Search) -> dict[str, int]:
+    """Hands, feet (or toes) and head, by name; those that no name tells by the shape of the tree."""
+    out: dict[str, int] = {}
+    for side in SIDES:
+        for kind, wanted in (("Hand", ("Hand",)), ("Foot", ("ToeBase", "Foot"))):
+            best: tuple[int, int, int] | None = None
+            for node, said in enumerate(search.labels):
+                if said.side != side or said.tip or said.aid or not said.parts or said.parts[0] not in wanted:
+                    continue
+                line = ancestors(search.character.parents, node)
+                limb = sum(bool(search.labels[above].parts) and search.labels[above].side == side for above in line)
+                size = sum(1 for other in search.character.parents if other == node)
+                # The hand nearest the arm (a palm below it is no hand), the foot's farthest part.
+                rank = (limb if kind == "Foot" else min(limb, 3), size if kind == "Hand" else 0, -node)
+                if best is None or rank > best:
+                    best, out[side + kind] = rank, node
+    heads = [node for node, said in enumerate(search.labels)
+             if said.parts[:1] == ("Head",) and not said.tip and not said.aid]
+    if heads:
+        out["Head"] = min(heads, key=lambda node: (len(ancestors(search.character.parents, node)), node))
+    if len(out) < 5:
+        for name, node in shape.limb_ends(search.character, search.places, search.up).items():
+            pair = name.replace("Left", "?").replace("Right", "?")
+            # A pair is taken whole: one hand by name and the other by shape could be the same one.
+            if not any(known.replace("Left", "?").replace("Right", "?") == pair for known in out if known != name) \
+                    or pair == name:
+                out.setdefault(name, node)
+            elif name not in out and sum(known.endswith(pair[1:]) for known in out) == 1:
+                other = next(known for known in out if known.endswith(pair[1:]))
+                if out[other] != node:
+                    out[name] = node
+    return out
+
+
+def _below(search: Search, top: int, end: int) -> list[int]:
+    """The nodes of a limb from below the trunk on; its end is followed by what lies beyond a foot."""
+    path = search.path(top, end)
+    beyond = end
+    while True:
+        below = [node for node, parent in enumerate(search.character.parents) if parent == beyond]
+        toes = [node for node in below if search.labels[node].parts[:1] in (("ToeBase",), ("Foot",))
+                and not search.labels[node].tip and not search.labels[node].aid]
+        if len(toes) != 1:
+            return path[-_LONGEST_PATH:]
+        beyond = toes[0]
+        path.append(beyond)
+
+
+def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str], least: int
+          ) -> tuple[dict[str, int], dict[str, float]]:
+    """The best choice of nodes on a path for the four parts of a limb, and how sure each is.
+
+    An arm may lack its clavicle (the first part), a leg its toes (the last). Nodes that help (twist bones) count only
+    where nothing else can be chosen.
+    """
+    arm = parts is ARM_PARTS
+    best, chosen, kept = -np.inf, (), ()
+    shorter = parts[1:] if arm else parts[:-1]
+    for wanted in (tuple(parts), tuple(shorter)):
+        for nodes in combinations(path, len(wanted)):
+            score = sum(_name_score(search.labels[node], part, side) for node, part in zip(nodes, wanted, strict=True))
+            score += _shape_score(search, nodes, wanted, path)
+            if score > best:
+                best, chosen, kept = score, nodes, wanted
+    out = {side + part: node for part, node in zip(kept, chosen, strict=True)}
+    how = {side + part: _sureness(search.labels[node], part) for part, node in zip(kept, chosen, strict=True)}
+    return out, how
+
+
+def _name_score(said: Label, part: str, side: str) -> float:
+    """Points for a part of a limb that a name speaks for, and against."""
+    if said.aid or said.tip:
+        return -4.0
+    if not said.parts:
+        return 0.0
+    if said.side != side or part not in said.parts:
+        return -3.0
+    return 3.0 if said.parts[0] == part else 2.0
+
+
+def _sureness(said: Label, part: str) -> float:
+    if part not in said.parts:
+        return _BY_SHAPE
+    return _BY_NAME if said.parts[0] == part else _BY_SECOND_NAME
+
+
+def _shape_score(search: Search, nodes: Sequence[int], parts: Sequence[str], path: Sequence[int]) -> float:
+    """Points for a limb that looks like one: two long bones of like length, the rest short."""
+    at = dict(zip(parts, nodes, strict=True))
+    upper, lower, end = (at[part] for part in (ARM_PARTS[1:] if "Hand" in at else LEG_PARTS[:3]))
+    first, second = search.length(upper, lower), search.length(lower, end)
+    whole = sum(search.length(a, b) for a, b in zip(path, path[1:], strict=False)) or 1.0
+    if min(first, second) < 0.02 * whole:
+        return -6.0
+    score = -abs(float(np.log(first / second))) + 2.0 * (first + second) / whole
+    if "Hand" in at:
+        branches = sum(parent == end for parent in search.character.parents)
+        score += 0.5 * min(branches, 4) + (0.3 if "Shoulder" in at else 0.0)
+    else:
+        # An ankle is where the leg stops going down; toes are near the floor and ahead of it.
+        score += 0.3 if "ToeBase" in at else 0.0
+        score -= 2.0 * abs(float((search.places[end] - search.places[path[-1]]) @ search.up)) / whole
+    return score
+
+
+def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: list[str]
+           ) -> tuple[int, tuple[int, ...], tuple[int, ...], int, dict[str, float]] | None:
+    """Hips, spine, neck and head, with how sure hips and head are; None where there is no head."""
+    arms = [joints[side + "Arm"] for side in SIDES if side + "Arm" in joints]
+    legs = [joints[side + "UpLeg"] for side in SIDES if side + "UpLeg" in joints]
+    if not arms:
+        return None
+    fork = search.meeting(arms[0], arms[-1])
+    head_sure = _BY_NAME
+    if head is None:
+        head = shape.head_above(search.character, search.places, search.up, fork, joints.values())
+        head_sure = _BY_SHAPE
+        if head is None:
+            doubts.append("it has no head that can be told")
+            return None
+    fork = search.meeting(fork, head)
+    meeting = search.meeting(search.meeting(legs[0], legs[-1]), fork) if legs else fork
+    line = [meeting, *ancestors(search.character.parents, meeting)] if meeting >= 0 else []
+    named = [node for node in line if search.labels[node].parts[:1] == ("Hips",) and not search.labels[node].aid]
+    if named:
+        hips, hips_sure = named[0], _BY_NAME
+    elif legs and meeting >= 0:
+        hips, hips_sure = meeting, _BY_SHAPE if search.labels[meeting].parts[:1] != ("Spine",) else _BY_SECOND_NAME
+    elif line:  # nothing but an upper body: it stands on its first node
+        hips, hips_sure = next((node for node in reversed(line) if search.character.skinned[node]), line[-1]), _BY_SHAPE
+    else:
+        doubts.append("its arms and its head have no node in common")
+        return None
+    way = [node for node in search.path(hips, head) if node != head]
+    first_neck = next((place for place, node in enumerate(way) if search.labels[node].parts[:1] == ("Neck",)), None)
+    if first_neck is None:
+        first_neck = way.index(fork) + 1 if fork in way else len(way)
+    spine, neck = (tuple(_distinct(search, [hips, *part])) for part in (way[:first_neck], way[first_neck:]))
+    return hips, spine[1:], neck[1:], head, {"Hips": hips_sure, "Head": head_sure}
+
+
+def _distinct(search: Search, chain: Sequence[int]) -> list[int]:
+    """A chain without the nodes that lie where the one before them does; the first is always kept."""
+    out = list(chain[:1])
+    small = 1e-4 * float(np.ptp(search.places @ search.up))
+    out += [node for above, node in zip(chain, chain[1:], strict=False) if search.length(above, node) > small]
+    return out
+
+
+def _fingers(search: Search, side: str, hand: int) -> dict[str, int]:
+    """The finger joints under a hand: by name, else by where they are."""
+    under = [node for node in range(len(search.character)) if hand in ancestors(search.character.parents, node)]
+    chains: dict[str, list[int]] = {}
+    for finger in FINGERS:
+        chains[finger] = [node for node in under if search.labels[node].finger == finger and not search.labels[node].tip
+                          and not search.labels[node].aid and search.labels[node].side in ("", side)]
+    if not any(chains.values()):
+        chains = shape.finger_chains(search.character, search.places, hand)
+    out: dict[str, int] = {}
+    for finger, chain in chains.items():
+        line = _one_line(search, chain)
+        if finger != "Thumb":
+            line = [node for node in line if search.labels[node].number != "Metacarpal"]
+            if len(line) >= 4 and search.length(hand, line[0]) < _METACARPAL * search.length(hand, line[1]):
+                line = line[1:]
+        if len(line) >= 2:  # single joints stand for fingers that nobody measured
+            out |= {f"{side}Hand{finger}{place}": node for place, node in enumerate(line[:3], start=1)}
+    return out
+
+
+def _one_line(search: Search, nodes: Sequence[int]) -> list[int]:
+    """Of the nodes those that lie under one another, the longest such line."""
+    best: list[int] = []
+    for node in nodes:
+        line = [above for above in reversed(ancestors(search.character.parents, node)) if above in nodes] + [node]
+        best = max(best, line, key=len)
+    return best
+
+
+def _sides_are_guessed(search: Search, ends: Mapping[str, int]) -> bool:
+    return not any(search.labels[node].side for name, node in ends.items() if name != "Head")
+
+
+def _turned_round(search: Search, joints: dict[str, int], doubts: list[str]) -> dict[str, int]:
+    """Joints whose sides no name tells, left and right exchanged where the toes say that she faces the other way."""
+    doubts.append("no name tells left from right")
+    ahead = shape.toes_ahead(search.places, search.up, joints)
+    if ahead is None or ahead > 0.0:
+        return joints
+    other = {"Left": "Right", "Right": "Left"}
+    return {next((other[side] + name.removeprefix(side) for side in SIDES if name.startswith(side)), name): node
+            for name, node in joints.items()}
+
+
+def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, float], doubts: list[str]) -> float:
+    """0 to 1: the mean over the joints found of how sure each is, less for whatever is odd."""
+    if any(name not in joints for name in NEEDED):
+        doubts.append(f"it lacks {', '.join(name for name in NEEDED if name not in joints)}")
+        return 0.0
+    value = float(np.mean([sure[name] for name in sure if name in joints]))
+    for upper, lower in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
+        both = [search.length(joints[side + upper], joints[side + lower]) for side in SIDES
+                if side + upper in joints and side + lower in joints]
+        if len(both) == 2 and min(both) < 0.7 * max(both):
+            doubts.append(f"the bone from {upper} to {lower} is {max(both) / max(min(both), 1e-9):.1f} times as long "
+                          "on one side as on the other")
+            value *= 0.7
+    arm, trunk = (search.length(joints["LeftArm"], joints["LeftForeArm"]),
+                  abs(float((search.places[joints["Head"]] - search.places[joints["Hips"]]) @ search.up)))
+    if not 0.15 < arm / max(trunk, 1e-9) < 1.2:
+        doubts.append(f"an upper arm is {arm / max(trunk, 1e-9):.2f} of the height from hips to head")
+        value *= 0.7
+    ahead = shape.toes_ahead(search.places, search.up, joints)
+    if ahead is not None and ahead < -0.3:
+        doubts.append("its toes point backwards for the sides that its names tell")
+        value *= 0.7
+    return value
+
+
+def _family(names: Sequence[str], used: Sequence[int]) -> str:
+    """The table of `NAME_TABLES` that knows most of the names that are used, when it knows nearly all of them."""
+    plain = {names[node].rsplit(":", 1)[-1].replace(" ", "_").lower() for node in used}
+    share = {family: len(plain & {name.lower() for name in table.values()}) / max(len(plain), 1)
+             for family, table in NAME_TABLES.items()}
+    best = max(share, key=lambda family: share[family])
+    return best if share[best] >= 0.8 else ""

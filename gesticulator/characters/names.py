@@ -1,0 +1,119 @@
+"""What the names of bones say: side, part of the body and number, in the spellings of common tools."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_SIDES = {"l": "Left", "left": "Left", "lf": "Left", "lft": "Left", "r": "Right", "right": "Right", "rt": "Right",
+          "rgt": "Right"}
+_NOISE = {"mixamorig", "bip", "j", "c", "cc", "base", "def", "org", "character", "bone", "joint", "jnt", "jt", "bn",
+          "b", "bind", "skin", "sk", "bend", "stretch", "x", "m", "valve", "biped", "reference", "armature"}
+_AIDS = {"twist", "roll", "ik", "ctrl", "pole", "target", "corrective", "helper", "attach", "socket", "prop", "weapon",
+         "share", "twistcor", "muscle"}
+"""Words of nodes that carry no part of the body."""
+_TIPS = {"end", "nub", "tip", "site", "effector", "top"}
+
+# Part -> the names that mean it whatever else is there.
+_CLEAR = {
+    "Hips": ("hips", "pelvis", "hip", "cog"),
+    "Spine": ("spine", "chest", "upperchest", "torso", "abdomen", "waist", "lowerback", "upperback", "abdomenlower",
+              "abdomenupper", "chestlower", "chestupper", "spinelower", "spinemid", "spineupper", "thorax", "belly",
+              "lumbar", "back", "ribcage"),
+    "Neck": ("neck", "necklower", "neckupper", "upperneck", "lowerneck"),
+    "Head": ("head", "skull"),
+    "Shoulder": ("clavicle", "collar", "collarbone", "clav", "scapula"),
+    "Arm": ("upperarm", "uparm", "shldr", "humerus", "armupper", "upperarmbone"),
+    "ForeArm": ("forearm", "lowerarm", "elbow", "loarm", "lowarm", "farm", "armlower", "ulna"),
+    "Hand": ("hand", "wrist"),
+    "UpLeg": ("upleg", "upperleg", "thigh", "femur", "legupper"),
+    "Leg": ("shin", "calf", "lowerleg", "knee", "loleg", "lowleg", "tibia", "leglower"),
+    "Foot": ("ankle", "foot"),
+    "ToeBase": ("toe", "toes", "toebase", "ball"),
+}
+# Names that mean one part in one tool and the next in another: SMPL-X's shoulder is Mixamo's arm.
+_DOUBLE = {"shoulder": ("Shoulder", "Arm"), "arm": ("Arm", "ForeArm"), "leg": ("Leg", "UpLeg"), "hip": ("UpLeg",),
+           "foot": ("Foot", "ToeBase"), "forefoot": ("Foot", "ToeBase"), "hand": ("Hand",), "palm": ("Hand",)}
+_FINGERS = {"thumb": "Thumb", "index": "Index", "pointer": "Index", "mid": "Middle", "middle": "Middle",
+            "ring": "Ring", "pinky": "Pinky", "little": "Pinky", "pinkie": "Pinky", "small": "Pinky"}
+_PARTS = {spelling: (part,) for part, spellings in _CLEAR.items() for spelling in spellings}
+_KINDS = {"meta": "Metacarpal", "metacarpal": "Metacarpal", "proximal": "1", "intermediate": "2", "distal": "3",
+          "carpal": "Metacarpal"}
+
+
+@dataclass(frozen=True)
+class Label:
+    """What a name says of its node.
+
+    parts: the parts of the body that it may be, the likeliest first ("Arm", "Hips", "Index"); empty for none.
+    side: "Left", "Right" or "". number: digits of the name that count ("2", "01"; "Metacarpal"), "" for none.
+    tip: the end of a bone, nothing that turns. aid: a twist bone, a control or a prop.
+    """
+
+    parts: tuple[str, ...] = ()
+    side: str = ""
+    number: str = ""
+    tip: bool = False
+    aid: bool = False
+
+    @property
+    def finger(self) -> str:
+        """Our name of the finger that it is of, "" for none."""
+        return self.parts[0] if self.parts and self.parts[0] in _FINGERS.values() else ""
+
+
+def words(name: str) -> list[str]:
+    """The words and numbers of a name in lower case; a namespace before a colon or a bar is left out.
+
+    >>> words("mixamorig:LeftUpLeg"), words("LHipJoint"), words("DEF-upper_arm.L.001")
+    (['mixamorig', 'left', 'up', 'leg'], ['l', 'hip', 'joint'], ['def', 'upper', 'arm', 'l', '001'])
+    """
+    plain = re.split(r"[:|]", name)
+    # "LHipJoint": a capital before a capital with small letters stands alone.
+    spaced = re.sub(r"([A-Z])(?=[A-Z][a-z])", r"\1 ", plain[-1])
+    found = [word.lower() for word in _WORD.findall(spaced)]
+    if len(plain) > 1 and plain[-2]:
+        found = [*_WORD.findall(plain[-2].lower())[:1], *found]
+    return found
+
+
+def label(name: str) -> Label:
+    """What a name says of its node; an empty `Label` where it says nothing known.
+
+    >>> label("upperarm_l").parts, label("upperarm_l").side, label("Bip01 R Finger01").number
+    (('Arm',), 'Left', '1')
+    """
+    found = [word for word in words(name) if word not in _NOISE]
+    side = next((_SIDES[word] for word in found if word in _SIDES), "")
+    found = [word for word in found if word not in _SIDES]
+    if not side and found:
+        side, found = _glued_side(found)
+    tip = any(word in _TIPS for word in found)
+    aid = any(word in _AIDS for word in found)
+    kind = next((_KINDS[word] for word in found if word in _KINDS), "")
+    digits = [word for word in found if word.isdigit()]
+    key = "".join(word for word in found if not word.isdigit() and word not in _TIPS | _AIDS and word not in _KINDS)
+    number = kind or (digits[-1] if digits else "")
+    if key in ("finger", "handfinger") and digits and side:  # Biped: finger 0 is the thumb, its joints 0, 01 and 02
+        which = digits[-1]
+        return Label((tuple(dict.fromkeys(_FINGERS.values()))[min(int(which[0]), 4)],), side, which[1:], tip, aid)
+    for short, finger in _FINGERS.items():
+        if side and key in (short, "hand" + short, short + "finger", "finger" + short, "f" + short, "in" + short):
+            return Label((finger,), side, number, tip, aid)
+    parts = _DOUBLE.get(key, ()) if side else ()
+    parts = parts or _PARTS.get(key, ())
+    if parts and (parts[0] in ("Hips", "Spine", "Neck", "Head")) == bool(side):
+        parts = ()  # a sided spine is a muscle, an arm without a side is a prop
+    return Label(parts, side, number, tip, aid)
+
+
+def _glued_side(found: list[str]) -> tuple[str, list[str]]:
+    """The side in words such as "lthumb" and "leftarm", and the words without it."""
+    for place, word in enumerate(found):
+        for prefix, side in (("left", "Left"), ("right", "Right"), ("l", "Left"), ("r", "Right")):
+            rest = word.removeprefix(prefix)
+            known = rest in _PARTS or rest in _DOUBLE or rest in _FINGERS
+            if rest != word and known and word not in _PARTS and word not in _FINGERS:
+                return side, [*found[:place], rest, *found[place + 1:]]
+    return "", found

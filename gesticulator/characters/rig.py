@@ -1,0 +1,111 @@
+"""A character as her file has it: a tree of nodes at rest, in the file's own units and axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.types import Array
+
+
+@dataclass(frozen=True)
+class Character:
+    """The rig of a character: N nodes, parents before children, as they stand in the file.
+
+    names: N names as the file spells them; in glTF they may be empty or repeat, so a node is known by its index here.
+    parents: N indices, -1 for a node at the top (there may be several: cameras, props, the mesh beside the armature).
+    translations: [N, 3], rotations: [N, 4] (unit quaternions, w first), scales: [N, 3]: the local transform of each
+        node at rest, in its parent's frame: x_parent = translation + rotation * (scale * x). The unit of length is the
+        file's.
+    path: the file. kind: its format, "bvh", "glb" (also VRM and .gltf) or "fbx".
+    skinned: [N] which nodes are joints of a skin; all of them where the format has no skins (BVH).
+    bind: [N, 4, 4] the world matrix of each node in the pose that the mesh was bound in, where the file tells it
+        (inverse bind matrices of glTF), brought into the world of the rest pose; None where it does not.
+    humanoid: bone of the VRM humanoid ("leftUpperArm") -> node, where the file has that table.
+    vrm: version of the VRM extension, "0.x", "1.0" or "" (a VRM 0.x character faces -Z).
+    unit: metres per unit of length, where the format tells it (1.0 for glTF), else None: it is guessed by the mapping.
+    node_ids: N indices of the nodes in the file (glTF's `nodes`); 0..N-1 where the file has no numbers.
+    tips: node -> [3] the end of its bone in its own frame, where the file tells it (End Site of BVH).
+    channels: N tuples of BVH channel names in the file's order ("Zrotation"); empty for other formats.
+    flesh: [V, 3] points of the skin in the bind pose's world, and flesh_nodes: [V] the node that moves each of them
+        most; both empty where the file has no mesh.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    translations: Array
+    rotations: Array
+    scales: Array
+    path: Path
+    kind: str
+    skinned: NDArray[np.bool_]
+    bind: Array | None = None
+    humanoid: Mapping[str, int] = field(default_factory=dict)
+    vrm: str = ""
+    unit: float | None = None
+    node_ids: tuple[int, ...] = ()
+    tips: Mapping[int, Array] = field(default_factory=dict)
+    channels: tuple[tuple[str, ...], ...] = ()
+    flesh: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    flesh_nodes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if not n or len(self.parents) != n or any(not -1 <= parent < node for node, parent in enumerate(self.parents)):
+            raise ValueError("a character needs a node at least, and parents before children")
+        shapes = self.translations.shape, self.rotations.shape, self.scales.shape, self.skinned.shape
+        if shapes != ((n, 3), (n, 4), (n, 3), (n,)) or (self.bind is not None and self.bind.shape != (n, 4, 4)):
+            raise ValueError(f"transforms {shapes} do not fit {n} nodes")
+        if not self.node_ids:
+            object.__setattr__(self, "node_ids", tuple(range(n)))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def local_matrices(self, rotations: Array | None = None) -> Array:
+        """[..., N, 4, 4] the nodes' local matrices for local rotations [..., N, 4]; at rest when not told."""
+        q = self.rotations if rotations is None else rotations
+        out = np.zeros((*q.shape[:-1], 4, 4))
+        out[..., :3, :3] = _turns(q) * self.scales[:, None, :]
+        out[..., :3, 3] = self.translations
+        out[..., 3, 3] = 1.0
+        return out
+
+    def local_turns(self) -> Array:
+        """[N, 3, 3] the nodes' local rotations at rest, as matrices."""
+        return _turns(self.rotations)
+
+    def world_turns(self) -> Array:
+        """[N, 3, 3] the nodes' world rotations at rest, in the file's axes; scales turn nothing."""
+        world = self.local_turns()
+        for node, parent in enumerate(self.parents):
+            if parent >= 0:
+                world[node] = world[parent] @ world[node]
+        return world
+
+    def world_matrices(self, rotations: Array | None = None, translations: Mapping[int, Array] | None = None) -> Array:
+        """[..., N, 4, 4] the nodes' world matrices, in the file's units and axes.
+
+        rotations: local [..., N, 4]; at rest when not told. translations: node -> local translation [..., 3] in place
+        of that at rest.
+        """
+        local = self.local_matrices(rotations)
+        for node, place in (translations or {}).items():
+            local[..., node, :3, 3] = place
+        for node, parent in enumerate(self.parents):
+            if parent >= 0:
+                local[..., node, :, :] = local[..., parent, :, :] @ local[..., node, :, :]
+        return local
+
+
+def _turns(q: Array) -> Array:
+    """[..., 3, 3] the matrices of unit quaternions [..., 4]."""
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    turn = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                     2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                     2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+    return turn.reshape(*q.shape[:-1], 3, 3)

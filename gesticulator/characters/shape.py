@@ -1,0 +1,150 @@
+"""What the tree and the places of a character's nodes tell where no name does: limbs, head, fingers, and ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from data_module.motion.skeletons import FINGERS
+from data_module.types import Array
+from gesticulator.characters.rig import Character
+
+_EVEN = 0.12
+"""How unlike two mirrored ends may be, as a share of the body's size."""
+
+
+def bind_matrices(character: Character) -> Array:
+    """[N, 4, 4] world matrices in the pose that the mesh was bound in; at rest where the file does not tell."""
+    return character.world_matrices() if character.bind is None else character.bind
+
+
+def _children(character: Character) -> list[list[int]]:
+    below: list[list[int]] = [[] for _ in character.names]
+    for node, parent in enumerate(character.parents):
+        if parent >= 0:
+            below[parent].append(node)
+    return below
+
+
+def _subtree(below: list[list[int]], node: int) -> list[int]:
+    out = [node]
+    for one in out:
+        out += below[one]
+    return out
+
+
+def limb_ends(character: Character, places: Array, up: Array) -> dict[str, int]:
+    """The last nodes of both arms and legs; left and right by the convention that she faces along the third axis.
+
+    Feet are the lowest leaves on two sides of the middle, hands those farthest from the middle. Joints of a skin only,
+    where there is a skin.
+    """
+    below = _children(character)
+    joints = np.flatnonzero(character.skinned)
+    if len(joints) < 8:
+        return {}
+    leaves = [int(node) for node in joints if not any(character.skinned[child] for child in below[node])]
+    across = _across(places[leaves], up)
+    if across is None:
+        return {}
+    middle = float(np.median(places[joints] @ across))
+    size = float(np.ptp(places[joints] @ up))
+    height, side = places @ up, places @ across - middle
+    floor = min(height[leaf] for leaf in leaves)
+    out: dict[str, int] = {}
+    for name, sign in (("Left", 1.0), ("Right", -1.0)):
+        own = [leaf for leaf in leaves if sign * side[leaf] > 0.02 * size]
+        if not own:
+            return {}
+        low = [leaf for leaf in own if height[leaf] < floor + 0.06 * size]
+        if low:
+            out[name + "Foot"] = max(low, key=lambda leaf: len(_line(character, leaf)))
+        hands = [leaf for leaf in own if height[leaf] > floor + 0.2 * size and leaf not in low]
+        if hands:
+            farthest = max(sign * side[leaf] for leaf in hands)
+            near = [leaf for leaf in hands if sign * side[leaf] > farthest - _EVEN * size]
+            out[name + "Hand"] = max(near, key=lambda leaf: (len(_line(character, leaf)), sign * side[leaf]))
+    return out
+
+
+def _line(character: Character, node: int) -> list[int]:
+    out = [node]
+    while (node := character.parents[node]) >= 0:
+        out.append(node)
+    return out
+
+
+def _across(leaves: Array, up: Array) -> Array | None:
+    """[3] the horizontal axis of the file along which the leaves are mirrored best (towards the left of one who faces
+    along the other); None where nothing has any width."""
+    names = [axis for axis in np.eye(3) if abs(axis @ up) < 0.5]
+    best, found = np.inf, None
+    for axis in names:
+        along = leaves @ axis
+        width = float(np.ptp(along))
+        if width < 1e-9:
+            continue
+        other = np.stack([leaves @ up, leaves @ np.cross(axis, up), along - np.median(along)], axis=-1)
+        flipped = other * [1.0, 1.0, -1.0]
+        gap = np.linalg.norm(other[:, None] - flipped[None], axis=-1).min(axis=1).mean() / width
+        if gap < best:
+            best, found = float(gap), axis
+    return found
+
+
+def head_above(character: Character, places: Array, up: Array, fork: int, taken: Iterable[int]) -> int | None:
+    """The head of a tree without a name for it: on the way from where the arms part to the highest node above."""
+    if fork < 0:
+        return None
+    below = _children(character)
+    arms = {node for joint in taken for node in _subtree(below, joint)}
+    above = [node for node in _subtree(below, fork) if node not in arms and node != fork]
+    if not above:
+        return None
+    highest = max(above, key=lambda node: float(places[node] @ up))
+    way = [node for node in reversed(_line(character, highest)) if node in above]
+    # A leaf at the crown is the end of the head's bone; the head is what carries it.
+    return way[-2] if len(way) >= 3 and not below[way[-1]] else way[-1]
+
+
+def finger_chains(character: Character, places: Array, hand: int) -> dict[str, list[int]]:
+    """Finger -> the nodes of its chain, for a hand with five (or four, without a thumb) chains of two nodes or more.
+
+    The thumb is the one that begins nearest to the wrist and points away from the others; the rest lie side by side.
+    """
+    below = _children(character)
+    chains = []
+    for base in below[hand]:
+        chain = [base]
+        while len(below[chain[-1]]) == 1:
+            chain.append(below[chain[-1]][0])
+        if len(chain) >= 2:
+            chains.append(chain)
+    if len(chains) != 5:
+        return {}
+    ways = np.array([places[chain[-1]] - places[chain[0]] for chain in chains])
+    ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+    thumb = int(np.argmin(ways @ np.median(ways, axis=0)))
+    rest = [place for place in range(5) if place != thumb]
+    bases = np.array([places[chains[place][0]] for place in rest])
+    spread = np.linalg.svd(bases - bases.mean(axis=0))[2][0]
+    order = np.argsort((bases - places[chains[thumb][0]]) @ spread)
+    if np.linalg.norm(bases[order[0]] - places[chains[thumb][0]]) > np.linalg.norm(
+            bases[order[-1]] - places[chains[thumb][0]]):
+        order = order[::-1]
+    ordered = [thumb, *(rest[int(place)] for place in order)]
+    return {finger: chains[place][:4] for finger, place in zip(FINGERS, ordered, strict=True)}
+
+
+def toes_ahead(places: Array, up: Array, joints: Mapping[str, int]) -> float | None:
+    """Cosine between where the toes point and what is ahead by left and right; None without toes or arms."""
+    if any(side + part not in joints for side in ("Left", "Right") for part in ("Arm", "Foot", "ToeBase")):
+        return None
+    left = places[joints["LeftArm"]] - places[joints["RightArm"]]
+    ahead = np.cross(left, up)
+    toes = sum(places[joints[side + "ToeBase"]] - places[joints[side + "Foot"]] for side in ("Left", "Right"))
+    toes = toes - (toes @ up) * up
+    if np.linalg.norm(ahead) < 1e-9 or np.linalg.norm(toes) < 1e-9:
+        return None
+    return float(ahead @ toes / np.linalg.norm(ahead) / np.linalg.norm(toes))

@@ -1,0 +1,182 @@
+"""What every writer of an animation is given: a tree of nodes at rest, and how it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_module.motion import rotation, skeletons
+from data_module.types import Array, Motion, Skeleton
+
+if TYPE_CHECKING:
+    from gesticulator.characters.rig import Character
+    from gesticulator.performance import Performance
+    from gesticulator.retarget import CharacterMotion
+
+
+_CHUNK = 1024
+"""Frames whose matrices are held at once: an hour of them would take gigabytes."""
+
+
+@dataclass(frozen=True)
+class NodeMotion:
+    """N nodes, parents before children, that move over T frames; frame t is the pose at t / fps seconds.
+
+    names: N names, of which none is empty and none repeats. parents: N indices, -1 at the top.
+    translations: [N, 3], rotations: [N, 4] (unit quaternions, w first), scales: [N, 3]: the local transforms at rest,
+        x_parent = translation + rotation * (scale * x), Y up.
+    turns: [T, N, 4] the local rotations over time, in place of those at rest.
+    shifts: node -> [T, 3] local translations over time, for the nodes whose place changes.
+    tips: node -> [3] the end of its bone in its own frame, where no child tells it.
+    unit: metres per unit of length.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    translations: Array
+    rotations: Array
+    scales: Array
+    turns: Array
+    shifts: Mapping[int, Array]
+    tips: Mapping[int, Array]
+    fps: float
+    unit: float = 1.0
+
+    def __len__(self) -> int:
+        return len(self.turns)
+
+    @property
+    def times(self) -> Array:
+        """[T] seconds."""
+        return np.arange(len(self)) / self.fps
+
+    @property
+    def duration(self) -> float:
+        """Seconds: each frame lasts 1 / fps."""
+        return len(self) / self.fps
+
+    def rest_matrices(self) -> Array:
+        """[N, 4, 4] the nodes' world matrices at rest."""
+        return self._worlds(self.rotations[None], {})[0]
+
+    def positions(self) -> Array:
+        """[T, N, 3] where the nodes are, metres."""
+        return np.concatenate([self._worlds(self.turns[start:start + _CHUNK], {
+            node: places[start:start + _CHUNK] for node, places in self.shifts.items()})[..., :3, 3]
+            for start in range(0, len(self), _CHUNK)]) * self.unit
+
+    def _worlds(self, turns: Array, shifts: Mapping[int, Array]) -> Array:
+        local = np.zeros((*turns.shape[:-1], 4, 4))
+        for axis, unit in enumerate(np.eye(3)):
+            local[..., :3, axis] = rotation.rotate(turns, unit) * self.scales[:, axis, None]
+        local[..., :3, 3] = self.translations
+        local[..., 3, 3] = 1.0
+        for node, places in shifts.items():
+            local[:, node, :3, 3] = places
+        for node, parent in enumerate(self.parents):
+            if parent >= 0:
+                local[:, node] = local[:, parent] @ local[:, node]
+        return local
+
+
+def of_motion(motion: Motion) -> NodeMotion:
+    """A motion as nodes. At rest she stands in a T-pose on the floor, also where she sits in the motion: players of VRM
+    animations scale her path by how high her hips are at rest."""
+    skeleton = motion.skeleton
+    rest = skeleton.offsets.copy()
+    rest[0] = [0.0, skeletons.HIP_HEIGHT, 0.0]
+    identity = np.zeros((len(skeleton), 4))
+    identity[:, 0] = 1.0
+    return NodeMotion(skeleton.names, skeleton.parents, rest, identity, np.ones((len(skeleton), 3)),
+                      rotation.continuous(rotation.normalise(motion.rotations)), {0: motion.root_positions},
+                      dict(skeleton.end_sites), motion.fps)
+
+
+def shown(performance: Performance) -> Motion:
+    """The motion on our own skeleton, standing on the floor."""
+    return skeletons.standing(performance.motion)
+
+
+def of_performance(performance: Performance) -> NodeMotion:
+    """What a file of the performance shows: its character where it has one, else our own skeleton."""
+    return of_motion(shown(performance)) if performance.character is None else of_character(performance.character)
+
+
+def of_character(moved: CharacterMotion) -> NodeMotion:
+    """The joints of a character from the hips on, in her file's axes, in metres; the hips stand free of what carries
+    them. Joints are the nodes of a skin, those that move, and what lies between; meshes and cameras are left out.
+
+    A scale of a node is taken into the lengths below it, so that nodes only turn.
+    """
+    character = moved.character
+    kept = _joints_below(character, moved.hips, {*np.flatnonzero(character.skinned).tolist(), *moved.moved})
+    rest, world = character.world_matrices(), moved.world_matrices()
+    rest_turns, turns = (_turns(matrices[..., kept, :, :]) for matrices in (rest, world))
+    parents = [kept.index(character.parents[node]) if node != moved.hips else -1 for node in kept]
+    places = rest[kept, :3, 3] * moved.unit
+    count = len(kept)
+    offsets, local_rest, local = np.zeros((count, 3)), np.zeros((count, 4)), np.zeros((len(moved), count, 4))
+    for index, parent in enumerate(parents):
+        back = rotation.conjugate(rest_turns[parent]) if parent >= 0 else np.array([1.0, 0.0, 0.0, 0.0])
+        offsets[index] = rotation.rotate(back, places[index] - (places[parent] if parent >= 0 else 0.0))
+        local_rest[index] = rotation.multiply(back, rest_turns[index])
+        local[:, index] = turns[:, index] if parent < 0 else rotation.multiply(rotation.conjugate(turns[:, parent]),
+                                                                               turns[:, index])
+    tips = {kept.index(node): rotation.rotate(rotation.conjugate(_turns(rest[node])),
+                                              rest[node, :3, :3] @ tip) * moved.unit
+            for node, tip in character.tips.items() if node in kept}
+    return NodeMotion(_unique([character.names[node] for node in kept]), tuple(parents), offsets, local_rest,
+                      np.ones((count, 3)), rotation.continuous(rotation.normalise(local)),
+                      {0: world[:, moved.hips, :3, 3] * moved.unit}, tips, moved.fps)
+
+
+def _joints_below(character: Character, top: int, joints: set[int]) -> list[int]:
+    """The node `top`, the joints below it, and the nodes between, parents first."""
+    wanted = {top}
+    for joint in joints:
+        chain = [joint]
+        while chain[-1] != top and character.parents[chain[-1]] >= 0:
+            chain.append(character.parents[chain[-1]])
+        if chain[-1] == top:
+            wanted.update(chain)
+    return sorted(wanted)
+
+
+def _turns(matrices: Array) -> Array:
+    """[..., 4] rotations of matrices [..., 4, 4], whose scales are left out."""
+    turns = matrices[..., :3, :3] / np.linalg.norm(matrices[..., :3, :3], axis=-2, keepdims=True)
+    return Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*matrices.shape[:-2], 4)
+
+
+def _unique(names: list[str]) -> tuple[str, ...]:
+    """The names, with a number behind those that are empty or come again."""
+    found: list[str] = []
+    for index, name in enumerate(names):
+        own = name or f"node_{index}"
+        found.append(own if own not in found else f"{own}_{index}")
+    return tuple(found)
+
+
+def with_identity_rest(motion: NodeMotion) -> Motion:
+    """The motion on a skeleton whose joints all rest unturned in the same pose, as BVH has them, Y up, in metres.
+
+    A joint's world rotation is then the one that takes it from rest to where it is: W(t) W(rest)^-1.
+    """
+    rest = motion.rest_matrices()
+    turns = motion.turns.copy()
+    origin = _turns(rest)
+    above = [origin[parent] if parent >= 0 else np.array([1.0, 0.0, 0.0, 0.0]) for parent in motion.parents]
+    for node in range(len(motion.names)):
+        # Local rotations in the rest frame of the joint above: with W = prod L, the product telescopes.
+        turns[:, node] = rotation.multiply(rotation.multiply(above[node], motion.turns[:, node]),
+                                           rotation.conjugate(origin[node]))
+    places = rest[:, :3, 3] * motion.unit
+    offsets = np.array([place - places[parent] if parent >= 0 else np.zeros(3)
+                        for place, parent in zip(places, motion.parents, strict=True)])
+    tips = {node: rest[node, :3, :3] @ tip * motion.unit for node, tip in motion.tips.items()}
+    root = motion.shifts.get(0, np.tile(motion.translations[0], (len(motion), 1))) * motion.unit
+    return Motion(Skeleton(motion.names, motion.parents, offsets, tips), rotation.continuous(turns), root, motion.fps)

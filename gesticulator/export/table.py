@@ -1,0 +1,70 @@
+"""`.csv` and `.parquet`: a row for each joint of each frame, for a spreadsheet, pandas or a database."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from data_module.files import write_bytes, write_text
+from gesticulator.export.nodes import NodeMotion, of_performance
+
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
+
+COLUMNS = ("time", "joint", "parent", "x", "y", "z", "qw", "qx", "qy", "qz")
+"""time: seconds. joint and the joint above it ("" for the root): names. x, y, z: where the joint is in the world,
+metres, Y up. qw, qx, qy, qz: its rotation in the frame of the joint above it, a unit quaternion; for our own skeleton
+the identity is the T-pose."""
+
+
+def write_csv(path: Path, performance: Performance) -> Path:
+    """Write the motion as a table with a head and commas, whole or not at all. Returns `path`."""
+    times, joints, parents, numbers = _cells(of_performance(performance))
+    labels = [f"{_quoted(joint)},{_quoted(parent)}" for joint, parent in zip(joints, parents, strict=True)]
+    body = io.StringIO()
+    body.write(",".join(COLUMNS) + "\n")
+    for time, frame in zip(times.tolist(), (numbers + 0.0).tolist(), strict=True):
+        body.writelines(f"{time:.6f},{label},{x:.6f},{y:.6f},{z:.6f},{qw:.7f},{qx:.7f},{qy:.7f},{qz:.7f}\n"
+                        for label, (x, y, z, qw, qx, qy, qz) in zip(labels, frame, strict=True))
+    write_text(path, body.getvalue())
+    return path
+
+
+def write_parquet(path: Path, performance: Performance) -> Path:
+    """Write the motion as Apache Parquet (float32), whole or not at all. Returns `path`.
+
+    The file's own metadata hold `frames_per_second` and `generator`.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    from gesticulator import __version__
+
+    motion = of_performance(performance)
+    times, joints, parents, numbers = _cells(motion)
+    repeated: dict[str, Any] = {"time": np.repeat(times, len(joints))}
+    for column, names in (("joint", joints), ("parent", parents)):
+        codes = pyarrow.array(np.tile(np.arange(len(names), dtype=np.int32), len(times)))
+        repeated[column] = pyarrow.DictionaryArray.from_arrays(codes, pyarrow.array(names)).cast(pyarrow.string())
+    flat = numbers.reshape(-1, numbers.shape[-1]).astype(np.float32)
+    repeated |= {name: flat[:, index] for index, name in enumerate(COLUMNS[3:])}
+    table = pyarrow.table(repeated).replace_schema_metadata(
+        {"frames_per_second": f"{motion.fps:g}", "generator": f"gesticulator {__version__}"})
+    out = io.BytesIO()
+    parquet.write_table(table, out, compression="zstd")
+    write_bytes(path, out.getvalue())
+    return path
+
+
+def _cells(motion: NodeMotion) -> tuple[np.ndarray, list[str], list[str], np.ndarray]:
+    """Times [T], joints and their parents (N names each), and the seven numbers of each [T, N, 7]."""
+    above = ["" if parent < 0 else motion.names[parent] for parent in motion.parents]
+    return motion.times, list(motion.names), above, np.concatenate([motion.positions(), motion.turns], axis=-1)
+
+
+def _quoted(name: str) -> str:
+    """A name as a cell: in quotes where it would break the row."""
+    return '"' + name.replace('"', '""') + '"' if set(name) & set(',"\r\n') else name

@@ -1,0 +1,112 @@
+"""`.usda` and `.usdc`: OpenUSD (UsdSkel), in text and in binary: a skeleton, a plain figure bound to it, an animation.
+
+One time code is one frame; metres, Y up. Joints are paths of names ("Hips/Spine"); what USD does not take in a name
+becomes "_".
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from data_module.files import write_bytes
+from gesticulator.export.nodes import NodeMotion, of_performance
+from gesticulator.export.stick_figure import FigureMesh, figure
+
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
+
+ROOT = "/Character"
+
+
+def write_usd(path: Path, performance: Performance) -> Path:
+    """Write the motion as USD, whole or not at all. Returns `path`."""
+    from pxr import Usd
+
+    suffix = path.suffix.lower()
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / f"motion{suffix}"
+        stage = Usd.Stage.CreateNew(str(target))
+        _fill(stage, of_performance(performance))
+        stage.GetRootLayer().Save()
+        write_bytes(path, target.read_bytes())
+    return path
+
+
+def _fill(stage: Any, motion: NodeMotion) -> None:
+    from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, motion.unit)
+    stage.SetTimeCodesPerSecond(motion.fps)
+    stage.SetFramesPerSecond(motion.fps)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(len(motion) - 1)
+    root = UsdSkel.Root.Define(stage, ROOT)
+    stage.SetDefaultPrim(root.GetPrim())
+    joints = joint_paths(motion)
+    rest = motion.rest_matrices()
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{ROOT}/Skeleton")
+    skeleton.CreateJointsAttr(joints)
+    # USD's vectors are rows: its matrices are the transposes of ours.
+    skeleton.CreateBindTransformsAttr([Gf.Matrix4d(*own.T.ravel().tolist()) for own in rest])
+    local = [own if parent < 0 else np.linalg.inv(rest[parent]) @ own
+             for own, parent in zip(rest, motion.parents, strict=True)]
+    skeleton.CreateRestTransformsAttr([Gf.Matrix4d(*own.T.ravel().tolist()) for own in local])
+    animation = UsdSkel.Animation.Define(stage, f"{ROOT}/Skeleton/Gesture")
+    animation.CreateJointsAttr(joints)
+    _animate(animation, motion, Usd)
+    binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+    binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    _dress(stage, skeleton, figure(motion))
+
+
+def _animate(animation: Any, motion: NodeMotion, usd: Any) -> None:
+    from pxr import Gf, Vt
+
+    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(*scale) for scale in motion.scales.tolist()]))
+    turns, places = animation.CreateRotationsAttr(), animation.CreateTranslationsAttr()
+    moved = motion.translations.astype(np.float32)
+    for frame, pose in enumerate(motion.turns.tolist()):
+        time = usd.TimeCode(frame)
+        turns.Set(Vt.QuatfArray([Gf.Quatf(*turn) for turn in pose]), time)
+        for node, track in motion.shifts.items():
+            moved[node] = track[frame]
+        places.Set(Vt.Vec3fArray.FromNumpy(moved), time)
+
+
+def _dress(stage: Any, skeleton: Any, body: FigureMesh) -> None:
+    from pxr import Gf, UsdGeom, UsdSkel, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, f"{ROOT}/Figure")
+    count = len(body.positions)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(body.positions.astype(np.float32)))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(body.normals.astype(np.float32)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * (count // 3)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray(list(range(count))))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDisplayColorAttr([Gf.Vec3f(0.24, 0.45, 0.47)])
+    if count:
+        mesh.CreateExtentAttr([Gf.Vec3f(*edge.tolist()) for edge in (body.positions.min(0), body.positions.max(0))])
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    binding.CreateJointIndicesPrimvar(False, 1).Set(Vt.IntArray(body.joints.tolist()))
+    binding.CreateJointWeightsPrimvar(False, 1).Set(Vt.FloatArray([1.0] * count))
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
+
+
+def joint_paths(motion: NodeMotion) -> list[str]:
+    """The nodes as paths of names that USD takes: "Hips/Spine"."""
+    paths: list[str] = []
+    for name, parent in zip(motion.names, motion.parents, strict=True):
+        plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
+        plain = f"_{plain}" if not plain or plain[0].isdigit() else plain
+        path = plain if parent < 0 else f"{paths[parent]}/{plain}"
+        while path in paths:
+            path += "_"
+        paths.append(path)
+    return paths

@@ -1,0 +1,106 @@
+"""`.vrma`: a motion for every VRM character (VRMC_vrm_animation 1.0), a GLB without a mesh.
+
+It moves the bones of the VRM humanoid, at rest in a T-pose, and the place of the hips, which players scale by the
+height of the character's own hips. Our four joints of the spine become `spine` and `chest`: `upperChest` is left alone,
+since a character may lack it, and a turn of a bone that is not there would be lost with all that hangs on it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data_module.files import write_bytes
+from data_module.motion.kinematics import copied_rotations
+from data_module.motion.skeletons import FINGERS
+from data_module.types import Array, Motion
+from gesticulator.export.glb import ANIMATION
+from gesticulator.export.gltf import GltfDocument, node_tree
+from gesticulator.export.nodes import NodeMotion, of_motion, shown
+
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
+
+EXTENSION = "VRMC_vrm_animation"
+# Bone of the humanoid -> the bone above it, our joints whose world rotations it takes, the joint where it begins.
+_TRUNK: dict[str, tuple[str | None, tuple[str, ...], str]] = {
+    "hips": (None, ("Hips",), "Hips"),
+    "spine": ("hips", ("Spine", "Spine1"), "Spine"),
+    "chest": ("spine", ("Spine3",), "Spine2"),
+    "neck": ("chest", ("Neck",), "Neck"),
+    "head": ("neck", ("Head",), "Head"),
+}
+_ARM = (("Shoulder", "Shoulder", "chest"), ("UpperArm", "Arm", "Shoulder"), ("LowerArm", "ForeArm", "UpperArm"),
+        ("Hand", "Hand", "LowerArm"))
+_LEG = (("UpperLeg", "UpLeg", "hips"), ("LowerLeg", "Leg", "UpperLeg"), ("Foot", "Foot", "LowerLeg"),
+        ("Toes", "ToeBase", "Foot"))
+_THUMB = ("Metacarpal", "Proximal", "Distal")
+_FINGER = ("Proximal", "Intermediate", "Distal")
+
+
+def _bones() -> dict[str, tuple[str | None, tuple[str, ...], str]]:
+    table = dict(_TRUNK)
+    for side in ("Left", "Right"):
+        low = side.lower()
+        for part, ours, above in (*_ARM, *_LEG):
+            table[low + part] = (above if above in _TRUNK else low + above, (side + ours,), side + ours)
+        for finger in FINGERS:
+            before = low + "Hand"
+            for place, name in enumerate(_THUMB if finger == "Thumb" else _FINGER, start=1):
+                ours = f"{side}Hand{finger}{place}"
+                bone = low + ("Little" if finger == "Pinky" else finger) + name
+                table[bone] = (before, (ours,), ours)
+                before = bone
+    return table
+
+
+BONES = _bones()
+"""Bone of the VRM humanoid -> the bone above it, our joints whose rotations it takes, and the joint where it begins."""
+
+
+def write_vrma(path: Path, performance: Performance) -> Path:
+    """Write the motion as a VRM animation, whole or not at all. Returns `path`."""
+    write_bytes(path, vrm_animation(shown(performance)))
+    return path
+
+
+def vrm_animation(motion: Motion) -> bytes:
+    """The bytes of a .vrma file for a motion of our skeleton in any of its sizes.
+
+    Joints that the motion lacks are left out, so that a character keeps its own rest or another animation there.
+    """
+    from gesticulator import __version__
+
+    nodes = humanoid(motion)
+    gltf = GltfDocument({
+        "asset": {"version": "2.0", "generator": f"gesticulator {__version__}"},
+        "extensionsUsed": [EXTENSION],
+        "extensions": {EXTENSION: {"specVersion": "1.0", "humanoid": {
+            "humanBones": {bone: {"node": node} for node, bone in enumerate(nodes.names)}}}},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": node_tree(nodes),
+    })
+    gltf.animate(ANIMATION, nodes, {node: node for node in range(len(nodes.names))})
+    return gltf.to_bytes()
+
+
+def humanoid(motion: Motion) -> NodeMotion:
+    """The motion on the bones of the VRM humanoid, named as the extension names them."""
+    there = set(motion.skeleton.names) - set(motion.absent)
+    bones = {bone: row for bone, row in BONES.items() if set(row[1]) <= there}
+    local = copied_rotations(motion, {bone: row[1] for bone, row in bones.items()},
+                             {bone: row[0] for bone, row in bones.items()})
+    ours = of_motion(motion)
+    rest = ours.rest_matrices()[:, :3, 3]
+    names = tuple(bones)
+    parents = tuple(-1 if above is None else names.index(above) for above, _, _ in bones.values())
+    places: Array = np.array([rest[motion.skeleton.index(joint)] for _, _, joint in bones.values()])
+    offsets = np.array([place - (places[parent] if parent >= 0 else 0.0)
+                        for place, parent in zip(places, parents, strict=True)])
+    identity = np.zeros((len(names), 4))
+    identity[:, 0] = 1.0
+    return NodeMotion(names, parents, offsets, identity, np.ones((len(names), 3)),
+                      np.stack([local[name] for name in names], axis=1), ours.shifts, {}, ours.fps)

@@ -1,0 +1,52 @@
+"""Inverse kinematics of a limb of two bones, for all frames at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from data_module.motion import rotation
+from data_module.types import Array
+from gesticulator.characters.frames import Body
+
+_STRETCHED = 0.9995
+"""Share of a limb's length beyond which it is not stretched: a knee that locks jumps."""
+
+
+def bend(turns: dict[int, Array], body: Body, chain: tuple[int, int, int], goal: Array, pole: Array,
+         where: NDArray[np.bool_] | None = None) -> None:
+    """Two-bone inverse kinematics: turn the first two nodes of a chain so that the third is at `goal` [T, 3].
+
+    The joint in the middle stays in the plane in which it bends; that of a straight limb goes towards `pole` [3].
+    Positions are from the hips; what hangs on the third node keeps its world rotation when it is in `turns`.
+    where: [T] the frames in which this is done, all when not told.
+    """
+    top, middle, _ = chain
+    socket, hinge, tip = (body.place(turns, node) for node in chain)
+    upper, lower = hinge - socket, tip - hinge
+    first, second = np.linalg.norm(upper, axis=-1), np.linalg.norm(lower, axis=-1)
+    way = goal - socket
+    far = np.linalg.norm(way, axis=-1)
+    along = way / np.maximum(far, 1e-9)[:, None]
+    far = np.clip(far, np.abs(first - second) / _STRETCHED + 1e-9, _STRETCHED * (first + second))
+    # The law of cosines: how far along the way to the goal the joint in the middle lies, and how far beside it.
+    share = (first ** 2 + far ** 2 - second ** 2) / (2.0 * far)
+    beside = np.sqrt(np.maximum(first ** 2 - share ** 2, 0.0))
+    out = upper - np.sum(upper * along, axis=-1, keepdims=True) * along
+    straight = np.linalg.norm(out, axis=-1, keepdims=True) < 1e-4 * first[:, None]
+    out = np.where(straight, pole - (along @ pole)[:, None] * along, out)
+    out = out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
+    new_upper = share[:, None] * along + beside[:, None] * out
+    new_lower = far[:, None] * along - new_upper
+    for node, before, after in ((top, upper, new_upper), (middle, lower, new_lower)):
+        turned = _swing(before, after) @ turns[node]
+        turns[node] = turned if where is None else np.where(where[:, None, None], turned, turns[node])
+
+
+def _swing(a: Array, b: Array) -> Array:
+    """[T, 3, 3] the shortest turns from the directions a [T, 3] to b."""
+    a = a / np.linalg.norm(a, axis=-1, keepdims=True)
+    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
+    q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
+    return Rotation.from_quat(rotation.normalise(q), scalar_first=True).as_matrix()

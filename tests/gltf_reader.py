@@ -1,0 +1,77 @@
+"""A reader of GLB files for tests, written from the specification and not with the code that writes them."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+_DTYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+@dataclass(frozen=True)
+class GlbFile:
+    """The document and the binary chunk of a GLB."""
+
+    document: dict[str, Any]
+    binary: bytes
+
+    @classmethod
+    def parse(cls, data: bytes) -> GlbFile:
+        magic, version, size = struct.unpack_from("<4sII", data)
+        assert (magic, version, size) == (b"glTF", 2, len(data))
+        chunks, at = {}, 12
+        while at < len(data):
+            length, kind = struct.unpack_from("<II", data, at)
+            assert length % 4 == 0
+            chunks[kind] = data[at + 8:at + 8 + length]
+            at += 8 + length
+        return cls(json.loads(chunks[0x4E4F534A]), chunks.get(0x004E4942, b""))
+
+    def numbers(self, accessor: int) -> NDArray[Any]:
+        """[count, width] what an accessor holds."""
+        own = self.document["accessors"][accessor]
+        view = self.document["bufferViews"][own["bufferView"]]
+        width = _WIDTHS[own["type"]]
+        start = view.get("byteOffset", 0) + own.get("byteOffset", 0)
+        return np.frombuffer(self.binary, _DTYPES[own["componentType"]], own["count"] * width, start).reshape(-1, width)
+
+    def names(self) -> list[str]:
+        return [node.get("name", "") for node in self.document["nodes"]]
+
+    def worlds(self, animation: int | None = None) -> NDArray[np.float64]:
+        """[T, N, 4, 4] world matrices of all nodes on the animation's own times, or [1, N, 4, 4] at rest."""
+        nodes = self.document["nodes"]
+        tracks: dict[tuple[int, str], NDArray[Any]] = {}
+        frames = 1
+        if animation is not None:
+            own = self.document["animations"][animation]
+            for channel in own["channels"]:
+                sampler = own["samplers"][channel["sampler"]]
+                assert sampler.get("interpolation", "LINEAR") == "LINEAR"
+                values = self.numbers(sampler["output"])
+                tracks[channel["target"]["node"], channel["target"]["path"]] = values
+                frames = len(values)
+        local = np.zeros((frames, len(nodes), 4, 4))
+        for index, node in enumerate(nodes):
+            if "matrix" in node:
+                local[:, index] = np.array(node["matrix"]).reshape(4, 4).T
+                continue
+            place, turn, scale = (
+                np.broadcast_to(tracks.get((index, key), np.array([node.get(key, default)])), (frames, len(default)))
+                for key, default in (("translation", [0, 0, 0]), ("rotation", [0, 0, 0, 1]), ("scale", [1, 1, 1])))
+            local[:, index, :3, :3] = Rotation.from_quat(turn).as_matrix() * scale[:, None, :]
+            local[:, index, :3, 3], local[:, index, 3, 3] = place, 1
+        world = np.full_like(local, np.nan)
+        waiting = [(root, np.eye(4)[None]) for scene in self.document["scenes"] for root in scene["nodes"]]
+        while waiting:
+            index, above = waiting.pop()
+            world[:, index] = above @ local[:, index]
+            waiting += [(child, world[:, index]) for child in nodes[index].get("children", ())]
+        return world

@@ -1,0 +1,289 @@
+"""Every format read back: by an independent reader, by the library of its makers, or by the inverse in data_module."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gltf_reader import GlbFile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from performances import perform
+from scipy.spatial.transform import Rotation
+
+from data_module.errors import InputError
+from data_module.motion import rotation, smplx
+from data_module.motion.bvh import read_bvh
+from data_module.motion.kinematics import global_rotations, positions_of, resample
+from data_module.motion.skeletons import CHARACTERS, FINGERED, HIP_HEIGHT, to_character
+from data_module.types import Array
+from gesticulator.export.nodes import of_performance
+from gesticulator.export.vrma import BONES
+from gesticulator.performance import NEEDS, Performance, check_output, write
+
+SIZES = tuple(CHARACTERS)
+
+
+def walking(size: int = 46, seconds: float = 1.2, fps: float = 25.0) -> Performance:
+    """A performance whose root moves."""
+    made = perform(seconds, fps, skeleton=CHARACTERS[size])
+    walk = np.cumsum(np.random.default_rng(1).normal(size=(len(made.motion), 3)) * 0.01, axis=0)
+    return replace(made, motion=replace(made.motion, root_positions=walk))
+
+
+def read_table(path: Path) -> dict[str, Array]:
+    """Joint -> [T, 8] time, place and rotation; the joint above it is the last part of the key."""
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["time", "joint", "parent", "x", "y", "z", "qw", "qx", "qy", "qz"]
+    found: dict[str, list[list[float]]] = {}
+    for row in rows:
+        found.setdefault(f"{row['joint']}<{row['parent']}", []).append(
+            [float(row[name]) for name in ("time", "x", "y", "z", "qw", "qx", "qy", "qz")])
+    return {joint: np.array(values) for joint, values in found.items()}
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_glb_nodes_are_where_the_joints_are(tmp_path: Path, size: int) -> None:
+    made = walking(size)
+    glb = GlbFile.parse(write(tmp_path / "a.glb", made).read_bytes())
+    names = glb.names()
+    world = glb.worlds(animation=0)
+    got = np.stack([world[:, names.index(joint), :3, 3] for joint in made.joints], axis=1)
+    np.testing.assert_allclose(got, made.positions(), atol=1e-5)
+    times = glb.numbers(glb.document["animations"][0]["samplers"][0]["input"])[:, 0]
+    np.testing.assert_allclose(times, np.arange(len(made.motion)) / made.fps, atol=1e-6)
+    rest = glb.worlds()[0]
+    assert rest[names.index("Hips"), 1, 3] == pytest.approx(HIP_HEIGHT)
+    arm, hand = (rest[names.index(name), :3, 3] for name in ("LeftArm", "LeftHand"))
+    np.testing.assert_allclose((hand - arm)[1:], 0, atol=1e-6)
+    assert hand[0] > arm[0], "at rest she stands in a T-pose, her left to +X"
+
+
+def test_glb_figure_hangs_on_its_joints(tmp_path: Path) -> None:
+    made = walking(16)
+    glb = GlbFile.parse(write(tmp_path / "a.glb", made).read_bytes())
+    skin, mesh = glb.document["skins"][0], glb.document["meshes"][0]["primitives"][0]["attributes"]
+    bind = glb.numbers(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+    rest = glb.worlds()[0][skin["joints"]]
+    np.testing.assert_allclose(rest @ bind, np.broadcast_to(np.eye(4), rest.shape), atol=1e-6)
+    corners, joints = glb.numbers(mesh["POSITION"]), glb.numbers(mesh["JOINTS_0"])[:, 0]
+    assert np.linalg.norm(glb.numbers(mesh["NORMAL"]), axis=1) == pytest.approx(1, abs=1e-5)
+    # A spindle begins in the joint that turns it.
+    starts = np.array([corners[joints == joint] for joint in np.unique(joints)], dtype=object)
+    for joint, own in zip(np.unique(joints), starts, strict=True):
+        away = np.linalg.norm(np.array(own, float) - rest[joint, :3, 3], axis=1)
+        assert away.min() < 1e-5 and away.max() < 0.5
+    # Faces look outwards: the volume that they enclose is positive.
+    triangles = corners.reshape(-1, 3, 3).astype(float)
+    assert np.sum(triangles[:, 0] * np.cross(triangles[:, 1], triangles[:, 2])) > 0
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_vrma_bones_point_where_ours_do(tmp_path: Path, size: int) -> None:
+    made = walking(size)
+    glb = GlbFile.parse(write(tmp_path / "a.vrma", made).read_bytes())
+    told = glb.document["extensions"]["VRMC_vrm_animation"]
+    assert told["specVersion"] == "1.0" and glb.document["extensionsUsed"] == ["VRMC_vrm_animation"]
+    bones = {bone: entry["node"] for bone, entry in told["humanoid"]["humanBones"].items()}
+    assert {"hips", "spine", "chest", "neck", "head", "leftUpperArm", "rightHand"} <= set(bones)
+    assert ("leftThumbMetacarpal" in bones) == (size > 16) and ("leftFoot" in bones) == (size == 54)
+    world = glb.worlds(animation=0)
+    ours = global_rotations(made.motion.skeleton, made.rotations)
+    for bone, node in bones.items():
+        if bone != "spine":  # halfway between two joints
+            expected = Rotation.from_quat(ours[:, made.motion.skeleton.index(BONES[bone][1][0])], scalar_first=True)
+            turned = Rotation.from_matrix(world[:, node, :3, :3])
+            assert (turned * expected.inv()).magnitude().max() < 1e-5, bone
+    np.testing.assert_allclose(world[:, bones["hips"], :3, 3], made.positions()[:, 0], atol=1e-5)
+    assert glb.worlds()[0][bones["hips"], 1, 3] == pytest.approx(HIP_HEIGHT), "players scale by the resting hips"
+    np.testing.assert_allclose(glb.worlds()[0][:, :3, :3], np.broadcast_to(np.eye(3), (len(bones), 3, 3)), atol=1e-9)
+
+
+def test_vrma_says_nothing_of_joints_that_were_not_moved(tmp_path: Path) -> None:
+    made = walking(54)
+    gone = tuple(name for name in made.joints if "Leg" in name or "Foot" in name or "Toe" in name)
+    made = replace(made, motion=replace(made.motion, absent=gone))
+    glb = GlbFile.parse(write(tmp_path / "a.vrma", made).read_bytes())
+    assert not [name for name in glb.names() if "Leg" in name or "Foot" in name or "Toes" in name]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_csv_holds_places_and_rotations_that_agree(tmp_path: Path, size: int) -> None:
+    made = walking(size)
+    table = read_table(write(tmp_path / "a.csv", made))
+    skeleton = made.motion.skeleton
+    for index, (joint, rows) in enumerate(table.items()):
+        parent = skeleton.parents[index]
+        assert joint == f"{made.joints[index]}<{made.joints[parent] if parent >= 0 else ''}"
+        np.testing.assert_allclose(rows[:, 0], np.arange(len(made.motion)) / made.fps, atol=1e-6)
+        np.testing.assert_allclose(rows[:, 1:4], made.positions()[:, index], atol=2e-6)
+        assert rotation.angle_between(rows[:, 4:], made.rotations[:, index]).max() < 1e-5
+
+
+def test_parquet_is_the_csv(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    made = walking()
+    table = parquet.read_table(write(tmp_path / "a.parquet", made))
+    with write(tmp_path / "a.csv", made).open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert table.column_names == list(rows[0])
+    for name in table.column_names:
+        column = table[name].to_pylist()
+        if name in ("joint", "parent"):
+            assert column == [row[name] for row in rows]
+        else:
+            np.testing.assert_allclose(column, [float(row[name]) for row in rows], atol=2e-6)
+    assert table.schema.metadata[b"frames_per_second"] == b"25"
+
+
+def test_smplx_is_as_the_leaderboard_takes_it(tmp_path: Path) -> None:
+    made = walking(46, seconds=2.0, fps=60.0)
+    with np.load(write(tmp_path / "a.npz", made), allow_pickle=False) as file:
+        arrays = dict(file)
+    assert {name: (array.shape, array.dtype.kind) for name, array in arrays.items()} == {
+        "betas": ((300,), "f"), "poses": ((60, 165), "f"), "expressions": ((60, 100), "f"), "trans": ((60, 3), "f"),
+        "model": ((), "U"), "gender": ((), "U"), "mocap_frame_rate": ((), "i")}
+    assert str(arrays["model"]) == "smplx2020" and str(arrays["gender"]) == "neutral"
+    assert int(arrays["mocap_frame_rate"]) == 30
+    poses = arrays["poses"].reshape(60, 55, 3)
+    assert not poses[:, 22:25].any(), "jaw and eyes"
+    assert not poses[:, [1, 2, 4, 5, 7, 8, 10, 11]].any(), "legs, which the motion has not"
+    assert np.abs(np.diff(poses, axis=0)).max() < 1.0, "no jumps by a turn"
+    # SMPL-X's own order of its hands: index, middle, pinky, ring, thumb, the left hand first.
+    own = rotation.to_exponential_map(made.rotations[::2])
+    np.testing.assert_allclose(poses[:, 25 + 6], own[:, FINGERED.index("LeftHandPinky1")], atol=1e-5)
+    np.testing.assert_allclose(poses[:, 40 + 14], own[:, FINGERED.index("RightHandThumb3")], atol=1e-5)
+    np.testing.assert_allclose(poses[:, 18], own[:, FINGERED.index("LeftForeArm")], atol=1e-5)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_smplx_read_back_is_the_motion(tmp_path: Path, size: int) -> None:
+    made = walking(size, fps=30.0)
+    skeleton = CHARACTERS[size]
+    back = to_character(smplx.read_smplx(write(tmp_path / "a.npz", made)), skeleton=skeleton)
+    assert back.fps == 30 and len(back) == len(made.motion)
+    ours, theirs = (global_rotations(skeleton, motion.rotations) for motion in (made.motion, back))
+    between = {"Spine1", "Spine2", "Spine3", "Neck1"}  # SMPL-X has three joints for these four, and one for two
+    for index, name in enumerate(skeleton.names):
+        if name not in between:
+            assert rotation.angle_between(ours[:, index], theirs[:, index]).max() < 1e-5, name
+    np.testing.assert_allclose(back.root_positions, made.positions()[:, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_usd_as_pixars_own_library_poses_it(tmp_path: Path, suffix: str) -> None:
+    pxr = pytest.importorskip("pxr.UsdSkel")
+    from pxr import Usd, UsdGeom
+
+    made = walking(54, fps=29.97)
+    stage = Usd.Stage.Open(str(write(tmp_path / f"a{suffix}", made)))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1
+    assert stage.GetTimeCodesPerSecond() == pytest.approx(made.fps)
+    skeleton = next(pxr.Skeleton(prim) for prim in stage.Traverse() if prim.IsA(pxr.Skeleton))
+    cache = pxr.Cache()
+    query = cache.GetSkelQuery(skeleton)
+    names = [str(path).rsplit("/", 1)[-1] for path in query.GetJointOrder()]
+    assert names == list(made.joints)
+    for frame in range(0, len(made.motion), 7):
+        places = [matrix.ExtractTranslation() for matrix in query.ComputeJointSkelTransforms(frame)]
+        np.testing.assert_allclose(places, made.positions()[frame], atol=1e-5)
+    bind = [matrix.ExtractTranslation() for matrix in skeleton.GetBindTransformsAttr().Get()]
+    rest = [matrix.ExtractTranslation() for matrix in query.ComputeJointSkelTransforms(0, True)]
+    np.testing.assert_allclose(bind, rest, atol=1e-6)
+    # Bent by the joints, the figure's corners keep their distance from the joint that they hang on.
+    root = pxr.Root(stage.GetDefaultPrim())
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    skin = next(found for binding in cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate)
+                for found in binding.GetSkinningTargets())
+    points = UsdGeom.Mesh(skin.GetPrim()).GetPointsAttr().Get()
+    moved = type(points)(points)
+    assert skin.ComputeSkinnedPoints(query.ComputeSkinningTransforms(5), moved, 5)
+    joints = np.array(skin.GetJointIndicesPrimvar().Get())
+    before = np.linalg.norm(np.array(points) - np.array(bind)[joints], axis=1)
+    after = np.linalg.norm(np.array(moved) - made.positions()[5][joints], axis=1)
+    np.testing.assert_allclose(after, before, atol=1e-5)
+    assert np.abs(np.array(moved) - np.array(points)).max() > 0.1
+
+
+@given(st.sampled_from(SIZES), st.integers(0, 50))
+@settings(max_examples=10, deadline=None)
+def test_nodes_stand_where_forward_kinematics_puts_them(size: int, seed: int) -> None:
+    made = perform(1.0, seed=seed, root_height=0.3, skeleton=CHARACTERS[size])
+    np.testing.assert_allclose(of_performance(made).positions(), made.positions(), atol=1e-9)
+
+
+def test_bvh_in_metres_is_the_same_motion(tmp_path: Path) -> None:
+    made = walking()
+    for unit, size in (("cm", 100.0), ("m", 1.0)):
+        path = write(tmp_path / f"{unit}.bvh", made, unit=unit)
+        back = read_bvh(path)
+        order = [back.skeleton.index(joint) for joint in made.joints]
+        np.testing.assert_allclose(positions_of(back)[:, order], made.positions(), atol=2e-5)
+        forearm = path.read_text().split("JOINT LeftHand")[1].split("OFFSET")[1].split("\n")[0].split()
+        assert float(forearm[0]) == pytest.approx(0.25 * size, abs=1e-6)
+
+
+@pytest.mark.parametrize(("path", "unit", "message"), [
+    ("a.glb", "m", "unit is for .bvh"), ("a.bvh", "inch", "unit inch: is unknown"), ("a.obj", "cm", ".usdc"),
+])
+def test_what_cannot_be_written_is_said(path: str, unit: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        check_output(path, unit)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", sorted(NEEDS))
+def test_a_missing_library_is_named_with_its_extra(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+                                                   ) -> None:
+    module, package, extra = NEEDS[suffix]
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError) as caught:
+        perform().save(tmp_path / "new" / f"a{suffix}")
+    assert f"needs {package}" in str(caught.value) and f'pip install "gesticulator[{extra}]"' in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_half_the_frame_rate_is_every_second_frame() -> None:
+    motion = walking(fps=60.0).motion
+    half = resample(motion, 30.0)
+    assert rotation.angle_between(half.rotations, motion.rotations[::2]).max() < 1e-6
+    third = resample(motion, 45.0)
+    # Halfway between two frames: as far from one as from the other, and no farther than they are apart.
+    first, last = (rotation.angle_between(third.rotations[2], motion.rotations[frame]) for frame in (2, 3))
+    np.testing.assert_allclose(rotation.angle_between(third.rotations[3], motion.rotations[4]), 0, atol=1e-6)
+    whole = rotation.angle_between(motion.rotations[2], motion.rotations[3])
+    np.testing.assert_allclose(first + last, whole, atol=1e-6)
+
+
+def test_a_film_shows_the_figure_with_its_sound(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    made = perform(2.0)  # its tone pauses from 0.75 to 1.25 s
+    for suffix in (".mp4", ".webm"):
+        with av.open(str(write(tmp_path / f"a{suffix}", made))) as container:
+            pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        with av.open(str(tmp_path / f"a{suffix}")) as container:
+            sound = np.concatenate([part.to_ndarray().reshape(-1) for part in container.decode(audio=0)])
+        assert len(pictures) == 60
+        assert np.ptp(np.stack(pictures), axis=0).max() > 100, "something moves"
+        assert np.abs(sound[38_000:58_000]).max() < 0.05 < 0.3 < np.abs(sound[:34_000]).max()
+
+
+def test_a_gif_shows_what_the_film_shows(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    from gesticulator.export import film
+    from gesticulator.export.figure import figure_points
+
+    made = perform(1.0)
+    drawn = list(film.pictures(figure_points(made.motion, np.arange(25) / film.GIF_FPS), film.GIF_SIZE))
+    with image.open(write(tmp_path / "a.gif", made)) as shown:
+        assert (shown.n_frames, shown.size, shown.info["loop"]) == (25, film.GIF_SIZE, 0)
+        for frame in (0, 7, 24):
+            shown.seek(frame)
+            assert shown.info["duration"] == 40
+            apart = np.abs(np.array(shown.convert("RGB")).astype(int) - np.array(drawn[frame]).astype(int))
+            assert apart.mean() < 2 and np.percentile(apart, 99) < 30

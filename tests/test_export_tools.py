@@ -1,0 +1,195 @@
+"""The files in the tools that they are made for: the Khronos validator, three.js with three-vrm, Blender.
+
+Each part is skipped, with the reason, where its tool is not installed.
+"""
+
+from __future__ import annotations
+
+import json
+import mimetypes
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from performances import perform
+from small_characters import write_character
+
+from data_module.errors import InputError
+from data_module.motion.kinematics import global_rotations
+from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY
+from data_module.types import Array
+from gesticulator.export.blender import check_blender, run_in_blender
+from gesticulator.export.nodes import of_performance
+from gesticulator.export.vrma import BONES, humanoid
+from gesticulator.performance import Performance, write
+from gesticulator.retarget import retarget
+
+HERE = Path(__file__).resolve().parent
+JS = HERE / "js"
+SITE = "http://tests.invalid/"
+FLAGS = ["--headless", "--no-sandbox", "--disable-gpu"]
+FRAMES = (0, 10, 21)
+TIMES = tuple(frame / 25 for frame in FRAMES)
+"""Seconds of these frames."""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Path], dict[str, Performance]]:
+    """One file of each kind, and the performance that it shows."""
+    folder = tmp_path_factory.mktemp("files")
+    made = {f"ours{size}": perform(1.0, skeleton=skeleton) for size, skeleton in CHARACTERS.items()}
+    plain = made[f"ours{len(FINGERED)}"]
+    for vrm in (False, True):
+        source = write_character(folder / f"her.{'vrm' if vrm else 'glb'}", vrm=vrm)
+        made["vrm" if vrm else "mixamo"] = replace(plain, character=retarget(plain.motion, source))
+    paths = {f"{name}.glb": write(folder / f"{name}.glb", own) for name, own in made.items()}
+    paths |= {f"{name}.vrma": write(folder / f"{name}.vrma", own) for name, own in made.items()}
+    paths["her.vrm"], paths["her.glb"] = folder / "her.vrm", folder / "her.glb"
+    return paths, made
+
+
+# ---------------------------------------------------------------------------------------------------- glTF
+
+def test_khronos_finds_no_fault(files: tuple[dict[str, Path], dict[str, Performance]]) -> None:
+    node = shutil.which("node")
+    if node is None or not (JS / "node_modules" / "gltf-validator").is_dir():
+        pytest.skip("the validator is not installed: npm ci --prefix tests/js")
+    paths = files[0]
+    broken = paths["ours16.glb"].with_name("broken.glb")
+    data = paths["ours16.glb"].read_bytes()
+    broken.write_bytes(data.replace(b'"SCALAR"', b'"SCALER"', 1))
+    names = [*paths.values(), broken]
+    done = subprocess.run([node, "validate.js", *map(str, names)], cwd=JS, capture_output=True, text=True, check=True)
+    reports = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(reports) == len(names)
+    for path, report in zip(names[:-1], reports[:-1], strict=True):
+        assert (report["errors"], report["warnings"]) == (0, 0), (path.name, report["messages"][:3])
+    assert reports[-1]["errors"] > 0, "the validator sees a fault where there is one"
+
+
+# ---------------------------------------------------------------------------------------------------- three.js
+
+@pytest.fixture(scope="module")
+def page(files: tuple[dict[str, Path], dict[str, Performance]]) -> Iterator[Any]:
+    """A page of three.js with three-vrm, without a network: what it loads comes from the disk."""
+    if not (JS / "node_modules" / "three").is_dir():
+        pytest.skip("three.js is not installed: npm ci --prefix tests/js")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if program is None:
+        pytest.skip("no chromium on this machine")
+
+    def serve(route: Any) -> None:
+        name = route.request.url.removeprefix(SITE)
+        path = files[0].get(name, JS / name)
+        kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
+        route.fulfill(body=path.read_bytes(), content_type="text/javascript" if path.suffix == ".js" else kind)
+
+    with api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=FLAGS)
+        window = browser.new_page()
+        window.set_default_timeout(120_000)
+        window.route("**/*", serve)
+        window.goto(SITE + "play.html")
+        window.wait_for_function("window.ready === true")
+        yield window
+        browser.close()
+
+
+@pytest.mark.parametrize("name", ["ours16", "ours54", "mixamo", "vrm"])
+def test_three_js_plays_a_glb(page: Any, files: tuple[dict[str, Path], dict[str, Performance]], name: str) -> None:
+    got = page.evaluate("([file, times]) => playGlb(file, times)", [f"/{name}.glb", TIMES])
+    nodes = of_performance(files[1][name])
+    expected = nodes.positions()[list(FRAMES)]
+    for index, joint in enumerate(nodes.names):
+        # three.js leaves out the characters that its own paths need.
+        np.testing.assert_allclose(got[joint.replace(":", "")], expected[:, index], atol=1e-4, err_msg=joint)
+
+
+@pytest.mark.parametrize("name", ["ours46", "ours54"])
+def test_three_vrm_plays_a_vrma_on_a_vrm(page: Any, files: tuple[dict[str, Path], dict[str, Performance]], name: str
+                                         ) -> None:
+    got = page.evaluate("([model, file, times]) => playVrma(model, file, times)", ["/her.vrm", f"/{name}.vrma", TIMES])
+    made = files[1][name]
+    places = {bone: np.array(track) for bone, track in got.items()}
+    told = humanoid(made.motion)
+    world = dict(zip(told.names, np.moveaxis(_worlds(told), 1, 0), strict=True))
+    bones = [(above, bone) for bone, (above, _, _) in BONES.items()
+             if above in world and bone in places and bone in world]
+    assert len(bones) > 40
+    for above, bone in bones:
+        rest = places[bone][0] - places[above][0]  # the first is the character at rest, in a T-pose
+        for moment, frame in enumerate(FRAMES):
+            np.testing.assert_allclose(places[bone][1 + moment] - places[above][1 + moment], world[above][frame] @ rest,
+                                       atol=1e-3, err_msg=f"{above} to {bone} in frame {frame}")
+    # The hips' path is scaled by how high they are.
+    ratio = places["hips"][0][1] / told.translations[0][1]
+    for moment, frame in enumerate(FRAMES):
+        np.testing.assert_allclose(places["hips"][1 + moment], told.shifts[0][frame] * ratio, atol=1e-3)
+
+
+def _worlds(told: Any) -> Array:
+    """[T, N, 3, 3] world rotations of nodes whose rest is unturned."""
+    from scipy.spatial.transform import Rotation
+
+    from data_module.types import Skeleton
+
+    turns = global_rotations(Skeleton(told.names, told.parents, told.translations), told.turns)
+    return Rotation.from_quat(turns.reshape(-1, 4), scalar_first=True).as_matrix().reshape(*turns.shape[:2], 3, 3)
+
+
+# ---------------------------------------------------------------------------------------------------- Blender
+
+IMPORT = {
+    ".bvh": {"global_scale": 0.01, "update_scene_fps": True, "update_scene_duration": True},
+    ".fbx": {}, ".glb": {}, ".usdc": {},
+}
+"""Suffix -> what to set in Blender's importer: the rest are its defaults."""
+
+
+def in_blender(path: Path, fps: float, settings: dict[str, Any]) -> dict[str, Any]:
+    """What Blender makes of a file; places with Y up."""
+    try:
+        check_blender(path)
+    except InputError as lacking:
+        pytest.skip(str(lacking))
+    target = path.with_suffix(".json")
+    run_in_blender(path, HERE / "blender_joints.py", str(path), f"{fps:g}", str(target), json.dumps(settings))
+    told: dict[str, Any] = json.loads(target.read_text())
+    for frame in told["frames"]:
+        for joint, (x, y, z) in frame.items():
+            frame[joint] = (x, z, -y)
+    return told
+
+
+@pytest.mark.parametrize("suffix", sorted(IMPORT))
+def test_blender_puts_our_joints_where_we_do(tmp_path: Path, suffix: str) -> None:
+    made = perform(0.6, 30.0, skeleton=WHOLE_BODY)
+    told = in_blender(write(tmp_path / f"a{suffix}", made), 30.0, IMPORT[suffix])
+    got = np.array([[frame[joint] for joint in made.joints] for frame in told["frames"]])
+    np.testing.assert_allclose(got, made.positions(), atol=1e-3)
+    np.testing.assert_allclose(told["scale"], 1.0, atol=1e-5)
+
+
+def test_blenders_defaults_take_a_bvh_in_metres(tmp_path: Path) -> None:
+    made = perform(0.4, 30.0, skeleton=FINGERED)
+    told = in_blender(write(tmp_path / "a.bvh", made, unit="m"), 30.0, {})
+    assert 1.4 < told["height"] < 1.8
+    got = np.array([[frame[joint] for joint in made.joints] for frame in told["frames"]])
+    np.testing.assert_allclose(got, made.positions(), atol=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".fbx", ".glb"])
+def test_blender_takes_a_character_with_her_skin(tmp_path: Path, suffix: str) -> None:
+    plain = perform(0.4, 30.0, skeleton=FINGERED)
+    made = replace(plain, character=retarget(plain.motion, write_character(tmp_path / "her.glb")))
+    told = in_blender(write(tmp_path / f"a{suffix}", made), 30.0, IMPORT[suffix])
+    nodes = of_performance(made)
+    got = np.array([[frame[joint] for joint in nodes.names] for frame in told["frames"]])
+    np.testing.assert_allclose(got, nodes.positions(), atol=1e-3)
+    assert sum(told["meshes"].values()) >= 3 * len(nodes.names)

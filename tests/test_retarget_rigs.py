@@ -1,0 +1,182 @@
+"""Two hundred characters that nobody mapped by hand: their joints are found, and their bones point as ours do.
+
+The rigs come from `tests/rigs.py`. Their seeds were drawn after the code that is tested was frozen (see `SEEDS`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import FINGER_JOINTS, WHOLE_BODY
+from data_module.types import Motion
+from gesticulator.characters.joints import find_joints
+from gesticulator.characters.mapping import SURE
+from gesticulator.retarget import CharacterMotion, Retargeter
+from tests.rigs import NAMED, POSES, STYLES, Rig, draw
+
+SEEDS: tuple[int, ...] = tuple(range(120))
+FRAMES = 16
+"""Frames of the source that are compared, evenly over the clip."""
+BONE, PALM, FINGER = 1.0, 5.0, 5.0
+"""Degrees."""
+SLIDE = 0.005
+"""Metres by which an ankle may be off the place where ours is, in the scale of her legs."""
+
+
+@pytest.fixture(scope="module")
+def performed() -> Motion:
+    """What the shipped system makes of the shipped example, on legs: a few frames of it."""
+    from gesticulator.pipeline import Gesticulator
+
+    speech = Path(__file__).parent.parent / "examples" / "speech.flac"
+    motion = Gesticulator.from_pretrained()(str(speech), fps=20.0, legs=True).motion
+    kept = np.linspace(10, len(motion) - 10, FRAMES).astype(int)
+    return replace(motion, rotations=motion.rotations[kept], root_positions=motion.root_positions[kept])
+
+
+def places_of(rig: Rig, moved: CharacterMotion) -> np.ndarray:
+    """[T, N, 3] metres in our axes, by the file's own transforms."""
+    return np.asarray(moved.world_matrices()[..., :3, 3] @ rig.axes.T * rig.unit)
+
+
+def degrees(a: np.ndarray, b: np.ndarray) -> float:
+    """The largest angle between directions [T, 3]."""
+    a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
+    return float(np.degrees(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2.0, 0.0, 1.0))).max())
+
+
+def worst(rig: Rig, motion: Motion, moved: CharacterMotion) -> dict[str, float]:
+    """Degrees by which bones, palms, fingers, feet and trunk point elsewhere, and metres by which feet move."""
+    ours, theirs = kinematics.positions_of(motion), places_of(rig, moved)
+    at, names = rig.truth, WHOLE_BODY.names
+    world = kinematics.global_rotations(WHOLE_BODY, motion.rotations)
+
+    def bone(name: str, below: str) -> tuple[np.ndarray, np.ndarray]:
+        return (ours[:, names.index(below)] - ours[:, names.index(name)], theirs[:, at[below]] - theirs[:, at[name]])
+
+    out = {"bones": 0.0, "palms": 0.0, "fingers": 0.0, "feet": 0.0, "trunk": 0.0, "slide": 0.0}
+    for side in ("Left", "Right"):
+        for above, below in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
+            out["bones"] = max(out["bones"], degrees(*bone(side + above, side + below)))
+        if side + "HandIndex1" in at:
+            out["bones"] = max(out["bones"], degrees(*bone(side + "Hand", side + "HandMiddle1")))
+            index, pinky = (bone(side + "Hand", f"{side}Hand{finger}1") for finger in ("Index", "Pinky"))
+            out["palms"] = max(out["palms"], degrees(*(np.cross(a, b) for a, b in zip(index, pinky, strict=True))))
+            for name in FINGER_JOINTS:
+                if name.startswith(side) and not name.endswith("3"):
+                    out["fingers"] = max(out["fingers"], degrees(*bone(name, name[:-1] + str(int(name[-1]) + 1))))
+        level = np.array([1.0, 0.0, 1.0])
+        out["feet"] = max(out["feet"], degrees(*(way * level for way in bone(side + "Foot", side + "ToeBase"))))
+        # What is up in the foot's own axes at rest is up in ours: soles are level where ours are.
+        turns = moved.world_matrices()[:, at[side + "Foot"], :3, :3]
+        own = np.linalg.inv(rig.character.world_matrices()[at[side + "Foot"], :3, :3]) @ rig.axes[1]
+        up = rotation.rotate(world[:, names.index(side + "Foot")], np.array([0.0, 1.0, 0.0]))
+        out["feet"] = max(out["feet"], degrees(turns @ own @ rig.axes.T, up))
+        length = sum(float(np.linalg.norm(bone(side + a, side + b)[1][0]))
+                     for a, b in (("UpLeg", "Leg"), ("Leg", "Foot")))
+        here, there = ours[:, names.index(side + "Foot")], theirs[:, at[side + "Foot"]]
+        travel = (here - here.mean(axis=0)) * length / 0.825
+        out["slide"] = max(out["slide"], float(np.linalg.norm(there - there.mean(axis=0) - travel, axis=-1).max()))
+    chest, head = rig.spine[-1], at["Head"]
+    for node, name in ((chest, "Spine3"), (head, "Head")):
+        rest = rig.character.world_matrices()[node, :3, :3]
+        for axis in np.eye(3):
+            own = np.linalg.inv(rest) @ rig.axes.T @ axis
+            there = moved.world_matrices()[:, node, :3, :3] @ own @ rig.axes.T
+            out["trunk"] = max(out["trunk"], degrees(there, rotation.rotate(world[:, names.index(name)], axis)))
+    return out
+
+
+def test_the_generator_makes_what_it_says() -> None:
+    rigs = [draw(seed) for seed in SEEDS]
+    assert {rig.style for rig in rigs} == set(STYLES) and {rig.pose for rig in rigs} == set(POSES)
+    assert {rig.character.kind for rig in rigs} == {"bvh", "glb"}
+    assert len({rig.size for rig in rigs}) == 6 and {rig.unit for rig in rigs} >= {1.0, 0.01}
+    turned = [not np.allclose(rig.character.world_turns()[rig.truth["LeftArm"]], np.eye(3)) for rig in rigs]
+    assert 0.3 < np.mean(turned) < 0.95
+
+
+def test_the_joints_of_two_hundred_rigs_are_found() -> None:
+    wrong = {}
+    for seed in SEEDS:
+        rig = draw(seed)
+        found = find_joints(rig.character)
+        if dict(found.joints) != rig.truth or list(found.spine) != rig.spine or list(found.neck) != rig.neck \
+                or found.confidence < SURE:
+            wrong[seed] = rig.style, rig.pose, found.confidence, found.doubts
+    assert not wrong
+
+
+def test_the_bones_of_two_hundred_rigs_point_as_ours(performed: Motion) -> None:
+    bad = {}
+    for seed in SEEDS:
+        rig = draw(seed)
+        moved = Retargeter(rig.character, contacts=False)(performed)
+        found = worst(rig, performed, moved)
+        limits = {"bones": BONE, "palms": PALM, "fingers": FINGER, "feet": 1.0, "trunk": BONE, "slide": SLIDE}
+        over = {name: round(value, 3) for name, value in found.items() if value > limits[name]}
+        if over:
+            bad[seed, rig.style, rig.pose] = over
+    assert not bad
+
+
+@pytest.mark.parametrize("style", NAMED)
+def test_no_tool_needs_a_mapping_by_hand(style: str) -> None:
+    for seed in (1, 2):
+        found = find_joints(draw(seed, style).character)
+        assert found.confidence > 0.9, (style, found.doubts)
+
+
+def inside(rig: Rig, moved: CharacterMotion, torso: tuple[float, float]) -> np.ndarray:
+    """[T] how deep her wrists and knuckles are in an elliptic column from hips to neck: 1 at its axis, 0 outside."""
+    places, turns = places_of(rig, moved), moved.world_matrices()[:, rig.spine[-1], :3, :3]
+    rest = rig.character.world_matrices()[rig.spine[-1], :3, :3]
+    left = turns @ np.linalg.inv(rest) @ rig.axes[0] @ rig.axes.T
+    hips, neck = places[:, rig.truth["Hips"]], places[:, rig.neck[0]]
+    names = [side + part for side in ("Left", "Right") for part in ("Hand", "HandMiddle1")]
+    return np.max([_depth(places[:, rig.truth[name]], hips, neck, left, torso) for name in names], axis=0)
+
+
+def _depth(point: np.ndarray, hips: np.ndarray, neck: np.ndarray, left: np.ndarray, torso: tuple[float, float]
+           ) -> np.ndarray:
+    axis = neck - hips
+    height = np.linalg.norm(axis, axis=-1, keepdims=True)
+    axis = axis / height
+    left = left - np.sum(left * axis, axis=-1, keepdims=True) * axis
+    left = left / np.linalg.norm(left, axis=-1, keepdims=True)
+    own = point - hips
+    x, y, z = (np.sum(own * way, axis=-1) for way in (left, axis, np.cross(left, axis)))
+    within = (y > 0) & (y < height[:, 0])
+    return np.where(within, np.maximum(1.0 - np.hypot(x / torso[0], z / torso[1]), 0.0), 0.0)
+
+
+def _ours_inside(motion: Motion) -> np.ndarray:
+    places = kinematics.positions_of(motion)
+    world = kinematics.global_rotations(WHOLE_BODY, motion.rotations)[:, WHOLE_BODY.index("Spine3")]
+    left = rotation.rotate(world, np.array([1.0, 0.0, 0.0]))
+    hips, neck = places[:, 0], places[:, WHOLE_BODY.index("Neck")]
+    return np.max([_depth(places[:, WHOLE_BODY.index(side + part)], hips, neck, left, (0.145, 0.115))
+                   for side in ("Left", "Right") for part in ("Hand", "HandMiddle1")], axis=0)
+
+
+@pytest.mark.parametrize(("size", "stout"), [(1.0, True), (0.55, True), (0.55, False), (1.25, True)])
+def test_hands_stay_outside_a_trunk_of_any_width(performed: Motion, size: float, stout: bool) -> None:
+    free = _ours_inside(performed) == 0.0
+    assert free.sum() > FRAMES / 2
+    seen = 0.0
+    for seed in range(4):
+        rig = draw(seed, "mixamo", "A", stout, size)
+        if "LeftHandMiddle1" not in rig.truth:
+            continue
+        bare = Retargeter(rig.character, contacts=False)(performed)
+        kept = Retargeter(rig.character)(performed)
+        seen = max(seen, float(inside(rig, bare, rig.torso)[free].max()))
+        assert inside(rig, kept, rig.torso)[free].max() < 0.02  # of the way from the skin to the axis
+        # Palms and fingers keep pointing as they did.
+        assert worst(rig, performed, kept)["fingers"] < FINGER and worst(rig, performed, kept)["palms"] < PALM
+    assert seen > 0.05 or not stout
