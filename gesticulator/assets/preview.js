@@ -376,7 +376,7 @@ class Figure {
   buildLeg(side) {
     const { Vector3 } = this.THREE;
     const zero = new Vector3(), joint = (part) => this.bone(side + part);
-    this.limb(joint("UpLeg"), zero, this.offset(side + "Leg"), 0.084, 0.056, "trousers");
+    this.limb(joint("UpLeg"), zero, this.offset(side + "Leg"), 0.076, 0.056, "trousers");
     this.limb(joint("Leg"), zero, this.offset(side + "Foot"), 0.056, 0.044, "trousers");
     const ball = this.offset(side + "ToeBase");
     this.limb(joint("Foot"), new Vector3(0, ball.y * 0.62, -0.035), new Vector3(ball.x, ball.y * 0.75, ball.z * 0.95), 0.043, 0.037, "shoe");
