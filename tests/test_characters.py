@@ -90,12 +90,15 @@ def test_the_pose_that_a_file_stands_in_does_not_matter(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", [
     lambda data: data[:200], lambda data: b"glTF" + data[8:], lambda data: b"no glTF at all",
-    lambda data: data.replace(b'"count": ', b'"count": 9'), lambda data: data.replace(b'"children": [', b'"children": [0, '),
+    # As long as before, so that the parts still fit: an accessor beyond its buffer, and a node that is its own child.
+    lambda data: data.replace(b'"byteOffset": 0', b'"byteOffset": 9'),
+    lambda data: data.replace(b'"children": [1]', b'"children": [0]'),
+    lambda data: data.replace(b'"componentType": 5126', b'"componentType": 9999'),
 ])
 def test_a_broken_glb_is_refused_in_a_line(damage, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "broken.glb"
     file.write_bytes(damage(as_glb(draw(3, "mixamo", "A"))))
-    with pytest.raises(InputError, match="broken.glb"):
+    with pytest.raises(InputError, match="broken"):
         read_character(file)
 
 

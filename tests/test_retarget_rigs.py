@@ -19,7 +19,7 @@ from gesticulator.characters.mapping import SURE
 from gesticulator.retarget import CharacterMotion, Retargeter
 from tests.rigs import NAMED, POSES, STYLES, Rig, draw
 
-SEEDS: tuple[int, ...] = tuple(range(120))
+SEEDS: tuple[int, ...] = tuple(range(200))
 FRAMES = 16
 """Frames of the source that are compared, evenly over the clip."""
 BONE, PALM, FINGER = 1.0, 5.0, 5.0
