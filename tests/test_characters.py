@@ -17,10 +17,13 @@ from data_module.types import Motion
 from gesticulator.characters import read_character
 from gesticulator.characters.bvh_rig import write_character_bvh
 from gesticulator.characters.choice import COMMAND
+from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
 from gesticulator.characters.names import label
 from gesticulator.characters.rig import Character
+from gesticulator.export import fbx_child as blender_child
+from gesticulator.export.blender import blender, run_in_blender
 from gesticulator.retarget import Retargeter, retarget
 from tests.performances import perform
 from tests.rigs import Rig, as_glb, draw
@@ -90,12 +93,15 @@ def test_the_pose_that_a_file_stands_in_does_not_matter(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", [
     lambda data: data[:200], lambda data: b"glTF" + data[8:], lambda data: b"no glTF at all",
-    lambda data: data.replace(b'"count": ', b'"count": 9'), lambda data: data.replace(b'"children": [', b'"children": [0, '),
+    # As long as before, so that the parts still fit: an accessor beyond its buffer, and a node that is its own child.
+    lambda data: data.replace(b'"byteOffset": 0', b'"byteOffset": 9'),
+    lambda data: data.replace(b'"children": [1]', b'"children": [0]'),
+    lambda data: data.replace(b'"componentType": 5126', b'"componentType": 9999'),
 ])
 def test_a_broken_glb_is_refused_in_a_line(damage, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "broken.glb"
     file.write_bytes(damage(as_glb(draw(3, "mixamo", "A"))))
-    with pytest.raises(InputError, match="broken.glb"):
+    with pytest.raises(InputError, match="broken"):
         read_character(file)
 
 
@@ -157,6 +163,49 @@ def test_a_bvh_whose_offsets_lie_along_one_axis_is_aligned_by_its_first_frame(tm
     mapping = find_joints(read)
     assert {name: read.names[node] for name, node in mapping.joints.items()} == {
         name: glb.names[node] for name, node in rig.truth.items()}
+
+
+# ---------------------------------------------------------------------------------------------------- FBX
+
+def test_bones_as_blender_tells_them_are_a_character() -> None:
+    """The armature stands in metres, Z up, with a scale of its own; she is moved as the GLB of the same rig is."""
+    rig = draw(3, "mixamo", "A")
+    glb = rig.character
+    z_up = np.eye(4)
+    z_up[:3, :3] = Rotation.from_euler("X", 90, degrees=True).as_matrix()
+    world, scale = z_up @ glb.world_matrices(), np.diag([0.01, 0.01, 0.01, 1.0])
+    top = np.linalg.inv(scale) @ world
+    told = [{"name": "Armature", "parent": -1, "matrix": scale.ravel().tolist(), "length": 0.0}]
+    for node, (name, parent) in enumerate(zip(glb.names, glb.parents, strict=True)):
+        local = top[node] if parent < 0 else np.linalg.inv(top[parent]) @ top[node]
+        told.append({"name": name, "parent": parent + 1, "matrix": local.ravel().tolist(), "length": 0.1})
+    fbx = from_bones(Path("rig.fbx"), told)
+    assert np.allclose(fbx.world_matrices()[1:, :3, 3], world[:, :3, 3], atol=1e-6)
+    assert {name: node - 1 for name, node in find_joints(fbx).joints.items()} == rig.truth
+    motion = motion_of()
+    ours, theirs = (retarget(motion, each, contacts=False).world_matrices()[..., :3, 3] for each in (glb, fbx))
+    assert np.allclose(theirs[:, 1:], ours @ z_up[:3, :3].T, atol=1e-4)
+
+
+def test_an_fbx_file_is_read_through_blender(tmp_path: Path) -> None:
+    if blender() is None:
+        pytest.skip("Blender is not installed")
+    rig = draw(3, "mixamo", "A")
+    glb = tmp_path / "rig.glb"
+    glb.write_bytes(as_glb(rig))
+    run_in_blender(glb, Path(blender_child.__file__), str(glb), str(tmp_path / "rig.fbx"), "30")
+    read = read_character(tmp_path / "rig.fbx")
+    found = find_joints(read)
+    check(found, read)
+    assert {name: read.names[node] for name, node in found.joints.items()} == {
+        name: rig.character.names[node] for name, node in rig.truth.items()}
+
+
+def test_an_fbx_without_blender_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gesticulator.export.blender.blender", lambda: None)
+    (tmp_path / "rig.fbx").write_bytes(b"FBX")
+    with pytest.raises(InputError, match="Blender"):
+        read_character(tmp_path / "rig.fbx")
 
 
 # ---------------------------------------------------------------------------------------------------- sizes, API
