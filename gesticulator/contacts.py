@@ -27,7 +27,7 @@ _HEIGHTS = 12
 """Slices of the trunk that are measured on the skin."""
 _OUTER = 98.0
 """Percentile of the skin's points of a slice that counts as its surface: a belt's buckle is no belly."""
-_STEPS = 3
+_STEPS = 5
 """Times that a hand is pushed outwards: the first push goes along the shortest way, which the next one corrects."""
 _ARM_LENGTH = 0.53
 """Metres of our upper arm and forearm."""

@@ -49,6 +49,10 @@ from gesticulator.inverse_kinematics import bend
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
 
+_SOCKETS = 0.18
+"""Metres between the sockets of our legs."""
+_MOST_TILT = 1.3
+"""Narrow hips are turned and tilted by at most this many times ours."""
 _STANDS = 0.003
 """Metres, in the scale of her legs, that a foot may be off the place where it stands: nobody sees them."""
 _FINGERED = len(skeletons.FINGERED)
@@ -176,6 +180,7 @@ class Retargeter:
         when the bones point as ours do. The hips go where both ankles are nearest to that.
         """
         joints, body = self.mapping.joints, self.body
+        self._settle_hips(turns, ours.turns["Hips"])
         ankles = np.stack([ours.places[side + "Foot"] for side in SIDES], axis=1)
         travel = body.leg_ratio * (ankles - ankles.mean(axis=0))
         reached = np.stack([body.place(turns, joints[side + "Foot"]) for side in SIDES], axis=1)
@@ -186,13 +191,30 @@ class Retargeter:
         wanted = stance + travel
         root = (wanted - reached).mean(axis=1)
         for place, side in enumerate(SIDES):
-            # What is left over comes from hips of another width. A knee that is nearly straight would bend by degrees
-            # for millimetres, so the first of them are let pass.
+            # What is left over comes from legs of other proportions. A knee that is nearly straight would bend by
+            # degrees for millimetres, so the first of them are let pass.
             miss = wanted[:, place] - root - reached[:, place]
             far = np.linalg.norm(miss, axis=-1, keepdims=True)
             share = np.maximum(0.0, 1.0 - _STANDS * body.leg_ratio / np.maximum(far, 1e-9))
             reach_with_leg(turns, body, self.mapping, side, reached[:, place] + share * miss)
         return root
+
+    def _settle_hips(self, turns: dict[int, Array], ours: Array) -> None:
+        """Turn and tilt hips of another width so that the legs' sockets move as ours do, in the scale of the legs.
+
+        Wide hips that tilt as narrow ones do would lift a foot off the floor. What is scaled is the turn about up and
+        ahead, against the mean over time, by less than a degree as a rule.
+        """
+        body = self.body
+        sockets = [body.place(turns, self.mapping.joints[side + "UpLeg"]) for side in SIDES]
+        width = float(np.linalg.norm(sockets[0] - sockets[1], axis=-1).mean())
+        ratio = min(body.leg_ratio * _SOCKETS / max(width, 1e-6), _MOST_TILT)
+        mean = Rotation.from_matrix(ours).mean().as_matrix()
+        log = Rotation.from_matrix(mean.T @ ours).as_rotvec()
+        settled = mean @ Rotation.from_rotvec(log * [1.0, ratio, ratio]).as_matrix()
+        for segment in body.segments:
+            if segment.joint == "Hips" and segment.share == 0.0:
+                turns[segment.node] = settled @ segment.constant
 
     def _finish(self, turns: Mapping[int, Array], root: Array | None, frames: int, fps: float) -> CharacterMotion:
         """Local rotations of her file (2) and the hips' local translation."""

@@ -28,7 +28,7 @@ def main(rig: str, sound: str, program: str, fps: str, target: str) -> None:
     spec.loader.exec_module(addon)
     addon.register()
     if rig == "rigify":
-        if addon_utils.enable("rigify") is None:
+        if addon_utils.enable("rigify", default_set=True) is None:
             Path(target).write_text(json.dumps({"lacking": "this Blender has no Rigify"}))
             return
         bpy.ops.object.armature_human_metarig_add()

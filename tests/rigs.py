@@ -6,9 +6,12 @@ rest rotations and names of a tool. `Rig.truth` tells which node is which of our
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -187,8 +190,9 @@ class _Builder:
             self.add("com", top, hips, "Bip01")
             top = "com"
         self.add("Hips", top, hips)
+        fewest = 2 if self.style.startswith("rocketbox") else 1  # of its spine's joints the first carries the legs
         count = {"cmu": 3, "smplx": 3, "vrm": 3, "soma": 3, "beat": 4, "trinity": 4, "ours": 4, "zeroeggs": 4,
-                 "manny": 5, "metahuman": 5, "mixamo": 3, "vrm table": 3}.get(self.style, int(rng.integers(1, 6)))
+                 "manny": 5, "metahuman": 5, "mixamo": 3, "vrm table": 3}.get(self.style, int(rng.integers(fewest, 6)))
         necks = {"cmu": 2, "smplx": 1, "vrm": 1, "vrm table": 1, "mixamo": 1, "soma": 2, "manny": 2, "metahuman": 2,
                  "beat": 2, "trinity": 2, "ours": 2, "zeroeggs": 2}.get(self.style, int(rng.integers(1, 4)))
         chest = hips + np.array([0.0, 0.40, -0.02]) * trunk * s
@@ -208,9 +212,9 @@ class _Builder:
             above = key
         self.add("Head", above, head)
         if rng.random() < 0.6:
-            self.add("HeadEnd", "Head", head + [0.0, 0.18 * s, 0.0], "HeadTop_End" if self.style != "unknown" else "")
+            self.add("HeadEnd", "Head", head + np.array([0.0, 0.18, 0.0]) * s, "HeadTop_End")
             if self.style != "unknown":
-                self.add("jaw", "Head", head + [0.0, 0.02 * s, 0.05 * s], "jaw")
+                self.add("jaw", "Head", head + np.array([0.0, 0.02, 0.05]) * s, "jaw")
                 self.add("LeftEye", "Head", head + np.array([0.03, 0.08, 0.08]) * s, "LeftEye")
                 self.add("RightEye", "Head", head + np.array([-0.03, 0.08, 0.08]) * s, "RightEye")
         collar_on = self.neck[0] if self.style.startswith("rocketbox") or rng.random() < 0.15 else trunk_top
@@ -227,7 +231,7 @@ class _Builder:
             elif self.style == "cmu":
                 wrist = self.nodes[side + "Hand"].place
                 self.add(side + "FingerBase", side + "Hand", wrist, side + "FingerBase")
-                self.add(side + "HandIndex1x", side + "FingerBase", wrist + [sign * 0.08 * s, 0, 0],
+                self.add(side + "HandIndex1x", side + "FingerBase", wrist + np.array([sign * 0.08, 0.0, 0.0]) * s,
                          side + "HandIndex1")
                 self.add(side + "Thumbx", side + "Hand", wrist, side[0] + "Thumb")
             self._leg(side, m, hips, hip, heights, leg_on)
@@ -307,15 +311,17 @@ class _Builder:
         toe = ankle + turned @ (np.array([0.0, -0.06, 0.13]) * s)
         self.add(side + "ToeBase", side + "Foot", toe)
         if self.style in ("mixamo", "ready player me", "beat"):
-            self.add(side + "ToeEnd", side + "ToeBase", toe + [0, 0, 0.06 * s], STYLES[self.style](side + "Toe_End"))
+            self.add(side + "ToeEnd", side + "ToeBase", toe + np.array([0.0, 0.0, 0.06]) * s,
+                     STYLES[self.style](side + "Toe_End"))
 
     # ------------------------------------------------------------------------------------------------ the pose
 
     def pose(self, pose: str) -> None:
         """Turn limbs about their own joints, and roll bones where the pose is a twisted one."""
         rng = self.rng
-        out, fore, bend = {"T": (0.0, 0.0, 0.0), "A": (45.0, 5.0, 8.0), "down": (82.0, 4.0, 10.0),
-                           "forward": (10.0, 75.0, 5.0), "bent": (60.0, 20.0, 80.0), "twisted": (35.0, 15.0, 30.0)}[pose]
+        out, fore, bend = {
+            "T": (0.0, 0.0, 0.0), "A": (45.0, 5.0, 8.0), "down": (82.0, 4.0, 10.0), "forward": (10.0, 75.0, 5.0),
+            "bent": (60.0, 20.0, 80.0), "twisted": (35.0, 15.0, 30.0)}[pose]
         jitter = rng.uniform(-4, 4, 3)
         for side, sign in (("Left", 1.0), ("Right", -1.0)):
             def turn(axis: str, degrees: float, sign: float = sign) -> np.ndarray:
@@ -326,8 +332,7 @@ class _Builder:
             self._rotate(side + "ForeArm", arm @ turn("Y", -bend + jitter[2]))
             if pose == "twisted":
                 for key in ("ForeArm", "Hand"):
-                    along = self._place(side + ("Hand" if key == "ForeArm" else "Hand")) - self._place(
-                        side + "ForeArm")
+                    along = self._place(side + "Hand") - self._place(side + "ForeArm")
                     roll = Rotation.from_rotvec(along / np.linalg.norm(along) * np.radians(
                         float(rng.uniform(-70, 70)))).as_matrix()
                     self._rotate(side + key, roll @ self.nodes[side + key].turn)
@@ -422,6 +427,17 @@ class _Builder:
             todo += below
         return out
 
+    def _flesh(self, torso: tuple[float, float], at: dict[str, int], space: tuple[np.ndarray, float]
+               ) -> tuple[np.ndarray, np.ndarray]:
+        """Points of an elliptic column from hips to neck, in the file's axes and units, and the node of each."""
+        hips, neck = self._place("Hips"), self._place(self.neck[0])
+        share, angle = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 1.0, 25), np.arange(40) * np.pi / 20))
+        ring = np.stack([torso[0] * np.cos(angle), np.zeros_like(angle), torso[1] * np.sin(angle)], axis=-1)
+        points = hips + share[:, None] * (neck - hips) + ring
+        chain = ["Hips", *self.spine]
+        movers = np.array([at[chain[int(value * (len(chain) - 1e-9))]] for value in share * 0.999])
+        return points @ space[0] / space[1], movers
+
     def _rig(self, pose: str, kind: str, tree: tuple[list[str], list[str], list[int]], world: np.ndarray,
              space: tuple[np.ndarray, float]) -> Rig:
         keys, names, parents = tree
@@ -448,12 +464,57 @@ class _Builder:
         # What a mesh is like: a column around the trunk.
         torso = ((0.24, 0.25) if self.stout else (0.145, 0.115))
         torso = (torso[0] * self.size, torso[1] * self.size)
+        flesh, movers = self._flesh(torso, at, space)
         character = Character(
             tuple(names), tuple(parents), translations, rotations, scales, Path(f"{self.style}.{kind}"), kind, skinned,
             humanoid=humanoid, vrm="1.0" if humanoid else "", unit=None if kind_is_bvh else 1.0,
-            channels=tuple([("Zrotation", "Yrotation", "Xrotation")] * n) if kind_is_bvh else ())
-        return Rig(character, truth, [at[key] for key in self.spine], [at[key] for key in self.neck], space[0], space[1],
+            channels=tuple([("Zrotation", "Yrotation", "Xrotation")] * n) if kind_is_bvh else (),
+            **({} if kind_is_bvh else {"flesh": flesh, "flesh_nodes": movers}))
+        return Rig(character, truth, [at[key] for key in self.spine], [at[key] for key in self.neck], *space,
                    self.style, pose, self.size, torso)
+
+
+def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None) -> bytes:
+    """The rig as a GLB with a skin, its inverse bind matrices, a mesh of points and, where it has one, the VRM table.
+
+    turned: node -> [4] local rotation, w first, that the file stands in, other than the pose of the inverse matrices.
+    """
+    character = rig.character
+    joints = np.flatnonzero(character.skinned).tolist()
+    inverse = np.linalg.inv(character.world_matrices()[joints]).transpose(0, 2, 1).astype("<f4")
+    weights = np.zeros((len(character.flesh), 4), "<f4")
+    weights[:, 0] = 1.0
+    which = np.zeros((len(character.flesh), 4), "<u2")
+    which[:, 0] = [joints.index(int(node)) for node in character.flesh_nodes]
+    parts = [inverse.tobytes(), character.flesh.astype("<f4").tobytes(), which.tobytes(), weights.tobytes()]
+    starts = np.cumsum([0, *map(len, parts)]).tolist()
+    kinds = ((5126, "MAT4", len(joints)), (5126, "VEC3", len(which)), (5123, "VEC4", len(which)),
+             (5126, "VEC4", len(which)))
+    nodes: list[dict[str, Any]] = []
+    for node, name in enumerate(character.names):
+        w, x, y, z = (turned or {}).get(node, character.rotations[node]).tolist()
+        nodes.append({"name": name, "translation": character.translations[node].tolist(), "rotation": [x, y, z, w],
+                      "scale": character.scales[node].tolist()})
+        below = [child for child, parent in enumerate(character.parents) if parent == node]
+        nodes[-1] |= {"children": below} if below else {}
+    nodes.append({"name": "mesh", "mesh": 0, "skin": 0})
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0"}, "nodes": nodes, "skins": [{"joints": joints, "inverseBindMatrices": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3}, "mode": 0}]}],
+        "buffers": [{"byteLength": starts[-1]}],
+        "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": len(part)}
+                        for start, part in zip(starts, parts, strict=False)],
+        "accessors": [{"bufferView": view, "componentType": component, "type": kind, "count": count}
+                      for view, (component, kind, count) in enumerate(kinds)]}
+    if character.humanoid:
+        bones = {bone: {"node": node} for bone, node in character.humanoid.items()}
+        document["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    binary = b"".join(parts)
+    binary += b"\0" * (-len(binary) % 4)
+    return (struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary)) + struct.pack("<I4s", len(text), b"JSON")
+            + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
 
 
 def _is_ours(key: str) -> bool:

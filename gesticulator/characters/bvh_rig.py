@@ -40,9 +40,9 @@ def read_bvh_character(path: str | os.PathLike[str]) -> Character:
 
 
 def _is_a_line(places: Array) -> bool:
-    """Whether a body is narrower than a twentieth of its length in all but one direction."""
+    """Whether nodes lie along one line: hanging arms leave a body three times as wide, offsets along one axis half."""
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    return bool(spread[1] < 0.05 * spread[0])
+    return bool(spread[1] < 0.15 * spread[0])
 
 
 def write_character_bvh(path: str | os.PathLike[str], character: Character, rotations: Array,

@@ -236,6 +236,8 @@ class _Rig:
         ours = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
         steps = np.cumsum([0.0, *(np.linalg.norm(_OURS[name]) for name in ours[1:])])
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
+            if node != self.mapping.spine[-1] and self._carries_legs(node):
+                share = 0.0  # what carries the legs is of the hips
             change = _matrix(rotation.from_exponential_map(share * chest_change))
             out.append(Segment(node, *_place_among(ours, steps / steps[-1], share, change @ bind[node])))
         look = self._head_change()
@@ -246,6 +248,10 @@ class _Rig:
             out.append(Segment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (low + high) / 2.0,
                                                    look @ bind[node])))
         return [*out, Segment(joints["Head"], "Head", look @ bind[joints["Head"]])]
+
+    def _carries_legs(self, node: int) -> bool:
+        return any(self.way(node, self.joints[side + "UpLeg"]) is not None for side in SIDES
+                   if side + "UpLeg" in self.joints)
 
     def _shares(self, chain: Sequence[int]) -> list[float]:
         """[0 .. 1] where the nodes of a chain lie along it."""

@@ -211,6 +211,8 @@ def _inverse_bind(document: _Document, place: Mapping[int, int]) -> dict[int, Ar
     out: dict[int, Array] = {}
     for skin in skins:
         matrices = document.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+        if not np.isfinite(matrices).all():
+            raise InputError(document.path, "has inverse bind matrices that are no numbers", _AGAIN)
         own = {place[node]: matrix for node, matrix in zip(skin["joints"], matrices, strict=False)
                if abs(np.linalg.det(matrix)) > 1e-15}
         shared = next((node for node in own if node in out), None)
@@ -269,5 +271,6 @@ def _flesh(document: _Document, place: Mapping[int, int], to_world: Array) -> tu
         return np.zeros((0, 3)), np.zeros(0, np.int64)
     all_points, all_movers = np.concatenate(points), np.concatenate(movers)
     step = -(-len(all_points) // MOST_POINTS)
-    kept = all_points[::step]
-    return kept @ to_world[:3, :3].T + to_world[:3, 3], all_movers[::step]
+    kept, movers_kept = all_points[::step], all_movers[::step]
+    good = np.isfinite(kept).all(axis=1)
+    return kept[good] @ to_world[:3, :3].T + to_world[:3, 3], movers_kept[good]

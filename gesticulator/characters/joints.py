@@ -195,7 +195,9 @@ def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str], 
     where nothing else can be chosen.
     """
     arm = parts is ARM_PARTS
-    best, chosen, kept = -np.inf, (), ()
+    best = -np.inf
+    chosen: tuple[int, ...] = ()
+    kept: tuple[str, ...] = ()
     shorter = parts[1:] if arm else parts[:-1]
     for wanted in (tuple(parts), tuple(shorter)):
         for nodes in combinations(path, len(wanted)):
@@ -275,7 +277,11 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
     way = [node for node in search.path(hips, head) if node != head]
     first_neck = next((place for place, node in enumerate(way) if search.labels[node].parts[:1] == ("Neck",)), None)
     if first_neck is None:
+        # Without a name the neck begins above where the arms part; arms that hang on the neck are below that place.
         first_neck = way.index(fork) + 1 if fork in way else len(way)
+        over = np.mean([search.places[arm] @ search.up for arm in arms]) < search.places[fork] @ search.up
+        if over and first_neck > 1:
+            first_neck -= 1
     spine, neck = (tuple(_distinct(search, [hips, *part])) for part in (way[:first_neck], way[first_neck:]))
     return hips, spine[1:], neck[1:], head, {"Hips": hips_sure, "Head": head_sure}
 

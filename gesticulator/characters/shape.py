@@ -10,6 +10,8 @@ from data_module.motion.skeletons import FINGERS
 from data_module.types import Array
 from gesticulator.characters.rig import Character
 
+_HEAD = 0.075
+"""Share of her height that a head's bone is longer than, and a neck's shorter: 0.11 and 0.05 in an adult."""
 _EVEN = 0.12
 """How unlike two mirrored ends may be, as a share of the body's size."""
 
@@ -104,8 +106,10 @@ def head_above(character: Character, places: Array, up: Array, fork: int, taken:
         return None
     highest = max(above, key=lambda node: float(places[node] @ up))
     way = [node for node in reversed(_line(character, highest)) if node in above]
-    # A leaf at the crown is the end of the head's bone; the head is what carries it.
-    return way[-2] if len(way) >= 3 and not below[way[-1]] else way[-1]
+    # A leaf at the crown is the end of the head's bone, which is longer than any of the neck's; the head carries it.
+    size = float(np.ptp(places[np.flatnonzero(character.skinned)] @ up))
+    crown = len(way) >= 2 and not below[way[-1]] and np.linalg.norm(places[way[-1]] - places[way[-2]]) > _HEAD * size
+    return way[-2] if crown else way[-1]
 
 
 def finger_chains(character: Character, places: Array, hand: int) -> dict[str, list[int]]:

@@ -1,0 +1,242 @@
+"""Characters read from files, their joints named and found, and mappings kept in files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from data_module.errors import InputError
+from data_module.motion import bvh, kinematics, rotation
+from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
+from data_module.types import Motion
+from gesticulator.characters import read_character
+from gesticulator.characters.bvh_rig import write_character_bvh
+from gesticulator.characters.choice import COMMAND
+from gesticulator.characters.joints import find_joints
+from gesticulator.characters.mapping import check, load_mapping, save_mapping
+from gesticulator.characters.names import label
+from gesticulator.characters.rig import Character
+from gesticulator.retarget import Retargeter, retarget
+from tests.performances import perform
+from tests.rigs import Rig, as_glb, draw
+
+
+def motion_of(skeleton=CHARACTER, frames: int = 6) -> Motion:  # type: ignore[no-untyped-def]
+    """Arms that wave."""
+    turns = np.zeros((frames, len(skeleton), 3))
+    for name, size in (("LeftArm", 0.9), ("RightArm", -0.7), ("LeftForeArm", 0.5), ("Spine2", 0.1), ("Head", 0.2)):
+        turns[:, skeleton.index(name)] = np.outer(np.sin(np.arange(frames)), [0.3, 0.2, size])
+    return Motion(skeleton, rotation.from_exponential_map(turns), np.zeros((frames, 3)), 20.0)
+
+
+@pytest.mark.parametrize(("name", "part", "side"), [
+    ("mixamorig:LeftUpLeg", "UpLeg", "Left"), ("upperarm_r", "Arm", "Right"), ("Bip01 L UpperArm", "Arm", "Left"),
+    ("J_Bip_R_LowerLeg", "Leg", "Right"), ("lShldrBend", "Arm", "Left"), ("DEF-forearm.R.001", "ForeArm", "Right"),
+    ("LThumb", "Thumb", "Left"), ("index_02_l", "Index", "Left"), ("Bip01_R_Finger41", "Pinky", "Right"),
+    ("spine_03", "Spine", ""), ("CC_Base_NeckTwist01", "Neck", ""), ("left_wrist", "Hand", "Left"),
+])
+def test_names_tell_part_and_side(name: str, part: str, side: str) -> None:
+    assert label(name).parts[0] == part and label(name).side == side
+
+
+@pytest.mark.parametrize("name", ["root", "Camera", "jaw", "LeftEye", "upperarm_bck_l", "spine_04_latissimus_l", ""])
+def test_names_of_other_things_tell_no_part(name: str) -> None:
+    assert not label(name).parts
+
+
+def test_twist_bones_and_tips_are_known_as_such() -> None:
+    assert label("upperarm_twist_01_l").aid and label("HeadTop_End").tip and not label("LeftHand").tip
+
+
+@pytest.fixture(scope="module")
+def rigs() -> list[Rig]:
+    return [draw(3, "mixamo", "A"), draw(5, "vrm table", "T"), draw(6, "metahuman", "down")]
+
+
+def test_a_glb_is_read_as_it_was_written(rigs: list[Rig], tmp_path: Path) -> None:
+    for rig in rigs:
+        file = tmp_path / "rig.glb"
+        file.write_bytes(as_glb(rig))
+        found = read_character(file)
+        at = {number: place for place, number in enumerate(found.node_ids)}
+        order = [at[node] for node in range(len(rig.character))]
+        assert [found.names[place] for place in order] == list(rig.character.names)
+        assert np.allclose(found.world_matrices()[order], rig.character.world_matrices(), atol=1e-5)
+        assert found.bind is not None and np.allclose(found.bind[order], rig.character.world_matrices(), atol=1e-4)
+        assert {bone: found.node_ids[node] for bone, node in found.humanoid.items()} == rig.character.humanoid
+        assert np.allclose(found.flesh, rig.character.flesh, atol=1e-5)
+        joints = find_joints(found)
+        assert {name: found.node_ids[node] for name, node in joints.joints.items()} == rig.truth
+
+
+def test_the_pose_that_a_file_stands_in_does_not_matter(tmp_path: Path) -> None:
+    """Only the pose that the mesh was bound in does: the world rotations come out the same."""
+    rig = draw(3, "mixamo", "T")
+    arm = rig.truth["LeftArm"]
+    twisted = rotation.multiply(rig.character.rotations[arm],
+                                Rotation.from_euler("XYZ", [40, 20, -30], degrees=True).as_quat(scalar_first=True))
+    straight, posed = tmp_path / "straight.glb", tmp_path / "posed.glb"
+    straight.write_bytes(as_glb(rig))
+    posed.write_bytes(as_glb(rig, {arm: twisted}))
+    first, second = (retarget(motion_of(), file, contacts=False).world_matrices() for file in (straight, posed))
+    assert not np.allclose(read_character(posed).world_matrices(), read_character(straight).world_matrices(), atol=0.01)
+    assert np.allclose(first, second, atol=1e-4)
+
+
+@pytest.mark.parametrize("damage", [
+    lambda data: data[:200], lambda data: b"glTF" + data[8:], lambda data: b"no glTF at all",
+    # As long as before, so that the parts still fit: an accessor beyond its buffer, and a node that is its own child.
+    lambda data: data.replace(b'"byteOffset": 0', b'"byteOffset": 9'),
+    lambda data: data.replace(b'"children": [1]', b'"children": [0]'),
+    lambda data: data.replace(b'"componentType": 5126', b'"componentType": 9999'),
+])
+def test_a_broken_glb_is_refused_in_a_line(damage, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / "broken.glb"
+    file.write_bytes(damage(as_glb(draw(3, "mixamo", "A"))))
+    with pytest.raises(InputError, match="broken"):
+        read_character(file)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\.glb"):
+        read_character(tmp_path / "rig.max")
+    with pytest.raises(InputError, match="does not exist"):
+        read_character(tmp_path / "rig.glb")
+
+
+# ---------------------------------------------------------------------------------------------------- BVH
+
+def test_a_bvh_character_keeps_her_own_skeleton_and_plays_the_motion(tmp_path: Path) -> None:
+    rig = next(rig for rig in map(draw, range(200)) if rig.character.kind == "bvh" and rig.unit == 0.01)
+    moved = Retargeter(rig.character)(motion_of(WHOLE_BODY))
+    assert moved.translations is not None
+    file = tmp_path / "talk.bvh"
+    write_character_bvh(file, moved.character, moved.rotations, (moved.hips, moved.translations), moved.fps)
+    again = read_character(file)
+    assert set(again.names) == set(rig.character.names)
+    assert "CHANNELS 3 Zrotation Yrotation Xrotation" in file.read_text()
+    read = bvh.read_bvh(file, unit=1.0)
+    order = [read.skeleton.names.index(name) for name in rig.character.names]
+    expected = moved.world_matrices()[..., :3, 3]
+    assert np.allclose(kinematics.positions_of(read)[:, order], expected, atol=1e-3 * np.ptp(expected))
+
+
+def test_a_bvh_whose_offsets_lie_along_one_axis_is_aligned_by_its_first_frame(tmp_path: Path) -> None:
+    rig = draw(11, "mixamo plain", "A", size=1.0)
+    glb = rig.character
+    n = len(glb)
+    identity = np.zeros((n, 4))
+    identity[:, 0] = 1.0
+    # All bones along X, as some tools write them: the body stands only by its angles.
+    lengths = np.linalg.norm(glb.world_matrices()[:, :3, 3] - glb.world_matrices()[np.maximum(glb.parents, 0), :3, 3],
+                             axis=1)
+    world = glb.world_matrices()[:, :3, 3]
+    turns, local = np.tile(identity[0], (n, 1)), identity.copy()
+    single = {p: [c for c, above in enumerate(glb.parents) if above == p] for p in range(n)}
+    start = glb.parents.index(-1) if glb.parents[0] == -1 else 0
+    offsets = np.zeros((n, 3))
+    for node, parent in enumerate(glb.parents):
+        below = single[node]
+        way = world[below[0]] - world[node] if below else np.array([1.0, 0.0, 0.0])
+        if np.linalg.norm(way) > 1e-6:
+            turns[node] = rotation.between(np.array([1.0, 0.0, 0.0]), way)
+        above = turns[parent] if parent >= 0 else identity[0]
+        local[node] = rotation.multiply(rotation.conjugate(above), turns[node])
+        offsets[node] = rotation.rotate(rotation.conjugate(above), world[node] - world[max(parent, 0)]) \
+            if parent >= 0 else world[start]
+    assert lengths.max() > 0
+    line = Character(glb.names, glb.parents, offsets * 100, identity, np.ones((n, 3)), Path("x.bvh"), "bvh",
+                     np.ones(n, dtype=bool))
+    file = tmp_path / "line.bvh"
+    write_character_bvh(file, line, local[None], None, 30.0)
+    read = read_character(file)
+    if read.bind is None:
+        pytest.skip("this tree is wide enough at rest to be told from a line")
+    mapping = find_joints(read)
+    assert {name: read.names[node] for name, node in mapping.joints.items()} == {
+        name: glb.names[node] for name, node in rig.truth.items()}
+
+
+# ---------------------------------------------------------------------------------------------------- sizes, API
+
+@pytest.mark.parametrize("skeleton", [CHARACTER, FINGERED, WHOLE_BODY])
+def test_motions_of_all_our_sizes_are_taken(skeleton) -> None:  # type: ignore[no-untyped-def]
+    rig = draw(3, "mixamo", "A")
+    moved = Retargeter(rig.character)(motion_of(skeleton))
+    assert len(moved) == 6 and np.isfinite(moved.rotations).all() and moved.translations is not None
+    assert np.allclose(np.linalg.norm(moved.rotations, axis=-1), 1.0)
+
+
+def test_somebody_who_sits_keeps_legs_and_hips() -> None:
+    rig = draw(3, "mixamo", "A")
+    moved = Retargeter(rig.character, legs=False)(motion_of())
+    assert moved.translations is None
+    for name in ("Hips", "LeftUpLeg", "LeftLeg", "RightFoot"):
+        assert np.allclose(moved.rotations[:, rig.truth[name]], rig.character.rotations[rig.truth[name]])
+    assert not np.allclose(moved.rotations[:, rig.truth["LeftArm"]], rig.character.rotations[rig.truth["LeftArm"]])
+
+
+def test_a_performance_is_saved_on_a_character(tmp_path: Path) -> None:
+    rig = draw(3, "mixamo", "A")
+    file = tmp_path / "rig.glb"
+    file.write_bytes(as_glb(rig))
+    made = perform(seconds=1.0).on(file)
+    made.save(tmp_path / "talk.bvh")
+    read = bvh.read_bvh(tmp_path / "talk.bvh", unit=0.01)
+    assert "mixamorig:LeftForeArm" in read.skeleton.names and len(read) == len(made.motion)
+
+
+# ---------------------------------------------------------------------------------------------------- mappings
+
+def test_a_mapping_is_saved_corrected_and_read(tmp_path: Path) -> None:
+    rig = draw(3, "mixamo", "A")
+    found, file = find_joints(rig.character), tmp_path / "rig.json"
+    save_mapping(file, found, rig.character)
+    again = load_mapping(file, rig.character)
+    assert dict(again.joints) == dict(found.joints) and again.spine == found.spine and again.confidence == 1.0
+    told = json.loads(file.read_text())
+    told["joints"]["LeftArm"], told["torso"] = told["joints"]["LeftForeArm"], [0.2, 0.2]
+    file.write_text(json.dumps(told))
+    with pytest.raises(InputError, match="one node"):
+        check(load_mapping(file, rig.character), rig.character)
+    for joints, wrong in (({"LeftArm": "no such node"}, "no such node"), ({"Tail": None}, "Tail")):
+        file.write_text(json.dumps({**told, "joints": joints}))
+        with pytest.raises(InputError, match=wrong):
+            load_mapping(file, rig.character)
+
+
+def test_a_guess_that_is_not_sure_is_refused_unless_it_is_given(tmp_path: Path) -> None:
+    rig = draw(3, "mixamo", "A")
+    odd = replace(rig.character, names=tuple(f"thing {i}" for i in range(len(rig.character))),
+                  translations=np.where(np.arange(len(rig.character))[:, None] == rig.truth["LeftForeArm"],
+                                        3.0 * rig.character.translations, rig.character.translations))
+    found = find_joints(odd)
+    with pytest.raises(InputError, match="--save-mapping"):
+        check(found, odd)
+    check(replace(find_joints(rig.character), confidence=1.0), odd)
+
+
+def test_something_without_a_body_is_refused() -> None:
+    rig = draw(3, "mixamo", "A")
+    n = 5
+    box = replace(rig.character, names=("a", "b", "c", "d", "e"), parents=(-1, 0, 1, 2, 3),
+                  translations=rig.character.translations[:n], rotations=rig.character.rotations[:n],
+                  scales=rig.character.scales[:n], skinned=np.ones(n, dtype=bool), node_ids=tuple(range(n)),
+                  flesh=np.zeros((0, 3)), flesh_nodes=np.zeros(0, np.int64))
+    with pytest.raises(InputError, match="mapping"):
+        check(find_joints(box), box)
+
+
+def test_the_verb_shows_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "rig.glb"
+    file.write_bytes(as_glb(draw(3, "mixamo", "A")))
+    assert COMMAND.main("gesticulator character", [str(file), "--save-mapping", str(tmp_path / "m.json")]) == 0
+    said = capsys.readouterr().out
+    assert "100% sure" in said and "mixamorig:LeftForeArm" in said
+    assert json.loads((tmp_path / "m.json").read_text())["joints"]["Hips"] == "mixamorig:Hips"
+    assert COMMAND.main("gesticulator character", [str(file), "--mapping", str(tmp_path / "m.json")]) == 0
