@@ -8,7 +8,7 @@ and a file stand alike.
 The weight is that of the idle life (`life.weight_shifts`), which rolls the hips a little by itself, together with the
 roll of the hips that was drawn, followed slowly:
 
-    u = w + (r - habit of r) / r0        g(u) = u / sqrt(1 + u^2), between -1 (right leg) and 1 (left leg)
+    u = (w + (r - habit of r) / r0) / u0        g(u) = u / sqrt(1 + u^2), between -1 (right leg) and 1 (left leg)
 
 The hips travel sideways by A g, and roll and turn with g instead of their habit; the spine takes this off again, so
 that the upper body stays in the room as it was drawn. They go back a little where the chest comes forward, and as high
@@ -53,17 +53,21 @@ _LEANS = 0.045
 """Metres that they go ahead or back at most."""
 _ROLL_UNIT = 3.5
 """Degrees of drawn roll that bear as much weight as a unit of the idle life's."""
+_BOTH = 0.65
+"""Units of weight on a leg below which both bear some: mostly people stand on one or the other."""
 _ROLLED, _TURNED = 2.2, 2.6
 """Degrees of roll and of yaw at the whole weight on a leg: the free side drops and comes ahead."""
 _BALANCE = 0.25
 """Metres that the hips go back for each metre that the chest comes forward or goes to a side."""
-_FOLLOWS = 0.16
+_FOLLOWS = 0.22
 """Seconds, three times over, in which the weight follows the drawn body: slower than gestures are."""
 _HABIT = 2.0
 """Seconds, three times over, in which a roll that stays is no weight any more but a habit, which the spine has."""
+_QUICK = 0.5
+"""Share of a quicker roll that the spine takes: planted legs do not let the hips rock, and knees would shake."""
 _PITCHED_BACK = 0.006
 """Metres that the hips go back for each degree that the idle life tilts them forward."""
-_SWAY = ((0.0035, 2.1), (0.0015, 0.8), (0.0045, 2.4), (0.0015, 0.9))
+_SWAY = ((0.0045, 1.9), (0.0016, 0.8), (0.0060, 2.2), (0.0016, 0.9))
 """Metres and seconds of the noise of standing: two sideways, two ahead."""
 _BREATH_DIPS = 0.0012
 """Metres that the hips sink as the breath goes out."""
@@ -281,10 +285,11 @@ class Stance:
         habit = self._habit(slow[:, :1])[:, 0]
         weight = self._weight.at(times)
         feet = [self.steps.path(foot, times) for foot in range(len(SIDES))]
-        u = weight[:, 0] + (slow[:, 0] - habit) / _ROLL_UNIT
+        u = (weight[:, 0] + (slow[:, 0] - habit) / _ROLL_UNIT) / _BOTH
         held, side = self.steps.over(times)
         g = (1.0 - held) * u / np.sqrt(1.0 + u * u) + held * side
-        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * g, _TURNED * g, _ROLLED * g - habit], -1)))
+        rolled = _ROLLED * g - habit - _QUICK * (roll - slow[:, 0])
+        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * g, _TURNED * g, rolled], -1)))
         hips = rotation.multiply(turn, body.rotations[:, 0])
         rotations[:, 0], rotations[:, WHOLE_BODY.index("Spine")] = _counter_turned(body, hips)
         root = self._hips(times, feet, g, weight[:, 1], slow[:, 1:])

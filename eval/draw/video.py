@@ -24,8 +24,8 @@ from gesticulator.export.film import FPS, SIZE, encode, format_of
 
 
 def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: float = 0.0, seconds: float | None = None,
-                size: tuple[int, int] = SIZE, fps: int = FPS, legs: bool = False) -> None:
-    """Write the stretch from `start`, `seconds` long (or as long as both last), whole or not at all.
+                size: tuple[int, int] = SIZE, legs: bool = False) -> None:
+    """Write the stretch from `start`, `seconds` long (or as long as both last), whole or not at all, at `FPS`.
 
     size: pixels across and down, both even; legs: see `figure_points`. InputError for what `encode` refuses and for a
     stretch without a frame.
@@ -34,13 +34,13 @@ def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: floa
     format_of(target.suffix)
     # A microsecond: a length in seconds is seldom a whole number of frames to the last bit.
     end = min(motion.duration, speech.duration, math.inf if seconds is None else start + seconds) + 1e-6
-    if not (math.isfinite(start) and start >= 0 and fps >= 1 and (end - start) * fps >= 1):
+    if not (math.isfinite(start) and start >= 0 and (end - start) * FPS >= 1):
         stretch = f"from {start:g} s" + ("" if seconds is None else f", {seconds:g} s long,")
         raise InputError("video", f"the stretch {stretch} holds no frame: the motion lasts {motion.duration:.2f} s and "
                          f"the sound {speech.duration:.2f} s", "give another start or length")
-    points = figure_points(motion, start + np.arange(math.floor((end - start) * fps)) / fps, legs)
+    points = figure_points(motion, start + np.arange(math.floor((end - start) * FPS)) / FPS, legs)
     samples = speech.samples[round(start * speech.sample_rate):]
-    write_bytes(target, encode(points, Speech(samples, speech.sample_rate), target.suffix, size=size, fps=fps))
+    write_bytes(target, encode(points, Speech(samples, speech.sample_rate), target.suffix, size=size))
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -155,7 +155,7 @@ def run(arguments: argparse.Namespace) -> Sequence[Table]:
     """A row for ours in speech, ours in a pause, and each folder; InputError where there is nothing to look at."""
     if arguments.renderings < 1 or not 0.0 <= arguments.pause <= 600.0:
         raise InputError("--renderings, --pause", "are out of range", "give 1 or more, and 0 to 600 seconds")
-    rows = {}
+    rows: dict[str, dict[str, float | str]] = {}
     asked = {"ours, speech": [load_speech(file) for file in arguments.speech],
              "ours, a pause": [_pause(arguments.pause)] if arguments.pause else []}
     if any(asked.values()):
