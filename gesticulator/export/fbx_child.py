@@ -46,6 +46,6 @@ def convert(source: str, target: str, fps: int) -> None:
         bake_anim_simplify_factor=0.0, path_mode="COPY", embed_textures=True)
 
 
-if __name__ == "__main__":
-    given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
-    convert(given[0], given[1], int(given[2]))
+# Nothing else runs this file: Blender, given it, passes what stands behind "--"; a Python with bpy passes all.
+given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
+convert(given[0], given[1], int(given[2]))

@@ -1,0 +1,73 @@
+"""The Blender add-on, in Blender and without a screen, with the program and the weights that are shipped."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from small_characters import write_character
+
+from data_module.errors import InputError
+from data_module.types import Array
+from gesticulator import Gesticulator
+from gesticulator.export.blender import check_blender, run_in_blender
+from gesticulator.performance import Performance
+
+HERE = Path(__file__).resolve().parent
+FPS, SECONDS = 24, 3.0
+RIGS = {
+    "mixamo": ("mixamorig:{side}Arm", "mixamorig:{side}ForeArm", "mixamorig:{side}Hand"),
+    "rigify": ("upper_arm.{side}", "forearm.{side}", "hand.{side}"),
+}
+"""Kind of armature -> its bones of an arm."""
+
+
+@pytest.fixture(scope="module")
+def spoken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance]:
+    """A recording, and the gesture that the program makes of it on our own skeleton."""
+    try:
+        check_blender(HERE)
+    except InputError as lacking:
+        pytest.skip(str(lacking))
+    samples, rate = soundfile.read(HERE.parent / "examples" / "speech.flac", frames=round(SECONDS * 16000))
+    sound = tmp_path_factory.mktemp("sound") / "speech.wav"
+    soundfile.write(sound, samples, rate)
+    return sound, Gesticulator.from_pretrained()(sound, fps=FPS, legs=True)
+
+
+@pytest.mark.parametrize("kind", sorted(RIGS))
+def test_an_armature_moves_as_our_own_skeleton_does(kind: str, spoken: tuple[Path, Performance], tmp_path: Path
+                                                    ) -> None:
+    sound, made = spoken
+    program = tmp_path / "gesticulator"
+    program.write_text(f'#!/bin/sh\nPYTHONPATH="{HERE.parent}" exec "{sys.executable}" -m gesticulator "$@"\n')
+    program.chmod(0o755)
+    rig = "rigify" if kind == "rigify" else str(write_character(tmp_path / "her.glb"))
+    run_in_blender(tmp_path, HERE / "blender_addon.py", rig, str(sound), str(program), str(FPS),
+                   str(tmp_path / "out.json"))
+    told = json.loads((tmp_path / "out.json").read_text())
+    if "lacking" in told:
+        pytest.skip(told["lacking"])
+    assert told["range"] == [10, 9 + len(made.motion)] and told["strips"] == [["SOUND", 10]]
+    assert told["action"] == "gesture speech"
+
+    def bone(start: str, end: str) -> Array:
+        """[T, 3] its direction, Y up."""
+        way = np.array([np.subtract(frame[end], frame[start]) for frame in told["frames"]])[:, [0, 2, 1]] * [1, 1, -1]
+        return way / np.linalg.norm(way, axis=1, keepdims=True)
+
+    places = made.positions()
+    for side in ("Left", "Right"):
+        names = [name.format(side=side if kind == "mixamo" else side[0]) for name in RIGS[kind]]
+        ours = [made.joints.index(side + name) for name in ("Arm", "ForeArm", "Hand")]
+        for k in (0, 1):
+            expected = places[:, ours[k + 1]] - places[:, ours[k]]
+            expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+            apart = np.degrees(np.arccos(np.clip(np.sum(bone(names[k], names[k + 1]) * expected, axis=1), -1, 1)))
+            # Hands that would enter her trunk are kept outside, which moves an arm for a while.
+            assert np.median(apart) < 1.0, (side, k, apart.max())
+    assert np.ptp(bone(names[1], names[2]), axis=0).max() > 0.1, "she moves"
