@@ -107,7 +107,7 @@ def matched_temperature(scores: Tensor, nats: float) -> float:
     for _ in range(40):
         middle = (low * high) ** 0.5
         low, high = (middle, high) if entropy_of(scores / middle) < nats else (low, middle)
-    return round((low * high) ** 0.5, 3)
+    return float(f"{(low * high) ** 0.5:.4g}")
 
 
 def allowed_lexemes(silent: Mask, silent_lexemes: Lexemes, size: int) -> Mask:

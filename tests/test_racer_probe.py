@@ -45,7 +45,7 @@ def test_a_partial_correlation_sees_what_the_other_does_not_explain() -> None:
     expected = (one * other).sum(1) / np.sqrt((one ** 2).sum(1) * (other ** 2).sum(1))
     np.testing.assert_allclose(values.partial_correlations(mixed, reward + 0.3 * prior, prior), expected)
     # A value that repeats the behaviour and nothing else has none, however well it correlates.
-    copy = prior + 1e-9 * rng.normal(size=prior.shape)
+    copy = prior + 0.01 * rng.normal(size=prior.shape)
     assert np.abs(values.partial_correlations(copy, prior + reward, prior)).max() < 0.3
     assert np.isnan(values.partial_correlations(prior, reward, prior)).all()
 

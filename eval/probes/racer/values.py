@@ -46,7 +46,7 @@ def partial_correlations(x: Array, y: Array, given: Array) -> Array:
 
     xy, xg, yg = r(x, y), r(x, given), r(y, given)
     rest = np.sqrt((1 - xg ** 2).clip(0) * (1 - yg ** 2).clip(0))
-    return np.divide(xy - xg * yg, rest, out=np.full(len(xy), np.nan), where=rest > 1e-9)
+    return np.divide(xy - xg * yg, rest, out=np.full(len(xy), np.nan), where=rest > 1e-6)
 
 
 @torch.no_grad()
