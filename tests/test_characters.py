@@ -14,6 +14,7 @@ from data_module.errors import InputError
 from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
 from data_module.types import Motion
+from gesticulator import infer
 from gesticulator.characters import read_character
 from gesticulator.characters.bvh_rig import write_character_bvh
 from gesticulator.characters.choice import COMMAND
@@ -286,3 +287,27 @@ def test_the_verb_shows_what_was_found(tmp_path: Path, capsys: pytest.CaptureFix
     assert "100% sure" in said and "mixamorig:LeftForeArm" in said
     assert json.loads((tmp_path / "m.json").read_text())["joints"]["Hips"] == "mixamorig:Hips"
     assert COMMAND.main("gesticulator character", [str(file), "--mapping", str(tmp_path / "m.json")]) == 0
+
+
+def test_the_command_moves_a_bvh_character_from_sound_to_file(tmp_path: Path) -> None:
+    """End to end: names, channels and floor of her file are kept, frames are those of the sound."""
+    rig = next(rig for rig in map(draw, range(200)) if rig.character.kind == "bvh" and rig.unit == 0.01)
+    still = np.tile(rig.character.rotations, (1, 1, 1))
+    source, out = tmp_path / "rig.bvh", tmp_path / "talk.bvh"
+    write_character_bvh(source, rig.character, still, None, 30.0)
+    sound = Path(__file__).parent.parent / "examples" / "speech.flac"
+    assert infer.main([str(sound), "--character", str(source), "-o", str(out), "--fps", "20", "--quiet",
+                       "--save-mapping", str(tmp_path / "m.json")]) == 0
+    made, rest = bvh.read_bvh(out, unit=0.01), read_character(source)
+    kept = [node for node in range(1, len(rest)) if node != rest.names.index("Hips")]
+    assert made.skeleton.names == rest.names
+    assert np.allclose(made.skeleton.offsets[kept], 0.01 * rest.translations[kept])
+    assert abs(made.duration - 1.0 / made.fps - len(made) / 20.0) < 0.1 and len(made) > 40
+    wrist = kinematics.positions_of(made)[:, rest.names.index(rig.character.names[rig.truth["LeftHand"]])]
+    assert np.ptp(wrist, axis=0).max() > 0.1
+
+
+def test_a_mapping_without_a_character_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        infer.main(["speech.wav", "-o", "x.bvh", "--mapping", "m.json"])
+    assert left.value.code == 2 and "--character" in capsys.readouterr().err

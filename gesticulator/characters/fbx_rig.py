@@ -44,7 +44,7 @@ def from_bones(path: Path, told: list[dict[str, Any]]) -> Character:
     metres along its own Y axis}, the armature's object first. `InputError` for matrices that turn nothing."""
     matrices = np.array([node["matrix"] for node in told], dtype=np.float64).reshape(-1, 4, 4)
     if not np.isfinite(matrices).all() or (np.abs(np.linalg.det(matrices[:, :3, :3])) < 1e-12).any():
-        raise InputError(path, f"has bones of no size ({shown(told[0]['name'])})", "apply its scale and export it again")
+        raise InputError(path, f"has bones of no size ({shown(told[0]['name'])})", "apply its scale and export again")
     n = len(told)
     skinned = np.ones(n, dtype=bool)
     skinned[0] = False
