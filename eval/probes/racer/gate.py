@@ -47,14 +47,14 @@ _CHECKS, _WINDOWS = 8, 64
 
 
 @dataclass(frozen=True)
-class Agreement:
+class RewardAgreement:
     """Correlations over lexemes, by recording: of single blocks, and of returns."""
 
     single: stats.Interval
     returns: stats.Interval
 
 
-def agreed(first: EnsembleReward, second: EnsembleReward, takes: Sequence[Demonstration]) -> Agreement:
+def agreed(first: EnsembleReward, second: EnsembleReward, takes: Sequence[Demonstration]) -> RewardAgreement:
     """Of two rewards over the performer's decisions in speech."""
     rows: dict[str, list[Array]] = {"single": [], "returns": []}
     for take in takes:
@@ -72,7 +72,7 @@ def agreed(first: EnsembleReward, second: EnsembleReward, takes: Sequence[Demons
                 for one, table in zip(every, (first, second), strict=True))))
     found = {key: stats.mean_interval(np.concatenate(own), groups=np.repeat(np.arange(len(own)), [len(o) for o in own]))
              for key, own in rows.items() if own}
-    return Agreement(found["single"], found.get("returns", stats.Interval.undefined()))
+    return RewardAgreement(found["single"], found.get("returns", stats.Interval.undefined()))
 
 
 def clauses(context: EvalContext, tables: Sequence[EnsembleReward], takes: Sequence[Demonstration]) -> list[Clause]:
