@@ -14,13 +14,17 @@ from data_module.errors import InputError
 from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
 from data_module.types import Motion
+from gesticulator import infer
 from gesticulator.characters import read_character
 from gesticulator.characters.bvh_rig import write_character_bvh
 from gesticulator.characters.choice import COMMAND
+from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
 from gesticulator.characters.names import label
 from gesticulator.characters.rig import Character
+from gesticulator.export import fbx_child as blender_child
+from gesticulator.export.blender import blender, run_in_blender
 from gesticulator.retarget import Retargeter, retarget
 from tests.performances import perform
 from tests.rigs import Rig, as_glb, draw
@@ -162,6 +166,49 @@ def test_a_bvh_whose_offsets_lie_along_one_axis_is_aligned_by_its_first_frame(tm
         name: glb.names[node] for name, node in rig.truth.items()}
 
 
+# ---------------------------------------------------------------------------------------------------- FBX
+
+def test_bones_as_blender_tells_them_are_a_character() -> None:
+    """The armature stands in metres, Z up, with a scale of its own; she is moved as the GLB of the same rig is."""
+    rig = draw(3, "mixamo", "A")
+    glb = rig.character
+    z_up = np.eye(4)
+    z_up[:3, :3] = Rotation.from_euler("X", 90, degrees=True).as_matrix()
+    world, scale = z_up @ glb.world_matrices(), np.diag([0.01, 0.01, 0.01, 1.0])
+    top = np.linalg.inv(scale) @ world
+    told = [{"name": "Armature", "parent": -1, "matrix": scale.ravel().tolist(), "length": 0.0}]
+    for node, (name, parent) in enumerate(zip(glb.names, glb.parents, strict=True)):
+        local = top[node] if parent < 0 else np.linalg.inv(top[parent]) @ top[node]
+        told.append({"name": name, "parent": parent + 1, "matrix": local.ravel().tolist(), "length": 0.1})
+    fbx = from_bones(Path("rig.fbx"), told)
+    assert np.allclose(fbx.world_matrices()[1:, :3, 3], world[:, :3, 3], atol=1e-6)
+    assert {name: node - 1 for name, node in find_joints(fbx).joints.items()} == rig.truth
+    motion = motion_of()
+    ours, theirs = (retarget(motion, each, contacts=False).world_matrices()[..., :3, 3] for each in (glb, fbx))
+    assert np.allclose(theirs[:, 1:], ours @ z_up[:3, :3].T, atol=1e-4)
+
+
+def test_an_fbx_file_is_read_through_blender(tmp_path: Path) -> None:
+    if blender() is None:
+        pytest.skip("Blender is not installed")
+    rig = draw(3, "mixamo", "A")
+    glb = tmp_path / "rig.glb"
+    glb.write_bytes(as_glb(rig))
+    run_in_blender(glb, Path(blender_child.__file__), str(glb), str(tmp_path / "rig.fbx"), "30")
+    read = read_character(tmp_path / "rig.fbx")
+    found = find_joints(read)
+    check(found, read)
+    assert {name: read.names[node] for name, node in found.joints.items()} == {
+        name: rig.character.names[node] for name, node in rig.truth.items()}
+
+
+def test_an_fbx_without_blender_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gesticulator.export.blender.blender", lambda: None)
+    (tmp_path / "rig.fbx").write_bytes(b"FBX")
+    with pytest.raises(InputError, match="Blender"):
+        read_character(tmp_path / "rig.fbx")
+
+
 # ---------------------------------------------------------------------------------------------------- sizes, API
 
 @pytest.mark.parametrize("skeleton", [CHARACTER, FINGERED, WHOLE_BODY])
@@ -240,3 +287,27 @@ def test_the_verb_shows_what_was_found(tmp_path: Path, capsys: pytest.CaptureFix
     assert "100% sure" in said and "mixamorig:LeftForeArm" in said
     assert json.loads((tmp_path / "m.json").read_text())["joints"]["Hips"] == "mixamorig:Hips"
     assert COMMAND.main("gesticulator character", [str(file), "--mapping", str(tmp_path / "m.json")]) == 0
+
+
+def test_the_command_moves_a_bvh_character_from_sound_to_file(tmp_path: Path) -> None:
+    """End to end: names, channels and floor of her file are kept, frames are those of the sound."""
+    rig = next(rig for rig in map(draw, range(200)) if rig.character.kind == "bvh" and rig.unit == 0.01)
+    still = np.tile(rig.character.rotations, (1, 1, 1))
+    source, out = tmp_path / "rig.bvh", tmp_path / "talk.bvh"
+    write_character_bvh(source, rig.character, still, None, 30.0)
+    sound = Path(__file__).parent.parent / "examples" / "speech.flac"
+    assert infer.main([str(sound), "--character", str(source), "-o", str(out), "--fps", "20", "--quiet",
+                       "--save-mapping", str(tmp_path / "m.json")]) == 0
+    made, rest = bvh.read_bvh(out, unit=0.01), read_character(source)
+    kept = [node for node in range(1, len(rest)) if node != rest.names.index("Hips")]
+    assert made.skeleton.names == rest.names
+    assert np.allclose(made.skeleton.offsets[kept], 0.01 * rest.translations[kept])
+    assert abs(made.duration - 1.0 / made.fps - len(made) / 20.0) < 0.1 and len(made) > 40
+    wrist = kinematics.positions_of(made)[:, rest.names.index(rig.character.names[rig.truth["LeftHand"]])]
+    assert np.ptp(wrist, axis=0).max() > 0.1
+
+
+def test_a_mapping_without_a_character_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        infer.main(["speech.wav", "-o", "x.bvh", "--mapping", "m.json"])
+    assert left.value.code == 2 and "--character" in capsys.readouterr().err

@@ -40,7 +40,7 @@ _KNUCKLES = (("Index", "Pinky"), ("Index", "Ring"), ("Middle", "Pinky"), ("Index
 
 
 @dataclass(frozen=True)
-class Segment:
+class BoneSegment:
     """A node that is moved: G(t) = R(t) C, where R(t) is the world rotation of our `joint`, or what lies `share` of
     the way from there to that of `other`. constant: C, [3, 3], from the node's axes to ours."""
 
@@ -72,7 +72,7 @@ class Body:
     local_turns: Array
     offsets: Array
     leg_ratio: float
-    segments: tuple[Segment, ...]
+    segments: tuple[BoneSegment, ...]
     leg_nodes: frozenset[int]
 
     def place(self, turns: Mapping[int, Array], node: int) -> Array:
@@ -221,16 +221,16 @@ class _Rig:
                              "check the mapping")
         return self.bind[node] @ way
 
-    def _segment(self, name: str, change: Array) -> Segment:
+    def _segment(self, name: str, change: Array) -> BoneSegment:
         """change: [3, 3] the turn from her bind pose to our rest pose, of this bone."""
-        return Segment(self.joints[name], name, change @ self.bind[self.joints[name]])
+        return BoneSegment(self.joints[name], name, change @ self.bind[self.joints[name]])
 
     # ------------------------------------------------------------------------------------------------ the trunk
 
-    def trunk(self) -> list[Segment]:
+    def trunk(self) -> list[BoneSegment]:
         """Hips, spine, neck and head. Spine and neck follow ours by where they are between hips, chest and head."""
         joints, bind = self.joints, self.bind
-        out = [Segment(joints["Hips"], "Hips", bind[joints["Hips"]])]
+        out = [BoneSegment(joints["Hips"], "Hips", bind[joints["Hips"]])]
         chest_change = self._chest_change()
         shares = self._shares([joints["Hips"], *self.mapping.spine])
         ours = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
@@ -239,15 +239,15 @@ class _Rig:
             if node != self.mapping.spine[-1] and self._carries_legs(node):
                 share = 0.0  # what carries the legs is of the hips
             change = _matrix(rotation.from_exponential_map(share * chest_change))
-            out.append(Segment(node, *_place_among(ours, steps / steps[-1], share, change @ bind[node])))
+            out.append(BoneSegment(node, *_place_among(ours, steps / steps[-1], share, change @ bind[node])))
         look = self._head_change()
         chain = [*self.mapping.neck, joints["Head"]]
         shares = self._shares(chain)
         for node, low, high in zip(self.mapping.neck, shares, shares[1:], strict=False):
             # A neck of one joint bends where ours, of two, bends on average: by the middle of its bone.
-            out.append(Segment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (low + high) / 2.0,
+            out.append(BoneSegment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (low + high) / 2.0,
                                                    look @ bind[node])))
-        return [*out, Segment(joints["Head"], "Head", look @ bind[joints["Head"]])]
+        return [*out, BoneSegment(joints["Head"], "Head", look @ bind[joints["Head"]])]
 
     def _carries_legs(self, node: int) -> bool:
         return any(self.way(node, self.joints[side + "UpLeg"]) is not None for side in SIDES
@@ -289,9 +289,9 @@ class _Rig:
 
     # ------------------------------------------------------------------------------------------------ arms
 
-    def arms(self) -> list[Segment]:
+    def arms(self) -> list[BoneSegment]:
         """Clavicles, arms, hands and fingers."""
-        out: list[Segment] = []
+        out: list[BoneSegment] = []
         for side, sign in (("Left", 1.0), ("Right", -1.0)):
             if side + "Shoulder" in self.joints:
                 own, ours = self.bone(side + "Shoulder", side + "Arm"), _OURS[side + "Arm"]
@@ -340,7 +340,7 @@ class _Rig:
         own = float(np.linalg.norm(self.character.translations[node]))
         return float(np.linalg.norm(self._offsets[node])) / own if own > 1e-9 else 1.0
 
-    def _fingers(self, side: str, along: Array, back: Array | None, ours_back: Array, hand: Array) -> list[Segment]:
+    def _fingers(self, side: str, along: Array, back: Array | None, ours_back: Array, hand: Array) -> list[BoneSegment]:
         """The joints of the fingers; each bone points as ours does, its back where the hand's back is."""
         out = []
         for finger in FINGERS:
@@ -373,9 +373,9 @@ class _Rig:
 
     # ------------------------------------------------------------------------------------------------ legs
 
-    def legs(self) -> list[Segment]:
+    def legs(self) -> list[BoneSegment]:
         """Thighs, shins, feet and toes; a foot stands flat in the bind pose, whatever the height of its heel."""
-        out: list[Segment] = []
+        out: list[BoneSegment] = []
         for side in SIDES:
             if any(side + part not in self.joints for part in ("UpLeg", "Leg", "Foot")):
                 continue
@@ -408,7 +408,7 @@ def _change(bone: Array, across: Array | None, ours: Array, ours_across: Array) 
 
 def _place_among(ours: Sequence[str], steps: Array, share: float, constant: Array
                  ) -> tuple[str, Array, str, float]:
-    """The fields of a `Segment` that lies at `share` among joints of ours at `steps`: (joint, C, other, share)."""
+    """The fields of a `BoneSegment` that lies at `share` among joints of ours at `steps`: (joint, C, other, share)."""
     place = int(np.clip(np.searchsorted(steps, share, side="right") - 1, 0, len(ours) - 1))
     if place == len(ours) - 1:
         return ours[place], constant, "", 0.0
