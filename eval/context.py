@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.store import Recording, Store
+from eval.judges import with_judges
 from gesticulator import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages.corpus import Corpus, prepare
@@ -46,7 +47,8 @@ class EvalContext:
         """What `of` reads."""
         parser.add_argument("--data", required=True, metavar="STORE", help="a store built by `gesticulator build`")
         parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
-        parser.add_argument("--work", metavar="DIR", help="where blocks and networks are cached (default: STORE.work)")
+        parser.add_argument("--work", metavar="DIR", help="where blocks and networks are cached, and the reward "
+                            "models of the bundle's training lie (default: STORE.work)")
         parser.add_argument("--limit", type=int, metavar="N", help="the first N recordings of a split only")
         parser.add_argument("--quiet", action="store_true", help="no progress bars")
 
@@ -61,7 +63,7 @@ class EvalContext:
             raise InputError(store.path, "has no test split", "build the store again")
         work = Path(arguments.work) if arguments.work else Path(f"{store.path}.work")
         work.mkdir(parents=True, exist_ok=True)
-        bundle = bundles.load(arguments.bundle or bundles.SHIPPED)
+        bundle = with_judges(bundles.load(arguments.bundle or bundles.SHIPPED), work)
         return cls(store, bundle, work, arguments.limit, not arguments.quiet)
 
     @cached_property

@@ -27,11 +27,11 @@ from eval.baselines import ReplayInterpreter
 from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.rows.row import EPISODE
-from eval.teacher import teacher_logits
 from gesticulator import bundle as bundles
 from gesticulator.features import SpeechFeatures
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages import Corpus
+from gesticulator.stages.interpreter import teacher_logits
 from gesticulator.stages.q_network import features_of, takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.episodes import Demonstration
@@ -43,6 +43,8 @@ Mask = NDArray[np.bool_]
 RARE = 0.01
 """A choice that the lstm gives less than this is out of distribution."""
 SEED = 0
+_TEMPERATURES = (0.002, 50.0)
+"""Between these a matched one is sought; Q values may differ by hundredths."""
 
 
 # ------------------------------------------------------------------------------- quantities: arrays in, numbers out
@@ -91,6 +93,21 @@ def rank_correlation(first: Array, second: Array) -> float:
     if len(first) < 2 or np.ptp(first) == 0 or np.ptp(second) == 0:
         return float("nan")
     return float(spearmanr(first, second).statistic)
+
+
+def entropy_of(scores: Tensor) -> float:
+    """Mean entropy in nats of softmax(scores [n, S])."""
+    odds = scores.double().log_softmax(-1)
+    return float(-(odds.exp() * odds).sum(-1).mean())
+
+
+def matched_temperature(scores: Tensor, nats: float) -> float:
+    """The temperature at which softmax(scores [n, S] / T) has this mean entropy; by bisection: entropy rises with T."""
+    low, high = _TEMPERATURES
+    for _ in range(40):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if entropy_of(scores / middle) < nats else (low, middle)
+    return round((low * high) ** 0.5, 3)
 
 
 def allowed_lexemes(silent: Mask, silent_lexemes: Lexemes, size: int) -> Mask:

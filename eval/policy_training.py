@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,9 @@ from eval.clip import measure, motion_values
 from eval.context import Lexemes, hinted_labels
 from eval.judge import distances, set_distances
 from eval.judge import features_of as features_of_motion
+from eval.judges import with_judges
 from eval.metrics import gesture_features, pmb
-from eval.policy import Decisions, Policy, PolicyJudge, Rewards, perform, walk
+from eval.policy import Decisions, Policy, PolicyJudge, Rewards, entropy_of, matched_temperature, perform, walk
 from eval.rows.racer import ROWS, SUPERVISED
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
@@ -37,17 +39,18 @@ from gesticulator.pipeline import Gesticulator
 from gesticulator.stages import CORPUS, ENCODER, Corpus, Run
 from gesticulator.stages import base as stages
 from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.interpreter import teacher_logits
 from gesticulator.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.stages.reward import reward_table, taught_reward
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.base import LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
 from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, SilentLexemes, build, distance_rewards
-from interpreters.reward import Centred, RewardTable
+from interpreters.reward_table import Centred, EnsembleReward
 from interpreters.simulator import Choose, Replay, Simulator, collect
 from lexicon.inventory import nearest_silent
 
-VERSION = 1
+VERSION = 2
 """Raised when the same settings would no longer give the same figures."""
 ACT_EVERY = 2
 """Steps of the online row between two roll-outs of a batch of episodes."""
@@ -72,16 +75,18 @@ class RacerContext:
     takes: list[Demonstration]
     silent: SilentLexemes
     judge: PolicyJudge
-    tables: dict[str, RewardTable]
+    tables: dict[str, EnsembleReward]
     shapes: str
-    _taught: dict[int, RewardTable | Centred] = field(default_factory=dict)
+    _taught: dict[int, EnsembleReward | Centred] = field(default_factory=dict)
 
     @classmethod
     def of(cls, store: Store, bundle: bundles.Bundle, work: Path, preset: Sequence[str], limit: int | None = None,
            progress: bool = True) -> RacerContext:
         """From a bundle over a lexicon with both reward models; InputError for another, and without test speech."""
+        bundle = with_judges(bundle, work)
         if bundle.reward is None or bundle.reward_judge is None:
-            raise InputError("the bundle", "lacks one of the two reward models", "train with schedules.reward.steps")
+            raise InputError(work, "lacks one of the two reward models of the bundle's training",
+                             "give the work folder of its training, with schedules.reward.steps")
         parts = bundle.block_models
         config = configs.with_settings(bundle.config, preset)
         run = Run(config, store, work, progress=progress, workers=os.cpu_count() or 1)
@@ -106,7 +111,7 @@ class RacerContext:
         """The store's blocks."""
         return self.run.get(CORPUS)
 
-    def taught(self, config: Config) -> RewardTable | Centred:
+    def taught(self, config: Config) -> EnsembleReward | Centred:
         """The training reward as policies are taught it under the settings."""
         draws = config.episodes.baseline
         if draws not in self._taught:
@@ -122,7 +127,7 @@ class RacerContext:
         row = ROWS[name]
         how = {"online": [ACT_EVERY, MEMORY, GREEDY_AT, LEAST_EPSILON], "offline": [],
                "actor-critic": [ActorCriticConfig(), self.config(SUPERVISED)]}[row.training]
-        return configs.digest(self.shapes, self.config(name), row.training, how, seed)
+        return configs.digest(self.shapes, self.config(name), row.training, row.scale, how, seed)
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
@@ -134,7 +139,52 @@ class RacerContext:
         row, config = ROWS[name], self.config(name)
         if row.training == "actor-critic" or not config.cql.temporal:
             return None
-        return self.taught(config) if row.training == "online" else rewarded(self, config)[1]
+        found: Rewards = self.taught(config) if row.training == "online" else rewarded(self, config)[1]
+        return found if row.scale == 1 else ScaledReward(found, row.scale)
+
+    @cached_property
+    def nats(self) -> float:
+        """Mean entropy of the lstm's choice on the validation split as the bundle samples it, on the person's past."""
+        model, temperature = self.bundle.block_models.interpreter, self.bundle.config.selection.temperature or 1.0
+        return entropy_of(torch.cat([teacher_logits(model, self.corpus, take.blocks, take.lexemes)
+                                     for take in self.held]) / temperature)
+
+    @cached_property
+    def held(self) -> list[Demonstration]:
+        """The recordings on which temperatures are matched: the validation split, or training where there is none."""
+        corpus = self.corpus
+        takes = takes_of(corpus, hinted_labels(self.bundle, corpus), "val" if corpus.recordings("val") else "train")
+        return [take for take in takes if len(take.blocks) > 1][:4]
+
+    def temperature(self, name: str, policy: QNetwork | ActorCritic) -> float:
+        """What a row's scores are divided by: 0 for the best lexeme, or what makes it as undecided as the lstm."""
+        if not ROWS[name].matched:
+            return 0.0
+        with torch.no_grad():
+            scores = []
+            for take in self.held:
+                seen = {"block": torch.as_tensor(take.blocks[1:])[None],
+                        "previous": torch.as_tensor(take.lexemes[:-1])[None],
+                        "silent": torch.as_tensor(take.silent[1:])[None], "speaker": torch.tensor([take.speaker])}
+                config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
+                batch = q_batch(self.corpus, seen, config.lookahead)
+                scores.append(policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0])
+        return matched_temperature(torch.cat(scores), self.nats)
+
+
+class ScaledReward:
+    """A reward times a factor (what `Rewards` asks for)."""
+
+    def __init__(self, reward: Rewards, factor: float) -> None:
+        self.reward, self.factor, self.window = reward, factor, reward.window
+
+    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """[B, S], as of the reward."""
+        return self.factor * self.reward.every(history, blocks, valid)
+
+    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
+        """[M, S], as of the reward."""
+        return self.factor * self.reward.sequence_every(lexemes, blocks)
 
 
 class TabledReward:
@@ -278,6 +328,15 @@ def actor_critic(context: RacerContext, config: Config, network: QNetwork, seed:
         config.cql.lookahead)
 
 
+def scaled(make_batch: fitting.MakeBatch, factor: float) -> fitting.MakeBatch:
+    """The same batches with rewards times a factor."""
+    def made(rng: np.random.Generator) -> fitting.Batch:
+        batch = make_batch(rng)
+        return {**batch, "reward": factor * batch["reward"]}
+
+    return made
+
+
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 
 
@@ -286,6 +345,7 @@ def trained(context: RacerContext, name: str, seed: int) -> tuple[QNetwork | Act
 
     A training that is stopped begins anew: what was remembered of roll-outs is not kept.
     """
+    name = ROWS[name].matched or name
     row, config, began = ROWS[name], context.config(name), time.monotonic()
     folder = context.run.work / f"{name}-{context.key(name, seed)}"
     network = context.untrained(name, seed)
@@ -296,6 +356,8 @@ def trained(context: RacerContext, name: str, seed: int) -> tuple[QNetwork | Act
         policy.load_state_dict(load_file(folder / stages.WEIGHTS))
     else:
         model, make_batch = TRAININGS[row.training](context, config, network, seed)
+        if row.scale != 1:
+            make_batch = scaled(make_batch, row.scale)
         began = time.monotonic()  # without the data set, or the network that it begins as
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as scratch:
@@ -312,7 +374,7 @@ def judged(context: RacerContext, name: str, policy: QNetwork | ActorCritic
            ) -> tuple[list[Lexemes], list[dict[str, Any]]]:
     """What a policy did on the test recordings [M], and its figures on each."""
     decisions, gamma, valued = context.judge.decisions, context.config(name).cql.gamma, context.valued(name)
-    chooser, chosen, rows = Policy(policy), [], []
+    chooser, chosen, rows = Policy(policy, context.temperature(name, policy)), [], []
     for take in decisions.takes:
         free, forced = (walk(chooser, decisions, take, teacher)[0] for teacher in (False, True))
         chosen.append(free)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,8 @@ from gesticulator.stages.corpus import Corpus
 from gesticulator.stages.lexicon import decoded_blocks
 from gesticulator.stages.reward import block_audio, reward_table
 from interpreters.episodes import Demonstration
-from interpreters.reward import RewardModel, RewardTable
+from interpreters.reward import RewardEnsemble, RewardModel
+from interpreters.reward_table import EnsembleReward
 
 DURATIONS = "durations alone"
 """Motion that is the mean pose throughout."""
@@ -24,33 +26,38 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class RewardProbe:
-    """A reward model over a corpus, all blocks read once. motion: tokens [N, C] by the kind of motion, without the
-    duration of the block; audio: [N, C]; tempo: [N, C] what a block's duration adds to the motion played in it."""
+    """A reward model or an ensemble over a corpus, all blocks read once by each member; rewards are the members' mean.
 
-    model: RewardModel
-    table: RewardTable
-    motion: dict[str, Tensor]
-    audio: Tensor
-    tempo: Tensor
+    motion: for each member tokens [N, C] by the kind of motion, without the duration of the block; audio: [N, C];
+    tempo: [N, C] what a block's duration adds to the motion played in it.
+    """
+
+    model: RewardModel | RewardEnsemble
+    table: EnsembleReward
+    motion: list[dict[str, Tensor]]
+    audio: list[Tensor]
+    tempo: list[Tensor]
 
     @classmethod
     @torch.no_grad()
-    def of(cls, model: RewardModel, bundle: Bundle, corpus: Corpus, labels: Integers) -> RewardProbe:
+    def of(cls, model: RewardModel | RewardEnsemble, bundle: Bundle, corpus: Corpus, labels: Integers) -> RewardProbe:
         """labels: [N] the lexeme of every block."""
         shown = {"captured": corpus.motion, "decoded": decoded_blocks(bundle.lexicon, labels, corpus),
                  DURATIONS: torch.zeros_like(corpus.motion)}
         no_duration = torch.zeros(len(corpus.motion))
-        return cls(model, reward_table(model, bundle.lexicon, corpus),
-                   {name: model.block_motion(motion, no_duration) for name, motion in shown.items()},
-                   model.block_audio(block_audio(corpus).float()),
-                   model.tempo(torch.as_tensor(np.log(corpus.durations)).float()))
+        heard, times = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
+        return cls(model, reward_table(model, bundle.lexicon, corpus, literal=True),
+                   [{name: own.block_motion(motion, no_duration) for name, motion in shown.items()}
+                    for own in model.models],
+                   [own.block_audio(heard) for own in model.models], [own.tempo(times) for own in model.models])
 
     @torch.no_grad()
     def score(self, kind: str, motion: Integers, audio: Integers) -> Array:
         """[B] the reward of motion blocks [B, W] that are played on audio blocks [B, W], in their durations."""
-        heard = torch.as_tensor(audio)
-        vectors = self._motion(self.motion[kind][torch.as_tensor(motion)] + self.tempo[heard])
-        return _numbers((vectors * self._audio(heard)).sum(-1))
+        heard, at = torch.as_tensor(audio), torch.as_tensor(motion)
+        return _numbers(torch.stack([
+            (_embedded(own, kinds[kind][at] + tempo[heard]) * _heard(own, sound[heard])).sum(-1)
+            for own, kinds, sound, tempo in self._members()]).mean(0))
 
     @torch.no_grad()
     def pairs(self, kind: str, own: Integers, retimed: bool) -> Array:
@@ -58,12 +65,15 @@ class RewardProbe:
 
         retimed: in the durations of that audio; else in its own, which tell the true pair by themselves.
         """
-        at = torch.as_tensor(own)
-        tokens, heard = self.motion[kind][at], self._audio(at)
-        if not retimed:
-            return _numbers(self._motion(tokens + self.tempo[at]) @ heard.T)
-        return np.stack([_numbers(self._motion(tokens + self.tempo[there]) @ vector)
-                         for there, vector in zip(at, heard, strict=True)], axis=1)
+        at, out = torch.as_tensor(own), []
+        for model, kinds, sound, tempo in self._members():
+            tokens, heard = kinds[kind][at], _heard(model, sound[at])
+            if not retimed or model.read_tempo is None:  # who is told no durations sees the same in all
+                out.append(_numbers(_embedded(model, tokens + tempo[at]) @ heard.T))
+            else:
+                out.append(np.stack([_numbers(_embedded(model, tokens + tempo[there]) @ vector)
+                                     for there, vector in zip(at, heard, strict=True)], axis=1))
+        return np.mean(out, axis=0)
 
     def played(self, lexemes: Integers, audio: Integers) -> Array:
         """[B] the reward of lexemes [B, W] on audio blocks [B, W]."""
@@ -74,11 +84,16 @@ class RewardProbe:
         """[M - 1, S] the reward of each lexeme at each block of a take but the first, after the true ones."""
         return _numbers(self.table.sequence_every(torch.as_tensor(take.lexemes), torch.as_tensor(take.blocks))[1:])
 
-    def _motion(self, tokens: Tensor) -> Tensor:
-        return self.model.embed_motion(tokens, torch.ones(tokens.shape[:2]))
+    def _members(self) -> Iterator[tuple[RewardModel, dict[str, Tensor], Tensor, Tensor]]:
+        return zip(self.model.models, self.motion, self.audio, self.tempo, strict=True)
 
-    def _audio(self, blocks: Tensor) -> Tensor:
-        return self.model.embed_audio(self.audio[blocks], torch.ones(blocks.shape))
+
+def _embedded(model: RewardModel, tokens: Tensor) -> Tensor:
+    return model.embed_motion(tokens, torch.ones(tokens.shape[:2]))
+
+
+def _heard(model: RewardModel, tokens: Tensor) -> Tensor:
+    return model.embed_audio(tokens, torch.ones(tokens.shape[:2]))
 
 
 def _numbers(values: Tensor) -> Array:

@@ -39,6 +39,7 @@ from eval import baselines, stats
 from eval.clip_set import TRUTH, ClipSet, common_clips, listed, shared_names
 from eval.encode import EncodedMotion, SpeechBlocks, encode_motion, judged_reward
 from eval.foreign import Clip, named, names_in, read_folder
+from eval.judges import with_judges
 from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd
 from eval.metrics.diversity import entropy, lexeme_moments, variance_of_moments
 from eval.metrics.evaluate import (
@@ -432,9 +433,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--system", action="append", required=True, metavar="NAME=DIR", help="may be given many times")
     add("--speech", type=Path, metavar="DIR", help="where the sounds lie (default: beside the motion)")
     add("--fgd", type=Path, metavar="FOLDER", help="the Human3.6M network of the papers")
-    add("--work", type=Path, metavar="DIR", help="our own networks of gesture features are stored there")
+    add("--work", type=Path, metavar="DIR", help="our own networks of gesture features are stored there; the work "
+        "folder of the bundle's training holds the model that judges the reward")
     add("--bundle", metavar="DIR", help="its lexicon measures diversity, motion variance and lexeme accuracy, its "
-        "judging model the reward ('shipped': the one that comes along)")
+        "judging model, from --work, the reward ('shipped': the one that comes along)")
     add("--split", default="test", choices=(*SPLITS, "all"), help="what is compared of a store (default: test)")
     add("--piece", metavar="SECONDS", help="cut long clips into pieces of this length")
     add("--rate", metavar="FPS", help="frame rate to compare at (default: the lowest of all)")
@@ -455,7 +457,8 @@ def scored(arguments: argparse.Namespace) -> Scores:
     if arguments.bundle:
         from gesticulator import bundle as bundles
 
-        bundle = bundles.load(bundles.SHIPPED if arguments.bundle == "shipped" else arguments.bundle)
+        bundle = with_judges(bundles.load(bundles.SHIPPED if arguments.bundle == "shipped" else arguments.bundle),
+                             arguments.work)
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
         _ = bundle.block_models
     folders, left_out = read_all(arguments)

@@ -10,7 +10,9 @@ a Gumbel-quantised code, an LSTM. Three things differ from `generator.model`:
   v(u_t, t, h) = u - e on u_t = (1 - t) e + t u, where e is Gaussian noise and t uniform. Drawing follows du/dt = v from
   noise to u by Heun's method. A regression would draw the mean of all that may follow, which hardly moves.
 - Audio and lexeme are left out in part of the training, so that drawing can go beyond what either asks for
-  (classifier-free guidance): v + g_a (v - v without audio) + g_l (v - v without lexeme).
+  (classifier-free guidance): v + g_a (v - v without audio) + g_l (v - v without lexeme). So is how the body moved
+  before, which tells so well how lively the next block is that a model would copy it instead of listening; on its own
+  past it would then become calmer and calmer.
 
 Training feeds true pasts with noise on them, never its own blocks: what leads from a shifted past back to the truth is
 what keeps a long performance on course.
@@ -60,7 +62,8 @@ def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
 class FlowInputs:
     """What N blocks are drawn from: audio windows [B, N, 3K, d], lexemes [B, N] (S for none), the blocks before
     [B, N, K, D_m] with the ratios of durations [B, N], circumstances [B, N, 8], the speaker one-hot [B, P], and what is
-    asked of the style [B, N, K, 2 F], None when nothing is. deaf: [B] the audio is left out."""
+    asked of the style [B, N, K, 2 F], None when nothing is. deaf: [B] the audio is left out. forgets: [B] how the body
+    moved before is left out, but for the last frames."""
 
     audio: Tensor
     lexeme: Tensor
@@ -70,6 +73,7 @@ class FlowInputs:
     speaker: Tensor
     control: Tensor | None = None
     deaf: Tensor | None = None
+    forgets: Tensor | None = None
 
     @property
     def past(self) -> Pasts:
@@ -89,6 +93,7 @@ class FlowHead(nn.Module):
     """
 
     def __init__(self, width: int, context: int, hidden: int, layers: int) -> None:
+        """width: n; context: C; hidden: units of each of the layers."""
         super().__init__()
         self.enter = nn.Linear(width + 2 * _FREQUENCIES, hidden)
         self.condition = nn.ModuleList([nn.Linear(context, 2 * hidden) for _ in range(layers)])
@@ -121,6 +126,7 @@ class FlowGenerator(nn.Module):
     position: Tensor
     present: Tensor
     deviation: Tensor
+    centres: Tensor
 
     def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, basis: MovementBasis,
                  present: Tensor | None = None) -> None:
@@ -131,6 +137,7 @@ class FlowGenerator(nn.Module):
         self.config, self.frames, self.basis, self.lexemes = config, frames, basis, widths.lexemes
         self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
         self.register_buffer("deviation", torch.ones(basis.width))
+        self.register_buffer("centres", torch.zeros(widths.lexemes + 1, basis.width))  # u of each lexeme; 0 for none
         self.register_buffer("position", positional_block(frames, c.position_width, direction=c.position_direction)
                              if c.position_width else torch.zeros(frames, 0), persistent=False)
         self.control_width = widths.control if c.use_control else 0
@@ -146,11 +153,13 @@ class FlowGenerator(nn.Module):
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
         known = 2 * c.lexeme_width + c.groups * c.group_width + 3 * widths.motion + basis.width
         known += CIRCUMSTANCES + widths.speakers + self.control_width
+        # A lexeme's own coefficients go straight to the head, so that what it names need not be learned.
+        told = c.context + basis.width
         self.gather = nn.Sequential(nn.Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
         self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
         self.to_context = nn.Sequential(nn.Linear(2 * c.context + c.lexeme_width, c.context), nn.GELU(),
                                         nn.Dropout(c.dropout))
-        self.head = FlowHead(basis.width, c.context, c.flow_width, c.flow_layers)
+        self.head = FlowHead(basis.width, told, c.flow_width, c.flow_layers)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -169,23 +178,28 @@ class FlowGenerator(nn.Module):
         return torch.maximum(torch.minimum(y, self.basis.limits[1]), self.basis.limits[0])
 
     @torch.no_grad()
-    def adopt(self, basis: MovementBasis, coefficients: Tensor) -> None:
-        """Take over a fitted basis; coefficients: [N, n] of the training blocks."""
+    def adopt(self, basis: MovementBasis, coefficients: Tensor, lexemes: Tensor) -> None:
+        """Take over a fitted basis; coefficients: [N, n] of the training blocks, lexemes: [S, n] of the lexicon."""
         self.basis.load_state_dict(basis.state_dict())
         bent = torch.asinh(self.config.bend * coefficients / self.basis.scale)
         self.deviation.copy_(bent.std(0, correction=0).clamp_min(1e-3))
+        self.centres[:-1] = self.squeeze(lexemes)
 
     # -------------------------------------------------------------------------------------------------- context
 
     def contexts(self, given: FlowInputs, added: Tensor, state: State | None = None, temperature: float = 1.0
                  ) -> tuple[Tensor, State]:
-        """h [B, N, C] of N blocks and the LSTM's state after them; added: [B, N, n] u of the block before each."""
+        """h [B, N, C + n] of N blocks and the LSTM's state after them; added: [B, N, n] u of the block before each."""
         heard = self.encode_audio(given.audio)
         if given.deaf is not None:
             heard = torch.where(given.deaf[:, None, None, None], self.unheard, heard)
         name = self.name(given.lexeme)
-        rows = [self.encode_motion(given.before.flatten(0, 1).transpose(1, 2)).transpose(1, 2).unflatten(
-                    0, given.before.shape[:2]), heard, repeat_frames(name, self.frames),
+        moved = self.encode_motion(given.before.flatten(0, 1).transpose(1, 2)).transpose(1, 2).unflatten(
+            0, given.before.shape[:2])
+        if given.forgets is not None:
+            kept = (~given.forgets)[:, None, None].to(added.dtype)
+            moved, added = moved * kept[..., None], added * kept
+        rows = [moved, heard, repeat_frames(name, self.frames),
                 self.position.expand(*heard.shape[:2], -1, -1)]
         pose, velocity, acceleration = given.past.state()
         known = [self.hear(heard.flatten(-2)), name, pose, 4.0 * velocity, 6.0 * acceleration, added,
@@ -197,22 +211,24 @@ class FlowGenerator(nn.Module):
         code, _ = self.codes(self.mlp(torch.cat(rows, -1)), temperature)
         gathered = self.gather(torch.cat([*known, code.mean(-2)], -1))
         out, state = self.lstm(gathered, state)
-        return self.to_context(torch.cat([out, gathered, name], -1)), state
+        context = self.to_context(torch.cat([out, gathered, name], -1))
+        return torch.cat([context, self.centres[given.lexeme]], -1), state
 
     # ------------------------------------------------------------------------------------------------- training
 
     def losses(self, batch: dict[str, Tensor], progress: float, nearest: NearestLexeme,
-               left_out: tuple[float, float, float] | None = None) -> dict[str, Tensor]:
+               left_out: tuple[float, float, float, float] | None = None) -> dict[str, Tensor]:
         """The flow matching loss |v - (u - e)|^2 on windows of N blocks after a seed block.
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], ratio [B, N + 1], circumstances [B, N + 1, 8],
         speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] where anything is asked. nearest:
         the lexicon's arg min over coefficients; a shifted past changes what a block adds to it, and so its lexeme.
-        left_out: chances that a window hears nothing, that it is told no lexeme, and that a block is not told what the
-        one before added; those of the settings where None.
+        left_out: chances that a window hears nothing, that it is told no lexeme, that it is not told how the body moved
+        before, and that a block is not told what the one before added; those of the settings where None.
         """
         c, motion = self.config, batch["motion"]
-        deaf, unnamed, untold = left_out or (c.audio_dropout, c.lexeme_dropout, c.added_dropout)
+        deaf, unnamed, forgetful, untold = left_out or (c.audio_dropout, c.lexeme_dropout, c.history_dropout,
+                                                        c.added_dropout)
         before, true = self._shifted(motion[:, :-1]), motion[:, 1:]
         ratio = batch["ratio"][:, 1:]
         past = Pasts(before[..., -PAST:, :], ratio)
@@ -224,11 +240,11 @@ class FlowGenerator(nn.Module):
         share = torch.rand(*u.shape[:2], 1, device=u.device)
         added = torch.where(share < untold, torch.zeros_like(added), added)
         lexeme = nearest(y.flatten(0, 1)).unflatten(0, y.shape[:2])
-        some = torch.rand(2, len(motion), device=u.device)
+        some = torch.rand(3, len(motion), device=u.device)
         lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
         asked = batch["control"][:, 1:] if self.control_width and "control" in batch else None
         given = FlowInputs(batch["audio"][:, 1:], lexeme, before, ratio, batch["circumstances"][:, 1:],
-                           batch["speaker"], asked, some[1] < deaf)
+                           batch["speaker"], asked, some[1] < deaf, some[2] < forgetful)
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
         weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]

@@ -110,6 +110,8 @@ class GeneratorConfig:
     """Share of training windows that hear nothing, for guidance."""
     lexeme_dropout: Share = 0.15
     """Share of training windows that are told no lexeme, for guidance."""
+    history_dropout: Share = 0.0
+    """Share of training windows that are not told how the body moved before (E_M, and what the blocks before added)."""
     added_dropout: Share = 0.15
     """Share of blocks that are not told what the block before added: leaning on it makes loops."""
     past_noise: NotNegative = 0.25

@@ -43,11 +43,12 @@ if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
+    from interpreters.advantage import Critics
     from interpreters.base import LexemeInterpreter
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
-    from interpreters.reward import RewardModel
+    from interpreters.reward import RewardEnsemble
     from interpreters.statistical import StatisticalInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
@@ -56,10 +57,10 @@ if TYPE_CHECKING:
     BlockLexicon = Lexicon | MovementLexicon
     Tokens = Lexicon | MovementLexicon | RacerCodec
 
-FORMAT = 5
-"""Format 4 knew no lexicon of movements, no flow head and no fingers; format 3 had other names of settings and tensors
-and no resting distances (see `gesticulator.upgrade`)."""
-OLDER = (1, 2, 3, 4)
+FORMAT = 6
+"""Format 5 had another flow head; format 4 knew no lexicon of movements, no flow head and no fingers; format 3 had
+other names of settings and tensors and no resting distances (see `gesticulator.upgrade`)."""
+OLDER = (1, 2, 3, 4, 5)
 """Formats that `gesticulator bundle upgrade` can bring to this one."""
 INDEX = "bundle.json"
 CARD = "MODEL_CARD.md"
@@ -68,8 +69,13 @@ SHIPPED = Path(__file__).parent / "assets" / "bundle"
 FILES = {"lexicon": "lexicon", "generator": "generator", "interpreter": "lexeme_interpreter",
          "style": "style_interpreter", "interpreter_text": "lexeme_interpreter_text",
          "style_text": "style_interpreter_text", "encoder": "speech_encoder", "gate": "gate", "q_network": "q_network",
-         "reward": "reward", "reward_judge": "reward_judge"}
+         "advantage": "advantage"}
 """Part of a bundle -> its file, without the ending; only the lexicon is never absent."""
+JUDGES = ("reward", "reward_judge")
+"""Models that teach and judge a policy and play nothing: they stay in the work folder of the training, and whoever
+measures adds them to an opened bundle (`with_parts`). A bundle that is written leaves them out."""
+_OVER_LEXICON = ("q_network", "advantage")
+"""Parts that are worthless over another codebook than they were trained on."""
 _NO_BLOCKS = "holds RACER's own codec, without lexicon, generator and style"
 _TIED = "lexicon_hash"
 _STATISTICS = "statistics"
@@ -181,14 +187,19 @@ class Bundle:
         return cast("QNetwork | None", self._part("q_network"))
 
     @property
-    def reward(self) -> RewardModel | None:
-        """The reward model that taught the Q-network."""
-        return cast("RewardModel | None", self._part("reward"))
+    def advantage(self) -> Critics | None:
+        """What lexemes are worth beyond the behaviour policy's own."""
+        return cast("Critics | None", self._part("advantage"))
 
     @property
-    def reward_judge(self) -> RewardModel | None:
-        """The reward model that judges it."""
-        return cast("RewardModel | None", self._part("reward_judge"))
+    def reward(self) -> RewardEnsemble | None:
+        """The reward that taught the policies; None unless it was added (`JUDGES`)."""
+        return cast("RewardEnsemble | None", self._part("reward"))
+
+    @property
+    def reward_judge(self) -> RewardEnsemble | None:
+        """The reward that judges them; None unless it was added (`JUDGES`)."""
+        return cast("RewardEnsemble | None", self._part("reward_judge"))
 
     def with_parts(self, **changes: nn.Module | None) -> Bundle:
         """A copy with other parts; None takes one out. A part that is not opened yet stays so."""
@@ -227,6 +238,9 @@ class Bundle:
         entry = INTERPRETERS[name]
         if not entry.part:
             return cast("LexemeInterpreter", self.statistical())
+        if entry.prior:
+            prior = self.interpreter_named(entry.prior, text)
+            return cast("LexemeInterpreter", entry.load()(prior, self.parts[entry.part], self.config.selection.beta))
         reads = text and entry.text_part in self.parts
         return cast("LexemeInterpreter", self.parts[entry.text_part if reads else entry.part])
 
@@ -261,7 +275,7 @@ class _Changed(Mapping[str, nn.Module]):
     """Parts with some of them replaced or taken out; the others are asked for only when they are wanted."""
 
     def __init__(self, parts: Mapping[str, nn.Module], changes: Mapping[str, nn.Module | None]) -> None:
-        unknown = sorted(set(changes) - set(FILES))
+        unknown = sorted(set(changes) - {*FILES, *JUDGES})
         if unknown:
             raise ValueError(f"no parts of a bundle: {', '.join(unknown)}")
         self._parts, self._changes = parts, dict(changes)
@@ -327,7 +341,9 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
     """Write a bundle whole or not at all; a bundle that is already there is replaced, anything else is left alone."""
     def write(folder: Path) -> None:
         for name, module in bundle.parts.items():
-            tied = {_TIED: lexicon_hash(bundle.vectors)} if name == "q_network" else None
+            if name in JUDGES:
+                continue
+            tied = {_TIED: lexicon_hash(bundle.vectors)} if name in _OVER_LEXICON else None
             save_file(_half(module), folder / f"{FILES[name]}{_ENDING}", tied)
         save_file(statistics_tensors(bundle), folder / f"{_STATISTICS}{_ENDING}")
         (folder / CARD).write_text(card, encoding="utf-8")
@@ -524,7 +540,7 @@ class Weights:
                              "train it again")
         if tied is not None and header.get("__metadata__", {}).get(_TIED) != tied:
             raise InputError(file, "was trained over another lexicon than the bundle's",
-                             "train the Q-network again (gesticulator train --redo q_network)")
+                             f"train it again (gesticulator train --redo {name})")
         try:
             return _finite(file, load_tensors(data))
         except _BROKEN as error:
@@ -581,7 +597,7 @@ class StoredParts(Mapping[str, nn.Module]):
         if name not in self._opened:
             if FILES.get(name, "") not in self._weights:
                 raise KeyError(name)
-            tied = lexicon_hash(self._sizes.lexemes) if name == "q_network" else None
+            tied = lexicon_hash(self._sizes.lexemes) if name in _OVER_LEXICON else None
             tensors = self._weights.read(FILES[name], shapes(name, self._sizes), tied)
             model = BUILDERS[name](self._sizes)
             model.load_state_dict(tensors)

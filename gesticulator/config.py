@@ -28,6 +28,7 @@ from data_module.speech.beats import BeatSettings
 from data_module.speech.speech_encoder import EncoderConfig
 from generator.model import GeneratorConfig
 from interpreters.settings import (
+    CriticConfig,
     EpisodeConfig,
     GateConfig,
     LstmConfig,
@@ -38,10 +39,11 @@ from interpreters.settings import (
 )
 from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
 
-__all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "EncoderConfig", "EpisodeConfig", "FitSettings",
-           "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig", "LstmConfig", "MotionConfig", "QConfig",
-           "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig", "SilenceConfig", "StatisticalConfig",
-           "StyleConfig", "TextConfig", "digest", "from_dict", "to_dict", "with_settings"]
+__all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticConfig", "EncoderConfig",
+           "EpisodeConfig", "FitSettings", "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig",
+           "LstmConfig", "MotionConfig", "QConfig", "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig",
+           "SilenceConfig", "StatisticalConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "to_dict",
+           "with_settings"]
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,8 @@ class Schedules:
     """Each of RACER's two reward models."""
     cql: FitSettings = NOT_TRAINED
     """RACER's Q-network; without steps there are no reward models either."""
+    advantage: FitSettings = NOT_TRAINED
+    """The critics of the advantage interpreter."""
 
 
 @dataclass(frozen=True)
@@ -179,6 +183,10 @@ class SelectionConfig:
     """0 takes the best (the paper); above, one is drawn from softmax(scores / temperature)."""
     q_temperature: NotNegative = 0.0
     """The same for the Q-network, whose scores are Q values: 0 is RACER's own greedy choice."""
+    beta: Annotated[float, SettingRange(0.0, 20.0)] = 1.0
+    """Of `--interpreter advantage`: how far lexemes are drawn to what they are worth. One that is worth a standard
+    deviation more than the behaviour policy's mean is e^beta times as likely; 0 is the behaviour policy itself. Chosen
+    on the validation split by the judge, not by the reward that taught (`gesticulator probe racer --split val`)."""
     top: Natural = 0
     """Draw among the best `top` only; 0 for all."""
     guidance: Annotated[float, SettingRange(0.0, 100.0)] = 5.0
@@ -187,8 +195,14 @@ class SelectionConfig:
     audio_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 1.5
     """Of the flow head: how far to go on in the direction from what it would draw unheard to what it draws; 0 draws
     what it draws."""
+    interpreter_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
+    """How far the scores of lexemes go beyond those without sound, s + g (s - s without sound), where the interpreter
+    was taught with sound left out (`interpreter.audio_dropout`)."""
     lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
     """The same for the lexeme."""
+    history: Share = 1.0
+    """Of the flow head: how far it goes by how the body moved before, from v without it (0) to v (1), where it was
+    taught without (`generator.history_dropout`)."""
     trunk_guidance: Share = 1.0
     """What part of any guidance torso and head follow: guidance makes large turns of them larger than people's."""
     noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.95
@@ -224,8 +238,12 @@ class Config:
     style: StyleConfig = field(default_factory=StyleConfig)
     gate: GateConfig = field(default_factory=GateConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
+    """The reward that teaches a policy."""
+    judge: RewardConfig = field(default_factory=RewardConfig)
+    """The reward that judges one: other recordings, seeds and sizes."""
     episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
     cql: QConfig = field(default_factory=QConfig)
+    advantage: CriticConfig = field(default_factory=CriticConfig)
     tokens: Annotated[str, SettingChoice(("lexicon", "racer"))] = "lexicon"
     """What names gestures: "lexicon", block by block at the beat, and a generator draws them; or "racer", RACER's own
     codec at a fixed rate, which decodes them itself."""

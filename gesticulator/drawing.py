@@ -116,19 +116,24 @@ class FlowDrawer:
         """The block as it is, and once more for each thing that guides with this left out; and the guidance."""
         chosen, none = self.chosen, self.generator.lexemes
         control = features.control
-        left = ["", "audio", "lexeme"] + ["control"] * (control is not None)
-        gains = [chosen.audio_guidance, chosen.lexeme_guidance] + [chosen.guidance - 1.0] * (control is not None)
+        gained = {"audio": chosen.audio_guidance, "lexeme": chosen.lexeme_guidance, "history": chosen.history - 1.0}
+        if control is not None:
+            gained["control"] = chosen.guidance - 1.0
+        gained = {what: gain for what, gain in gained.items() if gain}
+        left = ["", *gained]
         count = len(left)
         asked = None
         if control is not None:
             asked = control.expand(count, 1, -1, -1).clone()
-            asked[-1] = 0.0
+            if left[-1] == "control":
+                asked[-1] = 0.0
         names = torch.tensor([[none if what == "lexeme" else lexeme] for what in left], device=self.device)
         return FlowInputs(
             features.low.expand(count, 1, -1, -1), names, past.expand(count, -1, -1)[:, None],
             self.ratios[i].expand(count, 1), self.circumstances[i].expand(count, 1, -1),
             self.speaker.expand(count, -1), asked,
-            torch.tensor([what == "audio" for what in left], device=self.device)), gains
+            torch.tensor([what == "audio" for what in left], device=self.device),
+            torch.tensor([what == "history" for what in left], device=self.device)), list(gained.values())
 
     def _showing(self, lexeme: int, drawn: Tensor) -> int:
         """Which candidate shows the lexeme: the first of those where fewest lexemes are nearer."""

@@ -107,11 +107,16 @@ class Statistics:
     @property
     def present(self) -> Tensor:
         """[D_m] 1 where any training motion ever moved, 0 for joints that no source has."""
-        return torch.as_tensor(self.bounds[1] - self.bounds[0] > LEAST_MOVEMENT, dtype=torch.float32)
+        return torch.as_tensor(self._moves, dtype=torch.float32)
+
+    @property
+    def _moves(self) -> NDArray[np.bool_]:
+        moves: NDArray[np.bool_] = self.bounds[1] - self.bounds[0] > LEAST_MOVEMENT
+        return moves
 
     def normalise(self, poses: Array, speaker: int) -> Array:
-        """Vectors [..., D_m] to normalised features."""
-        return (poses - self.mean_pose[speaker]) / self.deviation
+        """Vectors [..., D_m] to normalised features, exactly 0 in what never moves."""
+        return (poses - self.mean_pose[speaker]) / self.deviation * self._moves
 
     def denormalise(self, features: Array, speaker: int) -> Array:
         """The inverse of `normalise`."""

@@ -83,6 +83,9 @@ def arguments(p: argparse.ArgumentParser) -> None:
         f"{name} ({entry.about})" for name, entry in INTERPRETERS.items()))
     style.add_argument("--temperature", type=number("temperature"), metavar="T",
                        help="how freely lexemes are sampled; 0 always takes the likeliest")
+    style.add_argument("--beta", type=number("beta"), metavar="B",
+                       help="with --interpreter advantage: how far lexemes are drawn to what a learned reward says "
+                       "they are worth; 0 gives exactly those of lstm")
     style.add_argument("--seed", type=number("seed"), default=0, metavar="N",
                        help="the same seed gives the same bytes (default 0)")
     style.add_argument("--variation", type=number("variation"), default=0, metavar="N",
@@ -259,8 +262,8 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
 
         return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
                       seed=int(asked.seed), variation=int(asked.variation), temperature=asked.temperature,
-                      activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls, legs=legs,
-                      seated=asked.seated)
+                      beta=asked.beta, activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls,
+                      legs=legs, seated=asked.seated)
 
 
 @contextmanager

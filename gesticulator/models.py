@@ -15,17 +15,18 @@ import torch
 from torch import Tensor, nn
 
 from data_module.errors import InputError
-from gesticulator.config import Config
+from gesticulator.config import Config, RewardConfig
 from gesticulator.features import CONTROL_WIDTH, representation_of
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
+    from interpreters.advantage import Critics
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
-    from interpreters.reward import RewardModel
+    from interpreters.reward import RewardEnsemble
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
@@ -178,18 +179,36 @@ def q_network(sizes: Sizes) -> QNetwork:
     return QNetwork(sizes.config.cql, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, sizes.silent)
 
 
-def reward(sizes: Sizes) -> RewardModel:
-    """E_m and E_u (RACER 4.2)."""
-    from interpreters.reward import RewardModel
+def advantage(sizes: Sizes) -> Critics:
+    """What lexemes are worth beyond the behaviour policy's own."""
+    from interpreters.advantage import Critics
 
-    return RewardModel(sizes.config.reward, sizes.frames, sizes.motion, sizes.block_audio)
+    return Critics(sizes.config.advantage, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers)
+
+
+def reward(sizes: Sizes) -> RewardEnsemble:
+    """E_m and E_u of several models (RACER 4.2): what teaches a policy."""
+    return _reward(sizes, sizes.config.reward)
+
+
+def reward_judge(sizes: Sizes) -> RewardEnsemble:
+    """The same of other sizes: what judges a policy."""
+    return _reward(sizes, sizes.config.judge)
+
+
+def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
+    from interpreters.reward import RewardEnsemble
+
+    if sizes.config.tokens != "lexicon" or sizes.config.lexicon.kind != "movement":
+        config = replace(config, choice=0.0)  # only movements are decoded in context, lexeme by lexeme
+    return RewardEnsemble(config, sizes.frames, sizes.motion, sizes.block_audio)
 
 
 BUILDERS: dict[str, Callable[[Sizes], nn.Module]] = {
     "encoder": encoder, "lexicon": tokens, "generator": generator, "interpreter": interpreter,
     "interpreter_text": interpreter_text, "style": style, "style_text": style_text, "gate": gate,
-    "q_network": q_network, "reward": reward, "reward_judge": reward}
-"""Part of a bundle -> what builds it. `reward_judge` is a second reward model: it judges what the first one taught."""
+    "q_network": q_network, "advantage": advantage}
+"""Part of a bundle -> what builds it."""
 
 
 def codebook_shape(config: Config) -> tuple[int, int]:

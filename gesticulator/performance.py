@@ -105,6 +105,7 @@ RANGES = {
     "variation": Range(0, 2**32 - 1, "a whole number from 0", whole=True),
     # At 1000 the lexemes are already as good as equally likely.
     "temperature": Range(0, 1000, "0 (always the likeliest lexeme) to 1000"),
+    "beta": Range(0, 20, "0 (the behaviour policy itself) to 20"),
     "activity": Range(0, 1, "0 (stillness) to 1 (never holds back)"),
     "fps": Range(1, 1000, "1 to 1000 frames per second"),
     # 64 dB bring the faintest speech that is listened for (-90 dBFS) to the usual level (-26 dBFS).
@@ -126,13 +127,17 @@ class InferenceOptions:
     speaker: str | None = None
     """Whose habits of moving: a performer of the bundle (`Gesticulator.speakers`), not a voice."""
     interpreter: str | LexemeInterpreter | None = None
-    """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "statistical") or an object."""
+    """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "advantage", "statistical") or an
+    object."""
     seed: int = 0
     """The same seed, bundle and speech give the same performance."""
     variation: int = 0
     """The same beats and lexemes, drawn in another manner; 0 is the seed's own."""
     temperature: float | None = None
     """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
+    beta: float | None = None
+    """Of the interpreter "advantage": how far lexemes are drawn to what the reward says they are worth, 0 to 20. 0
+    gives exactly the lexemes of "lstm"; a lexeme of one standard deviation above the mean is e^beta times likelier."""
     activity: float | None = None
     """How much of the time of speech to gesture in, 0 (stillness) to 1 (all of it); bundles that know no rest by
     phrases (silence.rest=decay) take it as the threshold of their gate."""
@@ -154,9 +159,9 @@ class InferenceOptions:
     """Let her sit: with legs, they and the hips quite still."""
 
     def __post_init__(self) -> None:
-        for name in ("seed", "variation", "temperature", "activity", "fps", "gain"):
+        for name in ("seed", "variation", "temperature", "beta", "activity", "fps", "gain"):
             value = getattr(self, name)
-            if value is not None or name not in ("temperature", "activity"):
+            if value is not None or name not in ("temperature", "beta", "activity"):
                 RANGES[name].check(name, value)
         if self.controls is not None and any(part is not None for part in self.hands):
             raise InputError("controls", "are given beside hand_height, hand_speed or hand_radius", "give one or other")
@@ -175,6 +180,7 @@ class InferenceArguments(TypedDict, total=False):
     seed: int
     variation: int
     temperature: float | None
+    beta: float | None
     activity: float | None
     fps: float
     gain: float
@@ -187,6 +193,27 @@ class InferenceArguments(TypedDict, total=False):
 
 
 # ---------------------------------------------------------------------------------------------------- the result
+
+@dataclass(frozen=True)
+class LexemeWorth:
+    """What the interpreter "advantage" weighed, for the M best lexemes of each block and, last, the one that was
+    played. prior: [N, M + 1] how likely the behaviour policy makes it; advantage: [N, M + 1] how much more than the
+    behaviour policy's mean the reward expects of it, in standard deviations."""
+
+    prior: NDArray[np.float64]
+    advantage: NDArray[np.float64]
+
+    def entry(self, block: int, candidate: int) -> dict[str, float]:
+        """Of a candidate (-1: the lexeme that was played), ready for JSON."""
+        return {"prior": float(self.prior[block, candidate]), "advantage": float(self.advantage[block, candidate])}
+
+    def runner_up(self, best: NDArray[np.int64], played: int, block: int) -> dict[str, float]:
+        """The best of the candidates [M] that was not played: its lexeme, and by how much more (or less) than the
+        played one the reward expects of it."""
+        other = next((place for place, lexeme in enumerate(best) if int(lexeme) != played), 0)
+        return {"id": int(best[other]), "worth_more": float(
+            self.advantage[block, other] - self.advantage[block, -1])}
+
 
 @dataclass(frozen=True)
 class Performance:
@@ -213,6 +240,8 @@ class Performance:
     """What the scores are: natural logarithms of probabilities, or "Q value". A Q value is what RACER's Q-network gives
     a lexeme. It ranks lexemes, and is no expected return: the conservative loss pushes it down where the data have few
     examples (RACER Eq. 11), so its size is not that of any sum of rewards."""
+    weighed: LexemeWorth | None = None
+    """Of the interpreter "advantage": what the candidates are worth."""
     character: CharacterMotion | None = None
     """The same motion on a character of the user's, shown by .bvh, .glb, .fbx, .usda, .usdc, .csv, .parquet."""
     made_by: Mapping[str, Any] = field(default_factory=dict)
@@ -228,6 +257,8 @@ class Performance:
             raise ValueError(f"scores must be finite and shaped as best, {self.best.shape}")
         if (np.diff(self.scores, axis=1) > 0).any():
             raise ValueError("scores must fall: the best candidate first")
+        if self.weighed is not None and self.weighed.prior.shape != (n, self.best.shape[1] + 1):
+            raise ValueError(f"the worth of lexemes {self.weighed.prior.shape} does not fit best {self.best.shape}")
         if self.blocks.edges[0] != 0 or abs(self.blocks.edges[-1] - self.speech.duration) > _END_TOLERANCE:
             raise ValueError(f"blocks from {self.blocks.edges[0]} to {self.blocks.edges[-1]} s do not tile "
                              f"{self.speech.duration} s of sound")
@@ -289,6 +320,8 @@ class Performance:
         {"made_by": what made it, "notes": what the user should know, "score": what a score is,
          "blocks": [{"start", "end", "flag", "silent", "played", "lexemes": [{"id", "score"}, ... best first]}]};
         seconds;
+        with the interpreter "advantage" a lexeme also has `prior` and `advantage` (see `LexemeWorth`), and the block
+        `chosen`, the same of the lexeme that was played, and `runner_up`;
         `flag` is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last
         one ended; `played` is the lexeme that was taken, and `gate`, where the gate was asked, how likely it thought a
         gesture.
@@ -298,6 +331,7 @@ class Performance:
         from data_module.types import BeatFlag
 
         edges = self.blocks.edges.tolist()
+        worth = self.weighed
         gates = np.full(len(self.blocks), np.nan) if self.gate is None else self.gate
         return {"made_by": dict(self.made_by), "notes": list(self.notes), "score": self.score_is, "blocks": [
             {
@@ -307,12 +341,15 @@ class Performance:
                 "silent": bool(silent),
                 "played": int(played),
                 **({} if np.isnan(gate) else {"gate": float(gate)}),
-                "lexemes": [{"id": int(lexeme), "score": float(score)}
-                            for lexeme, score in zip(best, scores, strict=True)],
+                **({} if worth is None else {"chosen": worth.entry(block, -1),
+                                             "runner_up": worth.runner_up(best, int(played), block)}),
+                "lexemes": [{"id": int(lexeme), "score": float(score),
+                             **({} if worth is None else worth.entry(block, place))}
+                            for place, (lexeme, score) in enumerate(zip(best, scores, strict=True))],
             }
-            for start, end, flag, silent, played, gate, best, scores in zip(
+            for block, (start, end, flag, silent, played, gate, best, scores) in enumerate(zip(
                 edges[:-1], edges[1:], self.blocks.flags, self.blocks.silent, self.lexemes, gates, self.best,
-                self.scores, strict=True)
+                self.scores, strict=True))
         ]}
 
 

@@ -161,6 +161,7 @@ class Gesticulator:
         temperature = options.temperature
         if temperature is None:
             temperature = chosen.q_temperature if by_value else chosen.temperature
+        system, beta = _steered(system, options.beta, temperature)
         sampling = Sampling(temperature, chosen.top, int(options.seed))
         rows = self._control_rows(controls, encoded)
         made = rollout(self.bundle, system, who, sampling, activity).run(encoded, rows, on_block)
@@ -170,10 +171,11 @@ class Gesticulator:
         motion = on_legs(self.to_motion(made.motion, encoded, who, options.fps), options)
         return Performance(motion=motion, speech=speech,
                            blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
-                           codes=made.codes, gate=made.gate, score_is="Q value" if by_value else "log-probability",
+                           codes=made.codes, gate=made.gate, weighed=made.worth,
+                           score_is="Q value" if by_value else "log-probability",
                            made_by=self._made_by(replace(
                                options, speaker=self.speakers[who], interpreter=name, temperature=temperature,
-                               activity=activity, controls=controls, hand_height=None, hand_speed=None,
+                               beta=beta, activity=activity, controls=controls, hand_height=None, hand_speed=None,
                                hand_radius=None), self._reads(speech)))
 
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
@@ -239,6 +241,8 @@ class Gesticulator:
             "speaker": options.speaker, "interpreter": name, "words": words, "seed": int(options.seed),
             "variation": int(options.variation),
             **{key: float(getattr(options, key)) for key in ("temperature", "activity", "fps", "gain")}}
+        if options.beta is not None:
+            settings["beta"] = float(options.beta)
         if options.legs or options.seated:
             settings["legs"] = "seated" if options.seated else "standing"
         controls = options.controls or Controls.free()
@@ -272,6 +276,19 @@ def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequenc
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:
     """The speech as the models take it: amplified as asked, at `SAMPLE_RATE`."""
     return resample(amplified(speech, options.gain), SAMPLE_RATE)
+
+
+def _steered(system: LexemeInterpreter, beta: float | None, temperature: float
+             ) -> tuple[LexemeInterpreter, float | None]:
+    """An interpreter that takes a beta, with this one (or its own) and at this temperature, and the beta that it has;
+    `InputError` where another is given one."""
+    if not hasattr(system, "steered"):
+        if beta is not None:
+            raise InputError(f"beta {beta:g}", "is heard by the interpreter advantage alone",
+                             "choose that one, or leave beta out")
+        return system, None
+    steered = system.steered(beta, temperature)
+    return steered, float(steered.beta)
 
 
 def _usable(device: str | torch.device) -> torch.device:

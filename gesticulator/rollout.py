@@ -14,7 +14,7 @@ from torch import Tensor
 from gesticulator.bundle import Bundle
 from gesticulator.drawing import Keys, drawer_for
 from gesticulator.features import SpeechFeatures, representation_of
-from gesticulator.performance import BEST
+from gesticulator.performance import BEST, LexemeWorth
 from gesticulator.rest import Rest, span_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 
@@ -47,7 +47,8 @@ class Sampling:
 @dataclass(frozen=True)
 class RolloutResult:
     """What a rollout gives: motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M],
-    style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked."""
+    style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked. prior, advantage: [N, M + 1] of
+    the best lexemes and, last, the one that was played (`performance.LexemeWorth`), NaN where nobody weighed them."""
 
     motion: NDArray[np.float32]
     lexemes: NDArray[np.int64]
@@ -55,6 +56,8 @@ class RolloutResult:
     scores: NDArray[np.float64]
     codes: NDArray[np.float32]
     gate: NDArray[np.float64]
+    prior: NDArray[np.float64]
+    advantage: NDArray[np.float64]
 
     @classmethod
     def empty(cls, blocks: int, lexemes: int, motion: tuple[int, ...], code_width: int) -> RolloutResult:
@@ -62,12 +65,26 @@ class RolloutResult:
         best = min(BEST, lexemes)
         return cls(np.empty((blocks, *motion), np.float32), np.empty(blocks, np.int64),
                    np.empty((blocks, best), np.int64), np.empty((blocks, best)),
-                   np.empty((blocks, code_width), np.float32), np.full(blocks, np.nan))
+                   np.empty((blocks, code_width), np.float32), np.full(blocks, np.nan),
+                   np.full((blocks, best + 1), np.nan), np.full((blocks, best + 1), np.nan))
 
     def keep_best(self, i: int, scores: NDArray[np.float64]) -> None:
         """Note the best lexemes of block i among scores [S]; of equals the lower number comes first."""
         self.best[i] = np.argsort(-scores, kind="stable")[:self.best.shape[1]]
         self.scores[i] = scores[self.best[i]]
+
+    def keep_worth(self, i: int, state: object) -> None:
+        """Note what the interpreter's state says of block i's best lexemes and of the one that was played, where it
+        weighs them; after `keep_best`."""
+        log_prior, advantage = getattr(state, "log_prior", None), getattr(state, "advantage", None)
+        if log_prior is not None and advantage is not None:
+            at = [*self.best[i], self.lexemes[i]]
+            self.prior[i], self.advantage[i] = np.exp(log_prior[at]), advantage[at]
+
+    @property
+    def worth(self) -> LexemeWorth | None:
+        """What was weighed; None where nothing was."""
+        return None if np.isnan(self.prior).any() else LexemeWorth(self.prior, self.advantage)
 
 
 def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling, activity: float
@@ -109,9 +126,10 @@ class Rollout:
         rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.frames, -1)
         drawer = drawer_for(b, encoded, self.speaker, previous, self.sampling.keys)
-        inner = free = self.interpreter.start(self.speaker, previous)
+        inner = free = deaf = self.interpreter.start(self.speaker, previous)
         gate_state = None if gate is None else gate.start(self.speaker)
         guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
+        by_ear = b.config.selection.interpreter_guidance * getattr(self.interpreter, "can_be_deaf", False)
         low, high = self._tensor(b.statistics.bounds)
         made = RolloutResult.empty(count, len(b.vectors), past.shape[1:], b.code_width)
         life = None if b.config.silence.rest == "decay" else Rest(
@@ -130,6 +148,11 @@ class Rollout:
             if asked is not None:
                 unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
                 scores = unasked + guidance * (scores - unasked)
+            if by_ear:
+                unheard, deaf = self.interpreter.step(
+                    deaf, replace(features, high=torch.zeros_like(features.high)), previous)
+                scores = scores + by_ear * (scores - unheard)
+                scores = scores - np.logaddexp.reduce(scores)
             quiet = closed or (features.silent and b.config.silence.mask)
             previous = int(lexemes[i]) if lexemes is not None else self._select(scores, b.silent if quiet else None)
             if closed and life is None and self.quiet_low is not None:
@@ -147,6 +170,7 @@ class Rollout:
             made.motion[i] = drawn if life is None else life.alive(drawn)
             made.lexemes[i], made.codes[i] = previous, code[0].cpu().numpy()
             made.keep_best(i, scores)
+            made.keep_worth(i, inner)
             if on_block is not None:
                 on_block(i + 1, count)
         return made

@@ -1,6 +1,7 @@
-"""Bundles of formats 1 to 4 brought to format 5, without training: names change, and resting distances are added.
+"""Bundles of formats 1 to 5 brought to format 6, without training: names change, and resting distances are added.
 
-The weights stay as they are, bit by bit, and so does the motion that comes of them.
+The weights stay as they are, bit by bit, and so does the motion that comes of them. A flow head of format 5 is refused:
+its numbers meant something else.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from data_module.layers import freeze
 from gesticulator import models
 from gesticulator.bundle import (
     CARD,
-    FILES,
     INDEX,
     OLDER,
     lexicon_hash,
@@ -35,7 +35,7 @@ from gesticulator.models import Sizes
 
 SETTINGS = {("silence", "settle"): "rest_decay", ("interpreter", "text_reading"): "text_head",
             ("interpreter", "reading_dropout"): "text_head_dropout"}
-"""Settings that were renamed in format 4 (format 5 only has more of them): group and old name -> new name."""
+"""Settings that were renamed in format 4 (later formats only have more of them): group and old name -> new name."""
 TENSORS = {"lexeme_interpreter_text": ("reading.", "text_head.")}
 """File -> how the names of its tensors began, and begin now."""
 FIGURES = {"cross_entropy": "nll"}
@@ -43,14 +43,17 @@ STAGES = {"cql": "q_network"}
 
 
 def upgrade(source: Path, target: Path) -> None:
-    """Write the bundle of format 1 to 4 in `source` as one of format 5 to `target`, whole or not at all.
+    """Write the bundle of format 1 to 5 in `source` as one of format 6 to `target`, whole or not at all.
 
     InputError for a bundle of another format, or one that is not what its hashes say.
     """
     index = read_json(source / INDEX)
     if index.get("format") not in OLDER or isinstance(index.get("format"), bool):
-        raise InputError(source, f"has format {str(index.get('format'))[:20]}", "only formats 1 to 4 can be upgraded")
+        raise InputError(source, f"has format {str(index.get('format'))[:20]}", "only formats 1 to 5 can be upgraded")
     try:
+        if settings_of(index["config"]).generator.head == "flow":
+            raise InputError(source, f"has the flow head of format {index['format']}, and today's draws otherwise",
+                             "train it again, or keep the program of its time")
         files: dict[str, str] = index["files"]
         for name, expected in files.items():
             if Path(name).name != name or hashlib.sha256((source / name).read_bytes()).hexdigest() != expected:
@@ -120,8 +123,8 @@ def _levels(source: Path, index: dict[str, Any], config: Config, tensors: dict[s
     """One level of audio or two: the reward models' weights know, or else the normalisers."""
     if "audio_levels" in index:
         return int(index["audio_levels"])
-    if f"{FILES['reward']}.safetensors" in index["files"]:
-        with safe_open(source / f"{FILES['reward']}.safetensors", framework="pt") as opened:
+    if "reward.safetensors" in index["files"]:
+        with safe_open(source / "reward.safetensors", framework="pt") as opened:
             heard = opened.get_slice("read_audio.weight").get_shape()[1] // config.rhythm.frames
         return 1 if heard == len(tensors["low_mean"]) else 2
     same = len(tensors["low_mean"]) == len(tensors["high_mean"])

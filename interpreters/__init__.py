@@ -15,13 +15,15 @@ class InterpreterEntry:
     """A lexeme interpreter that a bundle may hold.
 
     about: a line for the command line. where: module and class. part: the part of a bundle that it is, empty for one
-    that is made of the lexicon's counts alone. text_part: the part that is taken when the speech has words.
+    that is made of the lexicon's counts alone. text_part: the part that is taken when the speech has words. prior: the
+    interpreter that it stands on and that is handed to it, empty for one that stands alone.
     """
 
     about: str
     where: str
     part: str = ""
     text_part: str = ""
+    prior: str = ""
 
     def load(self) -> Any:
         """Its class."""
@@ -33,6 +35,8 @@ INTERPRETERS: dict[str, InterpreterEntry] = {
     "lstm": InterpreterEntry("the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter",
                   "interpreter_text"),
     "cql": InterpreterEntry("RACER's Q-network", "interpreters.cql:QNetwork", "q_network"),
+    "advantage": InterpreterEntry("the LSTM, drawn to what a learned reward is worth; see --beta",
+                                  "interpreters.advantage:AdvantageInterpreter", "advantage", prior="lstm"),
     "statistical": InterpreterEntry("a speaker's frequencies alone", "interpreters.statistical:StatisticalInterpreter"),
 }
 """By name; the first that a bundle has is taken when none is named."""

@@ -118,6 +118,11 @@ class LstmInterpreter(nn.Module):
         """Loss weights, keyed like `losses`."""
         return {"nll": 1.0}
 
+    @property
+    def can_be_deaf(self) -> bool:
+        """Whether it knows what to score where it hears nothing: it was taught without sound now and then."""
+        return self.config.audio_dropout > 0
+
     def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
                text: Tensor | None = None, control: Tensor | None = None, pose: Tensor | None = None
                ) -> tuple[Tensor, Hidden | None]:
@@ -204,6 +209,8 @@ class LstmInterpreter(nn.Module):
         if self.training and self.config.history_dropout and not self.held:
             lost = torch.rand_like(previous, dtype=torch.float32) < self.config.history_dropout
             previous = torch.where(lost, torch.randint_like(previous, len(self.lexemes)), previous)
+        if self.training and self.config.audio_dropout and not self.held:
+            audio = audio * (torch.rand(len(audio), 1, 1, 1, device=audio.device) >= self.config.audio_dropout)
         logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control, pose)
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
                                         label_smoothing=self.config.label_smoothing)

@@ -6,7 +6,7 @@ reward of reinforcement learning. A window is a row of blocks in normalised time
 
 The paper gives 1-D temporal convolutions and no more. Here they are causal: a token never hears a later one. Windows
 that share their past then share all work but that of their last token, which is what makes it cheap to ask for the
-reward of every lexeme (`RewardTable.every`).
+reward of every lexeme (`interpreters.reward_table`).
 
 Whoever optimises a reward finds its errors too. Figures must come from a second model, trained with another seed on
 other recordings than the one that taught the policy.
@@ -14,22 +14,15 @@ other recordings than the one that taught the policy.
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Callable, Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import freeze
+from data_module.layers import masked_mean
 from interpreters.settings import LEAST_TEMPERATURE, RewardConfig
-
-Decode = Callable[[Tensor], Tensor]
-"""Lexemes [B, W] to motion [B, W, K, D_m], each block decoded with the window around it."""
-
-_AT_ONCE = 25_000
-"""Candidate windows that are scored in one go: bounds the memory of `RewardTable.sequence_every`."""
 
 
 def contrast(motion: Tensor, audio: Tensor, temperature: Tensor | float, group: Tensor,
@@ -167,7 +160,12 @@ class RewardModel(nn.Module):
     @property
     def weights(self) -> dict[str, float]:
         """Loss weights, keyed like `losses`."""
-        return {"contrast": 1.0}
+        return {"contrast": 1.0, **({"choice": self.config.choice} if self.config.choice else {})}
+
+    @property
+    def models(self) -> list[RewardModel]:
+        """Itself, as an ensemble gives its members."""
+        return [self]
 
     @property
     def temperature(self) -> float:
@@ -214,7 +212,8 @@ class RewardModel(nn.Module):
         batch: motion [B, W, K, D_m], audio [B, W, K, d], log_duration [B, W], valid [B, W] with padding on the left,
         group [B] int64, alike for windows that are not to be told apart: overlapping ones, and silent ones. Where
         there are rivals, also rival [B, H, W, K, D_m], the same window made wrong, and rivalled [B], 1 for rows that
-        have them.
+        have them. With `choice`, also last [B] the last lexeme, prior [B, S] its log odds by the one before, and what
+        `against_all` takes.
         """
         with torch.no_grad():  # the parameter itself is held: a clamp in the loss would leave it without a gradient
             self.log_temperature.clamp_(min=math.log(LEAST_TEMPERATURE))
@@ -224,7 +223,36 @@ class RewardModel(nn.Module):
         if "rival" in batch:
             against = self.against_rivals(batch, audio) / temperature
             rivals = against.masked_fill(~batch["rivalled"].bool()[:, None], -math.inf)
-        return {"contrast": contrast(motion, audio, temperature, batch["group"], rivals)}
+        terms = {"contrast": contrast(motion, audio, temperature, batch["group"], rivals)}
+        if self.config.choice:
+            odds = self.against_all(batch, audio) / temperature + batch["prior"]
+            nll = functional.cross_entropy(odds, batch["last"], reduction="none")
+            terms["choice"] = masked_mean(nll, batch["rivalled"].to(nll))
+        return terms
+
+    def against_all(self, batch: dict[str, Tensor], audio: Tensor) -> Tensor:
+        """Cosines [B, S] of audio vectors [B, P] with each window as it would be with each lexeme at its end.
+
+        batch: motion, valid and log_duration as `losses` takes them; base [B, K, D_m] what the last block shows before
+        without its lexeme; lexemes [S, K, D_m] what each adds.
+        """
+        history = self.block_motion(batch["motion"][:, :-1], batch["log_duration"][:, :-1])
+        base = self.block_motion(batch["base"], batch["log_duration"][:, -1])
+        candidates = base[:, None] + functional.linear(batch["lexemes"].flatten(-2), self.read_motion.weight)
+        motion = self.encode_motion.every_last(history, batch["valid"], candidates)
+        return torch.einsum("bsp,bp->bs", motion, audio)
+
+    @torch.no_grad()
+    def choices(self, batch: dict[str, Tensor]) -> dict[str, float]:
+        """Of the windows that show lexemes: nats by which the sound tells the last one better than the one before does
+        (`told`; negative where it misleads), and the share of lexemes that suit the sound better than it (`worse`,
+        chance 0.5)."""
+        _, audio = self.embed(batch)
+        each, kept = self.against_all(batch, audio), batch["rivalled"].bool()
+        own = each.gather(1, batch["last"][:, None])
+        odds = (each / self.temperature + batch["prior"]).log_softmax(1)
+        told = (odds - batch["prior"]).gather(1, batch["last"][:, None])
+        return {"told": float(told[kept].mean()), "worse": float((each > own)[kept].double().mean())}
 
     def against_rivals(self, batch: dict[str, Tensor], audio: Tensor) -> Tensor:
         """Cosines [B, H] of audio vectors [B, P] with each window's rivals."""
@@ -240,6 +268,13 @@ class RewardModel(nn.Module):
         best = self.against_rivals(batch, audio).amax(1)
         kept = batch["rivalled"].bool()
         return float(((motion * audio).sum(-1) > best)[kept].double().mean())
+
+    @torch.no_grad()
+    def window_rewards(self, motion: Tensor, log_duration: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
+        """Cosines [B] of windows of motion [B, W, K, D_m] and audio [B, W, K, d] (RACER Eq. 8); log_duration, valid:
+        [B, W]."""
+        moved = self.embed_motion(self.block_motion(motion, log_duration), valid)
+        return (moved * self.embed_audio(self.block_audio(audio), valid)).sum(-1)
 
     @torch.no_grad()
     def retrieval(self, batch: dict[str, Tensor]) -> dict[str, float]:
@@ -260,138 +295,47 @@ class RewardModel(nn.Module):
         return figures
 
 
-class RewardTable:
-    """A trained reward model over a lexicon and a corpus: lexemes and block numbers in, rewards out (RACER Eq. 8).
+class RewardEnsemble(nn.Module):
+    """Several reward models of different beginnings, which learn in turns, each from windows of its own.
 
-    Windows are right-aligned: the decision at hand is their last block, and padding (valid 0) stands on the left. All
-    tensors live on the device of the model, which is copied: what happens to it later changes no reward.
+    One model's opinion of a single lexeme is half noise; what several agree on is less so, and where they disagree
+    nobody knows (`interpreters.reward_table.EnsembleReward` takes the disagreement off).
     """
 
-    def __init__(self, model: RewardModel, audio: Tensor, log_duration: Tensor, decoded: Tensor | None = None, *,
-                 decode: Decode | None = None, size: int | None = None) -> None:
-        """audio: [N, K, d] and log_duration: [N] of the corpus' blocks. The lexicon is one of
-        decoded: [S, K, D_m], every lexeme decoded by itself (the cheap way); or
-        decode: windows of lexemes [B, n] to motion [B, n, K, D_m], and size: S. It is given no padding.
-        """
-        if (decoded is None) == (decode is None) or (decode is not None and size is None):
-            raise ValueError("give either the decoded lexemes, or a way to decode them and their number")
-        self.model = copy.deepcopy(model)
-        freeze(self.model)
-        self.window, self._decode = model.config.window, decode
-        with torch.no_grad():
-            self._log_duration, self._audio = log_duration, self.model.block_audio(audio)
-            self._tempo = self.model.tempo(log_duration)
-            self._lexemes: Tensor | None = None
-            if decoded is not None:
-                size = len(decoded)
-                self._lexemes = self.model.block_motion(decoded, log_duration.new_zeros(size))
-        self.size = int(size or 0)
-        """S, how many lexemes there are."""
+    def __init__(self, config: RewardConfig, frames: int, motion_width: int, audio_width: int) -> None:
+        """As `RewardModel`; `config.members` of them."""
+        super().__init__()
+        self.config, self.frames, self.turn = config, frames, 0
+        self.members = nn.ModuleList(RewardModel(config, frames, motion_width, audio_width)
+                                     for _ in range(config.members))
+
+    @property
+    def models(self) -> list[RewardModel]:
+        """The members."""
+        return [cast(RewardModel, member) for member in self.members]
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Loss weights, keyed like `losses`."""
+        return self.models[0].weights
+
+    def before_step(self, step: int) -> None:
+        """Whose turn it is; the others have no gradient in that step and stay as they are."""
+        self.turn = step % len(self.members)
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """As of the member whose turn it is."""
+        return self.models[self.turn].losses(batch, progress)
 
     @torch.no_grad()
-    def rewards(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """Cosines [B] in [-1, 1] of lexemes [B, W] on the corpus' blocks [B, W]; valid: [B, W]."""
-        motion = self.model.embed_motion(self._motion_tokens(lexemes, blocks, valid), valid)
-        return _cosine(motion, self._embed_audio(blocks, valid))
+    def window_rewards(self, motion: Tensor, log_duration: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
+        """The members' mean of what `RewardModel.window_rewards` gives, [B]."""
+        return torch.stack([own.window_rewards(motion, log_duration, audio, valid) for own in self.models]).mean(0)
 
     @torch.no_grad()
-    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """The reward of each lexeme as the last of the window, [B, S].
-
-        history: [B, W - 1] the lexemes before; blocks, valid: [B, W]. With lexemes decoded by themselves only the last
-        token differs between candidates; with `decode` every candidate may change the whole window.
-        """
-        if self._lexemes is None:
-            motion = self._every_whole(history, blocks, valid)
-        else:
-            before = self._motion_tokens(history, blocks[:, :-1], valid[:, :-1])
-            candidates = self._lexemes + self._tempo[blocks[:, -1:]]
-            motion = self.model.encode_motion.every_last(before, valid, candidates)
-        return _cosine(motion, self._embed_audio(blocks, valid)[:, None])
-
-    def sequence(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
-        """Rewards [M] of the trailing windows along one recording, lexemes [M] on blocks [M].
-
-        The reward of block i looks back on `window` blocks, on i + 1 of them where there are no more.
-        """
-        at, valid = self._trailing(len(blocks), blocks.device)
-        return self.rewards(lexemes[at], blocks[at], valid)
-
-    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
-        """Rewards [M, S] of each lexeme at each block of one recording, after the lexemes [M] before that block."""
-        at, valid = self._trailing(len(blocks), blocks.device)
-        rows = max(1, _AT_ONCE // self.size)
-        return torch.cat([self.every(lexemes[part[:, :-1]], blocks[part], kept)
-                          for part, kept in zip(at.split(rows), valid.split(rows), strict=True)])
-
-    def _trailing(self, count: int, device: torch.device) -> tuple[Tensor, Tensor]:
-        """Positions [M, W] of the trailing windows and whether they lie in the recording, [M, W]."""
-        at = torch.arange(count, device=device)[:, None] + torch.arange(1 - self.window, 1, device=device)
-        return at.clamp_min(0), at >= 0
-
-    def _embed_audio(self, blocks: Tensor, valid: Tensor) -> Tensor:
-        return self.model.embed_audio(self._audio[blocks], valid)
-
-    def _motion_tokens(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """Tokens [B, W, C] of lexemes [B, W] on blocks [B, W]; at padding they mean nothing."""
-        if self._lexemes is not None:
-            return self._lexemes[lexemes] + self._tempo[blocks]
-        assert self._decode is not None
-        tokens = self._tempo[blocks]
-        lengths = valid.to(torch.int64).sum(1)
-        for length in lengths.unique().tolist():  # windows of one length together: a decoder must not hear padding
-            rows, kept = lengths == length, slice(lexemes.shape[1] - length, None)
-            if length:
-                motion = self._decode(lexemes[rows, kept])
-                tokens[rows, kept] = self.model.block_motion(motion, self._log_duration[blocks[rows, kept]])
-        return tokens
-
-    def _every_whole(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """`every` the long way, all B * S windows: vectors [B, S, P]."""
-        last = torch.arange(self.size, device=history.device).repeat(len(history))[:, None]
-        lexemes = torch.cat([history.repeat_interleave(self.size, 0), last], 1)
-        valid = valid.repeat_interleave(self.size, 0)
-        tokens = self._motion_tokens(lexemes, blocks.repeat_interleave(self.size, 0), valid)
-        return self.model.embed_motion(tokens, valid).unflatten(0, (-1, self.size))
-
-
-class Centred:
-    """A `RewardTable` whose rewards are told from what random lexemes earn on the same audio.
-
-    Any two windows agree to some degree (random ones at 0.6 to 0.7), and agree better on some audio than on other. What
-    the audio alone earns is the same whatever is done, so it changes no choice; but summed over a recording it is many
-    times what a choice can add, and a Q-network would spend itself on learning it.
-    """
-
-    def __init__(self, table: RewardTable, recordings: Sequence[Tensor], draws: int, seed: int = 0) -> None:
-        """recordings: the block numbers [M] of each recording, in order; draws: random sequences for each."""
-        self.table, self.window, self.size = table, table.window, table.size
-        generator = torch.Generator().manual_seed(seed)
-        last = max(int(blocks.max()) for blocks in recordings)
-        self.baseline = torch.zeros(last + 1, device=recordings[0].device)
-        """[N] the mean reward of random lexemes in the window that ends with a block."""
-        for blocks in recordings:
-            for _ in range(draws):
-                lexemes = torch.randint(self.size, (len(blocks),), generator=generator).to(blocks.device)
-                self.baseline[blocks] += table.sequence(lexemes, blocks) / draws
-
-    def rewards(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """As of the table, [B], in [-2, 2]."""
-        return self.table.rewards(lexemes, blocks, valid) - self.baseline[blocks[:, -1]]
-
-    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """As of the table, [B, S]."""
-        return self.table.every(history, blocks, valid) - self.baseline[blocks[:, -1:]]
-
-    def sequence(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
-        """As of the table, [M]."""
-        return self.table.sequence(lexemes, blocks) - self.baseline[blocks]
-
-    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
-        """As of the table, [M, S]."""
-        return self.table.sequence_every(lexemes, blocks) - self.baseline[blocks][:, None]
-
-
-def _cosine(motion: Tensor, audio: Tensor) -> Tensor:
-    """The inner product of unit vectors [..., P] (RACER Eq. 8); rounding must not take it past 1."""
-    return (motion * audio).sum(-1).clamp(-1.0, 1.0)
+    def figures(self, batch: dict[str, Tensor]) -> dict[str, float]:
+        """The members' mean loss, retrieval and, where there are rivals, share of windows preferred to all of them."""
+        rows = [{"contrast": float(own.losses(batch)["contrast"]), **own.retrieval(batch),
+                 **({"right_one": own.right_one(batch)} if "rival" in batch else {}),
+                 **(own.choices(batch) if "prior" in batch else {})} for own in self.models]
+        return {key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}

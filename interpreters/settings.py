@@ -84,6 +84,8 @@ class LstmConfig:
     """Width of a vector that is learned for each lexeme; 0 (the paper) takes the codebook's."""
     history_dropout: Share = 0.0
     """Chance in training that a previous lexeme is any one instead: who leans on the lexeme before says it again."""
+    audio_dropout: Share = 0.0
+    """Share of training windows that hear nothing (zeros, the mean of all sound), for guidance."""
 
     @property
     def reads(self) -> bool:
@@ -196,6 +198,45 @@ class QConfig:
 
 
 @dataclass(frozen=True)
+class CriticConfig:
+    """Sizes of the critics of the advantage interpreter, and what they learn from."""
+
+    width: Width = 64
+    """C: a network of this width, taught every lexeme's reward, told them as well as wider ones did."""
+    heads: Width = 4
+    """Of each attention layer."""
+    layers: Depth = 2
+    """One block must cost less than 3 ms together with the behaviour policy."""
+    dropout: Dropout = 0.1
+    """In every layer."""
+    decisions: Width = 10
+    """Pairs of audio and lexeme that a decision sees: a little more than a reward looks back on."""
+    audio_features: Width = 32
+    """Width of the FC on three blocks of audio, for each of the K frames."""
+    audio_bottleneck: WidthOrNone = 32
+    """Width that each row of audio is brought to before that FC; 0 for none."""
+    critics: Width = 2
+    """J, of which the least advantage is taken."""
+    heard: Share = 0.7
+    """Chance of a recording to be among those that a critic learns from: who saw the same agrees for nothing."""
+    gamma: Share = 0.9
+    """What a reward one block later is worth now. A lexeme is heard by the rewards of `reward.window` blocks."""
+    states: Count = 24_000
+    """Decisions of the episodes in which every lexeme's reward is found."""
+    tried: Share = 0.12
+    """Share of them in which lexemes are put in the place of the one that was chosen, to see what follows."""
+    swaps: Count = 6
+    """Such lexemes of a decision: half of them drawn from the behaviour policy, half any."""
+
+    @property
+    def network(self) -> QConfig:
+        """The trunk's settings."""
+        return QConfig(width=self.width, heads=self.heads, layers=self.layers, dropout=self.dropout,
+                       decisions=self.decisions, audio_features=self.audio_features,
+                       audio_bottleneck=self.audio_bottleneck)
+
+
+@dataclass(frozen=True)
 class RewardConfig:
     """Sizes of the reward model, and how the windows it is trained on are drawn."""
 
@@ -223,6 +264,16 @@ class RewardConfig:
     rivals: Natural = 4
     """H, further negatives of each window that is shown decoded: itself with some of its last lexemes replaced. Without
     them a single lexeme hardly moves the reward, and not towards the right one."""
+    choice: NotNegative = 0.0
+    """Weight of a second loss over a lexicon of movements: the last lexeme of a window that is shown decoded is to be
+    found among all S, with the odds that it follows the one before taken as given. What is left to tell it by is the
+    sound. It does the work of `rivals` for every lexeme at the price of one."""
+    members: Width = 1
+    """Models of an ensemble, which learn in turns; 1 is the paper's."""
+    caution: NotNegative = 0.0
+    """c: the reward is the members' mean less c times their standard deviation."""
+    centred: bool = False
+    """Take off what a motion earns under any audio: m . (u - mean u). The paper does not."""
     decoded: Share = 0.5
     """Share of the motion blocks that are decoded from the lexicon in training, the others being captured. The policy's
     motion is always decoded; without any in training the reward would tell how decoded a motion looks."""

@@ -55,7 +55,8 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
     from gesticulator.train import main
 
     out = tmp_path_factory.mktemp("moving") / "bundle"
-    short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "reward": 10, "cql": 10}
+    short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "reward": 10, "cql": 10,
+             "advantage": 10}
     settings = [*(f"schedules.{stage}.steps={steps}" for stage, steps in short.items()),
                 *(f"schedules.{stage}.batch=8" for stage in short), "schedules.interpreter.validations=2", *(
         "text.encoder=", "interpreter.text_head=0", "front_end.bands=16", "lexicon.size=24", "lexicon.levels=[8]",
@@ -65,7 +66,10 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
         "generator.context=48", "generator.lexeme_width=12", "generator.flow_width=48", "generator.flow_layers=1",
         "interpreter.audio_bottleneck=8", "interpreter.pose_features=12", "interpreter.lexeme_features=8",
         "interpreter.width=32", "interpreter.memory=4", "gate.width=16", "gate.audio_features=4",
-        "gate.audio_bottleneck=8", "reward.width=16", "reward.projection=8", "reward.window=4", "reward.longest=6",
+        "gate.audio_bottleneck=8", *(f"{of}.{size}" for of in ("reward", "judge")
+          for size in ("width=16", "projection=8", "window=4", "longest=6", "members=2")), "advantage.width=16",
+        "advantage.heads=2", "advantage.layers=1", "advantage.decisions=5", "advantage.audio_features=4",
+        "advantage.audio_bottleneck=8", "advantage.states=200", "advantage.swaps=2",
         "cql.width=16", "cql.heads=2", "cql.layers=2", "cql.decisions=6", "cql.audio_features=4",
         "cql.audio_bottleneck=8", "cql.copy_every=5", "episodes.prefix=2")]
     given = [part for setting in settings for part in ("--set", setting)]

@@ -21,6 +21,7 @@ from data_module.speech.beats import (
     next_beat,
     onset_strength,
     place_beats,
+    strength_at,
 )
 from data_module.types import Array, BeatFlag, Samples, Speech
 
@@ -65,7 +66,7 @@ def test_every_interval_is_in_range(onsets: Array, loud: Array, extra: float, pr
                                     rule: str) -> None:
     settings = BeatSettings(*preset, rule=rule)
     duration = preset[0] + extra
-    beats = place_beats(onsets, loud, duration, settings)
+    beats = place_beats(onsets, loud, duration, settings, np.cos(onsets))
     assert in_range(beats.intervals, settings)
     assert beats.times[-1] == duration
     assert beats.flags[0] == beats.flags[-1] == BeatFlag.BOUNDARY
@@ -315,3 +316,26 @@ def test_a_faint_copy_has_the_onsets_of_the_original() -> None:
     late = times[times > 5]
     assert np.abs(found[np.abs(found[:, None] - late).argmin(axis=0)] - late).max() < 0.03
     assert len(found[found > 5]) == len(late)
+
+
+def test_the_strongest_onset_in_reach_is_the_beat() -> None:
+    settings = BeatSettings(d_min=0.2, d_max=0.5, rule="strongest")
+    onsets, strengths = np.array([0.25, 0.4, 0.45, 0.75, 0.95]), np.array([3.0, 9.0, 9.0, 2.0, 5.0])
+    beats = place_beats(onsets, np.array([]), 2.0, settings, strengths)
+    assert beats.times[:3].tolist() == [0.0, 0.4, 0.75], "of equals the first; 0.95 is out of reach of 0.4"
+    first = place_beats(onsets, np.array([]), 2.0, BeatSettings(d_min=0.2, d_max=0.5))
+    assert first.times[:3].tolist() == [0.0, 0.25, 0.45]
+
+
+def test_strengths_belong_to_their_onsets() -> None:
+    """A loud click among soft ones rises most, whatever stands around it."""
+    rate, rng = 16000, np.random.default_rng(1)
+    samples = 1e-4 * rng.normal(size=3 * rate).astype(np.float32)
+    places, heights = np.arange(0.3, 2.8, 0.3), np.full(9, 0.02)
+    heights[4] = 0.6
+    for place, height in zip(places, heights, strict=True):
+        at = round(place * rate)
+        samples[at:at + 800] += height * rng.normal(size=800)
+    onsets = detect_onsets(samples, rate)
+    strongest = onsets[strength_at(samples, rate, onsets).argmax()]
+    assert abs(strongest - places[4]) < 0.03

@@ -15,16 +15,18 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
-from untrained import PLAIN, SILENT, untrained
+from untrained import MOVING, PLAIN, SILENT, untrained
 
 from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator import bundle as bundles
+from gesticulator import models
 from gesticulator import upgrade as upgrades
+from gesticulator.models import Sizes
 from gesticulator.pipeline import Gesticulator
 
 PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text",
-         "q_network", "reward", "reward_judge")
+         "q_network", "advantage")
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +77,7 @@ def test_every_part_survives_a_round_trip(whole: Path) -> None:
     assert read.interpreter_text.encode_text is not None
 
 
-@pytest.mark.parametrize("lacking", [("gate",), ("style_text",), ("q_network", "reward", "reward_judge"),
+@pytest.mark.parametrize("lacking", [("gate",), ("style_text",), ("q_network", "advantage"),
                                      ("interpreter_text", "style_text", "text")])
 def test_what_a_bundle_has_not_is_not_there_after_reading(lacking: tuple[str, ...], tmp_path: Path) -> None:
     less = untrained().with_parts(**dict.fromkeys(name for name in lacking if name != "text"))
@@ -118,10 +120,10 @@ def test_weights_that_the_listing_leaves_out_are_refused(whole: Path, tmp_path: 
     assert bundles.load(copy).gate is None
 
 
-NEW = {"encoder", "text", "control", "gate", "reward", "episodes", "cql", "tokens", "racer"}
+NEW = {"encoder", "text", "control", "gate", "reward", "judge", "episodes", "cql", "advantage", "tokens", "racer"}
 NEW_INSIDE = {"front_end": {"layers"}, "motion": {"representation"}, "silence": {"lexemes", "rest_decay"},
-              "selection": {"activity", "guidance", "q_temperature"},
-              "schedules": {"speech", "contrast", "gate", "interpreter_text", "reward", "cql"},
+              "selection": {"activity", "beta", "guidance", "q_temperature"},
+              "schedules": {"speech", "contrast", "gate", "interpreter_text", "reward", "cql", "advantage"},
               "generator": {"audio_bottleneck", "use_control", "style_dropout"},
               "interpreter": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck", "text_head",
                               "text_head_dropout", "use_control"},
@@ -157,7 +159,7 @@ def test_format_3_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
     old = as_format_3(made, tmp_path / "old")
     assert "settle" in (old / "bundle.json").read_text() and "reading." in str(
         list(load_file(old / "lexeme_interpreter_text.safetensors")))
-    with pytest.raises(InputError, match=r"format 3, and this version reads format 5; run gesticulator bundle upgrade"):
+    with pytest.raises(InputError, match=r"format 3, and this version reads format 6; run gesticulator bundle upgrade"):
         bundles.load(old)
     upgrades.upgrade(old, tmp_path / "new")
     read = bundles.load(tmp_path / "new")
@@ -180,7 +182,7 @@ def test_format_4_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
         for name in names:
             del index["config"][group][name]
     (tmp_path / "old" / "bundle.json").write_text(json.dumps({**index, "format": 4}))
-    with pytest.raises(InputError, match=r"format 4, and this version reads format 5; run gesticulator bundle upgrade"):
+    with pytest.raises(InputError, match=r"format 4, and this version reads format 6; run gesticulator bundle upgrade"):
         bundles.load(tmp_path / "old")
     upgrades.upgrade(tmp_path / "old", tmp_path / "new")
     read = bundles.load(tmp_path / "new")
@@ -188,6 +190,20 @@ def test_format_4_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: P
     bundles.save(made, tmp_path / "today", "a card")
     one, two = (Gesticulator.from_pretrained(tmp_path / name)(SPEECH).motion.rotations for name in ("today", "new"))
     np.testing.assert_array_equal(one, two)
+
+
+def test_a_flow_head_of_format_5_is_refused_and_the_rest_of_it_upgraded(tmp_path: Path) -> None:
+    for name, settings in (("plain", PLAIN), ("flow", (*PLAIN, *MOVING))):
+        bundles.save(untrained(*settings, *SMALL), tmp_path / name, "a card")
+        index = json.loads((tmp_path / name / "bundle.json").read_text())
+        (tmp_path / name / "bundle.json").write_text(json.dumps({**index, "format": 5}))
+        with pytest.raises(InputError, match="format 5, and this version reads format 6"):
+            bundles.load(tmp_path / name)
+    upgrades.upgrade(tmp_path / "plain", tmp_path / "new")
+    assert bundles.load(tmp_path / "new").config == untrained(*PLAIN, *SMALL).config
+    with pytest.raises(InputError, match="flow head of format 5"):
+        upgrades.upgrade(tmp_path / "flow", tmp_path / "never")
+    assert not (tmp_path / "never").exists()
 
 
 def test_a_bundle_of_format_1_is_upgraded_and_gestures(tmp_path: Path) -> None:
@@ -211,7 +227,7 @@ def test_a_bundle_of_format_1_is_upgraded_and_gestures(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_upgraded_is_one_line_and_writes_nothing(whole: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has format 5"):
+    with pytest.raises(InputError, match="has format 6"):
         upgrades.upgrade(whole, tmp_path / "new")
     old = as_format_3(untrained(*PLAIN), tmp_path / "old")
     (old / "generator.safetensors").write_bytes(b"x")
@@ -236,7 +252,7 @@ def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) 
         _ = opened.q_network
 
 
-@pytest.mark.parametrize("number", [0, 6, 99, "2", None, True, 10**400])
+@pytest.mark.parametrize("number", [0, 7, 99, "2", None, True, 10**400])
 def test_an_unknown_format_is_refused_by_its_number(number: object, whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     edit(copy, format=number)
@@ -432,13 +448,30 @@ def test_a_broken_file_of_weights_with_the_right_hash_is_one_line(name: str, dat
 
 def test_only_what_is_asked_for_is_opened(whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
-    for name in ("reward", "reward_judge", "q_network", "gate", "lexeme_interpreter_text", "style_interpreter_text"):
+    for name in ("advantage", "q_network", "gate", "lexeme_interpreter_text", "style_interpreter_text"):
         (copy / f"{name}.safetensors").write_bytes(b"not weights at all")
     system = Gesticulator.from_pretrained(copy)
     intact = Gesticulator.from_pretrained(whole)
     np.testing.assert_array_equal(system(SPEECH).motion.rotations, intact(SPEECH).motion.rotations)
     with pytest.raises(InputError, match=r"q_network\.safetensors"):
         system(SPEECH, interpreter="cql")
+    with pytest.raises(InputError, match=r"advantage\.safetensors"):
+        system(SPEECH, interpreter="advantage")
+
+
+def test_who_judges_a_policy_is_not_shipped_with_it(tmp_path: Path) -> None:
+    judge = models.reward(Sizes(untrained().config, 48, 9, 9, False, 2, 0, torch.ones(48)))
+    made = untrained().with_parts(reward=judge, reward_judge=judge)
+    assert made.reward is judge
+    bundles.save(made, tmp_path / "b", "a card")
+    read = bundles.load(tmp_path / "b")
+    assert read.reward is None and read.reward_judge is None and "advantage" in read.parts
+    assert not [file for file in read_names(tmp_path / "b") if "reward" in file]
+
+
+def read_names(folder: Path) -> list[str]:
+    """The files that a bundle lists."""
+    return list(bundles.read_index(folder)["files"])
 
 
 def test_a_part_is_opened_once(whole: Path) -> None:

@@ -27,6 +27,7 @@ from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages.lexicon import token_labels
+from interpreters.lstm import LstmInterpreter
 from lexicon.movement import MovementLexicon
 
 AHEAD = 1.5
@@ -183,3 +184,25 @@ def test_the_map_shows_movements_from_start_to_end(context: EvalContext, tiny_mo
     told = json.loads((tmp_path / "lexicon.json").read_text())
     assert len(told["lexemes"]) == len(motions)
     assert (tmp_path / "lexicon.html").read_text().count("<article") == len(motions)
+
+
+def test_guidance_by_ear_changes_scores_and_keeps_them_probabilities(system: Gesticulator, played: Performance,
+                                                                     recording: Recording) -> None:
+    def chosen(guidance: float, deaf: bool = True) -> Performance:
+        config = system.bundle.config
+        config = dataclasses.replace(
+            config, selection=dataclasses.replace(config.selection, interpreter_guidance=guidance))
+        told = Gesticulator(dataclasses.replace(system.bundle, config=config))
+        interpreter = told.interpreter("lstm")
+        assert isinstance(interpreter, LstmInterpreter)
+        share = interpreter.config.audio_dropout
+        interpreter.config = dataclasses.replace(interpreter.config, audio_dropout=share if deaf else 0.0)
+        made = told(recording.speech, seed=3, interpreter=interpreter)
+        interpreter.config = dataclasses.replace(interpreter.config, audio_dropout=share)
+        return made
+
+    np.testing.assert_array_equal(chosen(0.0).scores, played.scores)
+    np.testing.assert_array_equal(chosen(3.0, deaf=False).scores, played.scores)
+    guided = chosen(3.0)
+    assert not np.array_equal(guided.scores[0], played.scores[0])
+    assert (np.exp(guided.scores).sum(axis=1) <= 1.0 + 1e-6).all()

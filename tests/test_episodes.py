@@ -26,7 +26,8 @@ from interpreters.episodes import (
     perturbed_chances,
     step_rewards,
 )
-from interpreters.reward import RewardConfig, RewardModel, RewardTable
+from interpreters.reward import RewardConfig, RewardModel
+from interpreters.reward_table import RewardTable
 from interpreters.statistical import StatisticalInterpreter
 
 SIZE = 6

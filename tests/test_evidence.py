@@ -16,11 +16,11 @@ from eval.metrics.diversity import longest_run, repetition, runs
 from eval.probes import evidence
 from eval.stats import Interval
 from eval.table import Table
-from eval.teacher import teacher_logits
 from gesticulator import presets
 from gesticulator.config import with_settings
 from gesticulator.features import Normaliser, Statistics
 from gesticulator.stages import BLOCKS, CORPUS, LABELS, LEXICON, TOKENS, Corpus, Labelled, Run
+from gesticulator.stages.interpreter import teacher_logits
 from gesticulator.stages.q_network import features_of
 from gesticulator.stages.windows import Windows, sequences
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter

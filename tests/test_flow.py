@@ -27,7 +27,7 @@ def made(motion: torch.Tensor) -> FlowGenerator:
     y = basis.fit(motion, past, torch.ones(len(motion), WIDTH))
     generator = FlowGenerator(CONFIG, GeneratorWidths(FRAMES, WIDTH, AUDIO, 6, 0, TWO, 1),
                               MovementBasis(FRAMES, basis.parts, {"body": 6}))
-    generator.adopt(basis, y)
+    generator.adopt(basis, y, torch.zeros(TWO, basis.width))
     return generator
 
 
@@ -165,3 +165,35 @@ def test_circumstances_tell_tempo_silence_and_how_long() -> None:
     assert found[1, 3:6].tolist() == [1, 1, 0]
     np.testing.assert_allclose(found[:, 6], np.log1p([1, 2, 0, 0]), atol=1e-6)
     np.testing.assert_allclose(found[:, 7], np.log1p([0, 0, 1, 2]) / 3, atol=1e-6)
+
+
+def test_who_knows_nothing_draws_as_widely_as_what_was_met() -> None:
+    """For unit Gaussian data the field leads every noise to itself: u(t) = sqrt(t^2 + (1 - t)^2) u(0)."""
+    motion = swings(50, False)["motion"].flatten(0, 1)
+    generator = made(motion).eval()
+    noise = Keys(2).noise(0, (300, generator.basis.width)).clamp(-1.5, 1.5)
+    context = torch.randn(1, CONFIG.context + generator.basis.width)
+    with torch.no_grad():
+        y = generator.draw(context, torch.zeros(0, generator.basis.width), noise, 12)
+        as_is = generator.stretch(noise)
+    torch.testing.assert_close(generator.squeeze(y), generator.squeeze(as_is), atol=0.03, rtol=0.03)
+
+
+def test_who_forgets_is_told_the_last_frames_alone() -> None:
+    batch = swings(1, False)
+    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
+    other = batch["motion"][:, :-1].clone()
+    other[..., 0, :] += 90.0  # a block's first frame is none of the last three
+    ones = torch.ones(1, CONFIG.blocks)
+
+    def context(before: torch.Tensor, forgets: bool, added: float) -> torch.Tensor:
+        given = FlowInputs(batch["audio"][:, 1:], torch.zeros(1, CONFIG.blocks, dtype=torch.long), before, ones,
+                           batch["circumstances"][:, 1:], ones[:, :1], forgets=torch.tensor([forgets]))
+        with torch.no_grad():
+            return generator.contexts(given, torch.full((1, CONFIG.blocks, generator.basis.width), added))[0]
+
+    true = batch["motion"][:, :-1]
+    assert torch.equal(context(true, True, 0.0), context(other, True, 1.0))
+    assert not torch.equal(context(true, False, 0.0), context(other, False, 0.0))
+    assert not torch.equal(context(true, False, 0.0), context(true, False, 1.0))
+    assert not torch.equal(context(true, True, 0.0), context(true + 1.0, True, 0.0)), "where the body is it must know"

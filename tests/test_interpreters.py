@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 
 from gesticulator.bundle import FILES
 from interpreters import INTERPRETERS
+from interpreters.advantage import AdvantageInterpreter, Critics
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.cql import QConfig, QNetwork
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
+from interpreters.settings import CriticConfig
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
 
 FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL = 5, 4, 6, 3, 3, 6
@@ -43,7 +45,17 @@ def q_network() -> QNetwork:
     return QNetwork(config, FRAMES, AUDIO, SIZE, 2, [1]).eval()
 
 
-MAKERS = {"lstm": lambda: lstm().eval(), "cql": q_network, "statistical": statistical}
+def critics() -> Critics:
+    torch.manual_seed(1)
+    return Critics(CriticConfig(width=8, heads=2, layers=1, decisions=3, audio_features=4, audio_bottleneck=0), FRAMES,
+                   AUDIO, SIZE, 2).eval()
+
+
+def advantage(beta: float = 1.5) -> AdvantageInterpreter:
+    return AdvantageInterpreter(lstm().eval(), critics(), beta)
+
+
+MAKERS = {"lstm": lambda: lstm().eval(), "cql": q_network, "advantage": advantage, "statistical": statistical}
 
 
 def hear(seed: int = 0, **also: torch.Tensor) -> BlockFeatures:

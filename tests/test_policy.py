@@ -29,7 +29,8 @@ from eval.table import Marked
 from gesticulator import bundle as bundles
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmConfig
-from interpreters.reward import RewardConfig, RewardModel, RewardTable
+from interpreters.reward import RewardConfig, RewardModel
+from interpreters.reward_table import RewardTable
 
 SIZE = 4
 

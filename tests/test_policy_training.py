@@ -135,6 +135,25 @@ def test_a_key_tells_what_shapes_a_row(context: RacerContext) -> None:
     assert dataclasses.replace(context, run=longer).key("racer-cql", 1) not in keys
 
 
+def test_scaled_rewards_are_learned_and_judged_at_one_scale(context: RacerContext) -> None:
+    name = "racer-scale=20,alpha=1"
+    rewards = context.valued(name)
+    assert isinstance(rewards, training.ScaledReward)
+    take = context.takes[0]
+    lexemes, blocks = torch.as_tensor(take.lexemes[:5]), torch.as_tensor(take.blocks[:5])
+    plain = context.taught(context.config("racer-cql")).sequence_every(lexemes, blocks)
+    torch.testing.assert_close(rewards.sequence_every(lexemes, blocks), 20 * plain)
+    batch = training.scaled(lambda rng: {"reward": torch.ones(2), "action": torch.ones(2)}, 20.0)(
+        np.random.default_rng(0))
+    assert batch["reward"].tolist() == [20.0, 20.0] and batch["action"].tolist() == [1.0, 1.0]
+
+
+def test_a_matched_row_is_the_same_network_sampled(context: RacerContext) -> None:
+    policy, _ = training.trained(context, "racer-cql-matched", 1)
+    assert torch.equal(weights(policy), weights(training.trained(context, "racer-cql", 1)[0]))
+    assert context.temperature("racer-cql", policy) == 0.0 < context.temperature("racer-cql-matched", policy)
+
+
 def test_only_values_are_calibrated(context: RacerContext) -> None:
     assert context.valued("racer-supervised") is None is context.valued("racer-actor-critic")
     assert context.valued("racer-cql") is context.valued("racer-dqn") is context.taught(context.run.config)

@@ -172,3 +172,29 @@ def test_noise_and_dropout_are_of_training_alone() -> None:
     assert student.losses(batch)["nll"] != student.losses(batch)["nll"]
     student.eval()
     assert student.losses(batch)["nll"] == student.losses(batch)["nll"]
+
+
+def test_who_was_taught_without_sound_scores_without_it() -> None:
+    """A lexeme that sound tells: deaf, either of two is as likely; and without deaf windows nothing is known of it."""
+    student = model(pose_features=0, audio_dropout=0.5)
+    assert student.can_be_deaf and not model().can_be_deaf
+    optimiser = torch.optim.Adam(student.parameters(), 1e-2)
+    torch.manual_seed(7)
+
+    def batch(seed: int) -> dict[str, Tensor]:
+        made = heard(4, 16, seed)
+        loud = made["audio_high"][:, 1:].mean((-1, -2)) > 0
+        made["lexeme"] = torch.cat([torch.zeros(16, 1, dtype=torch.long), loud.long()], dim=1)
+        return made
+
+    for step in range(200):
+        loss = student.losses(batch(step))["nll"]
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    made = batch(1000)
+    with torch.no_grad():
+        student.eval()
+        known = float(student.losses(made)["nll"])
+        unknown = float(student.losses({**made, "audio_high": 0 * made["audio_high"]})["nll"])
+    assert known < 0.4 and unknown == pytest.approx(np.log(2), abs=0.08)

@@ -12,6 +12,7 @@ import torch
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.store import Store
+from eval.judges import with_judges
 from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import infer, presets, train
@@ -100,21 +101,22 @@ def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundl
 
 
 def test_a_reward_table_asks_about_the_corpus(corpus: Corpus, tiny_bundle: Path) -> None:
-    bundle = bundles.load(tiny_bundle)
+    bundle = with_judges(bundles.load(tiny_bundle), tiny_bundle.with_name(tiny_bundle.name + ".work"))
     assert bundle.reward is not None
     labels = token_labels(bundle.lexicon, corpus)
     np.testing.assert_array_equal(labels, bundle.lexicon.label(corpus.motion).numpy())
     take = takes_of(corpus, labels, "test")[0]
-    table = reward_table(bundle.reward, bundle.lexicon, corpus)
+    table = reward_table(bundle.reward, bundle.lexicon, corpus, literal=True)
     got = table.sequence(torch.as_tensor(take.lexemes), torch.as_tensor(take.blocks))
     # The last step by hand: the last window of decoded blocks and of audio, through the model itself.
     last, model = torch.as_tensor(take.blocks[-bundle.config.reward.window:]), bundle.reward
     motion = bundle.block_models.lexicon.shown()[torch.as_tensor(labels)[last]][None]
     logs = torch.as_tensor(np.log(corpus.durations))[last].float()[None]
     with torch.no_grad():
-        one, two = model.embed({"motion": motion, "audio": block_audio(corpus)[last].float()[None],
-                                "log_duration": logs, "valid": torch.ones(1, len(last))})
-    assert float(got[-1]) == pytest.approx(float((one * two).sum()), abs=1e-5)
+        pairs = [own.embed({"motion": motion, "audio": block_audio(corpus)[last].float()[None],
+                             "log_duration": logs, "valid": torch.ones(1, len(last))}) for own in model.models]
+    by_hand = sum(float((one * two).sum()) for one, two in pairs) / len(pairs)
+    assert float(got[-1]) == pytest.approx(by_hand, abs=1e-5)
 
 
 def test_the_offline_episodes_of_a_run(tiny_bundle: Path, corpus: Corpus) -> None:

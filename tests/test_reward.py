@@ -15,13 +15,12 @@ from torch.nn import functional
 
 from interpreters.reward import (
     LEAST_TEMPERATURE,
-    Centred,
     RewardConfig,
     RewardModel,
-    RewardTable,
     contrast,
     similarities,
 )
+from interpreters.reward_table import Centred, RewardTable
 
 FRAMES, MOTION, AUDIO, LEXEMES, BLOCKS = 4, 5, 3, 7, 40
 
@@ -346,7 +345,7 @@ def test_a_sequence_is_scored_window_by_window(way: str, monkeypatch: pytest.Mon
     asked, rng = table(way), np.random.default_rng(2)
     lexemes, blocks = torch.as_tensor(rng.integers(LEXEMES, size=17)), torch.arange(5, 22)
     got = asked.sequence(lexemes, blocks)
-    monkeypatch.setattr("interpreters.reward._AT_ONCE", 3 * LEXEMES)  # several parts
+    monkeypatch.setattr("interpreters.reward_table._AT_ONCE", 3 * LEXEMES)  # several parts
     every = asked.sequence_every(lexemes, blocks)
     assert got.shape == (17,) and every.shape == (17, LEXEMES)
     for i in range(17):

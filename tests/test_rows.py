@@ -69,12 +69,25 @@ def test_every_row_of_racer_is_another_and_trains_equally_long(name: str) -> Non
     seen: dict[str, list[str]] = {}
     for row_name, row in racer.ROWS.items():
         config = configs.with_settings(base, (*racer.PRESETS["ablation"], *row.settings))
-        assert (config.cql.width, config.schedules.cql.steps, config.schedules.cql.batch) == (64, 300, 32)
-        seen.setdefault(json.dumps([configs.to_dict(config), row.training]), []).append(row_name)
+        assert (config.cql.width, config.schedules.cql.steps, config.schedules.cql.batch) == (64, 400, 32)
+        # Temporal differences are learned all along, by targets that are copied far more often than values reach.
+        assert config.cql.warm_up == 0 and 400 / config.cql.copy_every >= 5 / (1 - min(config.cql.gamma, 0.9))
+        assert (row.matched == "") == (not row_name.endswith("-matched"))
+        told = json.dumps([configs.to_dict(config), row.training, row.scale, row.matched != ""])
+        seen.setdefault(told, []).append(row_name)
+    twin = f"racer-alpha={base.cql.conservative:g}"
     assert [own for own in seen.values() if len(own) > 1] == [
-        [racer.OURS, f"racer-alpha={base.cql.conservative:g}"]], "one alpha is ours already"
+        [racer.OURS, twin], [f"{racer.OURS}-matched", f"{twin}-matched"]], "one alpha is ours already"
     same = racer.twins(base)
-    assert {row for row, first in same.items() if row != first} == {f"racer-alpha={base.cql.conservative:g}"}
+    assert {row for row, first in same.items() if row != first} == {twin, f"{twin}-matched"}
+
+
+def test_every_row_is_compared_at_arg_max_and_at_equal_entropy() -> None:
+    alone = [name for name, row in racer.ROWS.items() if not row.matched]
+    assert {row.matched for row in racer.ROWS.values() if row.matched} == set(alone)
+    for name in alone:
+        twin = racer.ROWS[f"{name}-matched"]
+        assert (twin.settings, twin.training) == (racer.ROWS[name].settings, racer.ROWS[name].training)
 
 
 def test_racers_rows_are_what_the_paper_says() -> None:

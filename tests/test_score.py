@@ -30,6 +30,7 @@ from eval.clip_set import TRUTH, common_clips
 from eval.commands import SCORE
 from eval.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.foreign import Clip, read_motion
+from eval.judges import with_judges
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.gesture_features import RawFeatures
@@ -488,8 +489,13 @@ def test_lexeme_sums_give_the_figures_of_all_blocks() -> None:
             motion_variance(np.concatenate([own[0] for own in some]), labels, vectors).mean)
 
 
+def work_of(bundle: Path) -> Path:
+    """Where the training of a bundle kept its stages."""
+    return bundle.with_name(bundle.name + ".work")
+
+
 def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
-    bundle, store = bundles.load(tiny_bundle), Store.open(tiny_store)
+    bundle, store = with_judges(bundles.load(tiny_bundle), work_of(tiny_bundle)), Store.open(tiny_store)
     clips, _ = foreign.read_folder(tiny_store, split="all")
     some = dict(list(clips.items())[:3])
     common = common_clips({TRUTH: some, "same": some})
@@ -497,7 +503,7 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     assert mean_of(figures, TRUTH, "lexeme_accuracy") == 100.0 > mean_of(figures, "shuffled", "lexeme_accuracy")
     assert -1.0 <= mean_of(figures, TRUTH, "reward") == mean_of(figures, "same", "reward") <= 1.0
     deaf = score.score(common, {}, bundle.with_parts(reward_judge=None), with_controls=False).figures
-    assert "the bundle has no judging reward model" in deaf["same"]["reward"].reason
+    assert "no judging reward model of the bundle's training was found" in deaf["same"]["reward"].reason
     assert mean_of(deaf, "same", "lexeme_accuracy") == 100.0
     # By another way: the corpus as the stages train on it.
     assert bundle.reward_judge is not None

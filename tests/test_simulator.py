@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from interpreters.episodes import Demonstration, EpisodeConfig, Episodes, SilentLexemes, build
-from interpreters.reward import RewardConfig, RewardModel, RewardTable
+from interpreters.reward import RewardConfig, RewardModel
+from interpreters.reward_table import RewardTable
 from interpreters.simulator import Choose, Replay, Simulator, collect
 
 SIZE, WINDOW, LENGTHS = 5, 4, (20, 7, 1)

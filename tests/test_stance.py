@@ -279,7 +279,7 @@ def test_the_command_gives_her_legs(tmp_path: Path) -> None:
 
 
 def test_pictures_draw_the_legs_that_are_there() -> None:
-    from eval.draw.figure import VIEWS, figure_points, seen
+    from gesticulator.export.figure import VIEWS, figure_points, seen
 
     motion = with_legs(drawn(1, seconds=20.0), 1)
     points = figure_points(motion, np.array([0.0, 15.0]), legs=True)

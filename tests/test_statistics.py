@@ -143,3 +143,14 @@ def test_a_body_that_lives_rests_with_its_hands_down() -> None:
     poses[:40, aside] = rng.normal(0.0, 0.4, 40)
     assert abs(resting(poses, config)[aside] - poses[:40, aside].mean()) < 0.15, "it looks where it looks on average"
     assert np.abs(resting(poses, preset("paper-trinity")) - poses.mean(axis=0)).max() < 1e-12
+
+
+def test_what_never_moves_is_exactly_zero() -> None:
+    """Rounding of a constant number must not reach the models as movement."""
+    bounds = np.array([[-2.0, -1e-9], [2.0, 1e-9]])
+    none = Normaliser(np.zeros(1), np.ones(1))
+    mean = np.array([[0.1, 0.3]])
+    statistics = Statistics(("a",), mean, mean, np.array([0.5, 1.0]), bounds, none, none)
+    poses = np.array([[0.6, 0.3 + 1e-12], [-0.4, 0.3 - 3e-12]])
+    found = statistics.normalise(poses, 0)
+    assert found[:, 0].tolist() == pytest.approx([1.0, -1.0]) and (found[:, 1] == 0.0).all()

@@ -32,7 +32,7 @@ from gesticulator.stages.training import TrainOptions
 from gesticulator.stages.windows import Windows, sequences, with_silence
 
 SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter": 10, "interpreter_text": 10, "gate": 6,
-         "reward": 6, "reward_judge": 6, "q_network": 14, "generator": 12, "style": 8, "style_text": 8}
+         "reward": 6, "reward_judge": 6, "q_network": 14, "advantage": 8, "generator": 12, "style": 8, "style_text": 8}
 """Steps of every stage of a short run, in the order in which the stages are trained."""
 SCHEDULES = [STAGES[stage].schedule for stage in SIZES if not stage.endswith(("_text", "_judge"))]
 SHORT = [f"schedules.{STAGES[stage].schedule}.steps={steps}" for stage, steps in SIZES.items()
@@ -58,7 +58,7 @@ def test_every_stage_learned(work: Path) -> None:
                         ("generator", "val_reconstruction"), ("interpreter", "nll"),
                         ("interpreter_text", "nll"), ("style", "code"), ("style_text", "code"),
                         ("gate", "activity"), ("reward", "contrast"), ("reward_judge", "contrast"),
-                        ("q_network", "conservative")):
+                        ("q_network", "conservative"), ("advantage", "reward")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
         values = [row[term] for row in rows if term in row]
@@ -125,7 +125,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
 
 
 HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "generator", "style", "style_text", "reward",
-         "reward_judge", "q_network"}
+         "reward_judge", "q_network", "advantage"}
 """What follows the first stage of the speech encoder."""
 MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_text"}
 
@@ -140,11 +140,13 @@ def keys(store: Store, work: Path, *settings: str, speech: tuple[Path, ...] = ()
     ("generator.lstm_width=50", MADE),
     ("silence.augmentation=0.1", MADE),
     ("silence.lexemes=[1,2]", HEARD - {"contrast"}),  # rivals of the reward models follow the hinted lexemes
-    ("control.asked=0.6", {*MADE, *READ, "q_network"}),  # the interpreter acts in the Q-network's data set
-    ("interpreter.width=49", {*READ, "q_network"}),
-    ("statistical.gain=2.0", {"q_network"}),
-    ("reward.width=17", {"reward", "reward_judge", "q_network"}),
-    ("episodes.replace=0.3", {"q_network"}),
+    ("control.asked=0.6", {*MADE, *READ, "q_network", "advantage"}),  # the interpreter acts in the Q-network's data set
+    ("interpreter.width=49", {*READ, "q_network", "advantage"}),
+    ("statistical.gain=2.0", {"q_network", "advantage"}),
+    ("reward.width=17", {"reward", "q_network", "advantage"}), ("judge.width=17", {"reward_judge"}),
+    ("advantage.width=17", {"advantage"}), ("schedules.advantage.steps=31", {"advantage"}),
+    ("selection.beta=2.0", set()),
+    ("episodes.replace=0.3", {"q_network", "advantage"}),
     ("cql.width=18", {"q_network"}), ("schedules.cql.steps=31", {"q_network"}), ("selection.q_temperature=1.0", set()),
     ("gate.width=17", {"gate"}),
     ("interpreter.text_features=9", {"interpreter_text"}),
@@ -171,7 +173,7 @@ def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[s
 def test_the_hint_shapes_what_is_taught_with_it(tiny_store: Path, work: Path) -> None:
     on, off = (keys(Store.open(tiny_store), work, f"silence.hint={hint}") for hint in ("true", "false"))
     changed = {stage for stage in on if on[stage] != off[stage]}
-    assert changed == {*READ, "reward", "reward_judge", "q_network"}
+    assert changed == {*READ, "reward", "reward_judge", "q_network", "advantage"}
 
 
 def test_with_mel_bands_the_words_shape_only_what_reads_them(tiny_store: Path, work: Path) -> None:

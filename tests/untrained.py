@@ -77,7 +77,8 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
              if stage.part and stage.part != "lexicon" and (words or not stage.part.endswith("_text"))}
     parts["lexicon"] = lexicon
     if isinstance(lexicon, MovementLexicon):
-        parts["generator"].adopt(lexicon.basis, lexicon.basis.coefficients(walk, told))
+        parts["generator"].adopt(lexicon.basis, lexicon.basis.coefficients(walk, told),
+                                   lexicon.added(torch.arange(lexicon.size)))
         half(parts["generator"])
     if encoder is not None:
         parts["encoder"] = encoder

@@ -179,7 +179,8 @@ class MovementBasis(nn.Module):
             own = self._fit_part(part, motion[rows], past[rows])
             coefficients[rows, at] = own
             self.scale[at] = own.std(0, correction=0).clamp_min(_LEAST_SCALE).float()
-            self.weight[at] = _SHARES.get(name, 1.0) / self.scale[at].pow(2).sum().sqrt()  # each part's variance is then its share's
+            # Each part's variance is then its share's.
+            self.weight[at] = _SHARES.get(name, 1.0) / self.scale[at].pow(2).sum().sqrt()
             self.limits[:, at] = torch.as_tensor(np.percentile(own.numpy(), LIMITS, axis=0)).float()
         return coefficients.float()
 

@@ -16,7 +16,7 @@ from data_module.errors import InputError
 from data_module.speech.silence import FRAME, QUIETEST, frame_levels, noise_floor, quietest, silent_frames
 from data_module.types import Array, BeatFlag, Beats, Samples, Speech
 
-RULES = ("bounded", "paper", "even")
+RULES = ("bounded", "strongest", "paper", "even")
 LOOK_AHEAD = 0.25
 """Seconds of sound after an onset that `detect_onsets` needs to be sure of it."""
 
@@ -48,8 +48,9 @@ _EPS = 1e-9
 class BeatSettings:
     """How beats are placed. Seconds; every interval between beats lies in [d_min, d_max].
 
-    merge: onsets closer than this count as one. rule: "bounded", "paper" (RG 4.2.1, guarded) or "even": beats d_max
-    apart whatever the sound, for a codec of a fixed rate such as RACER's. Only "even" may have d_min = d_max: no
+    merge: onsets closer than this count as one. rule: "bounded", the first onset in reach; "strongest", the one of them
+    at which the sound rises most; "paper" (RG 4.2.1, guarded); or "even": beats d_max apart whatever the sound, for a
+    codec of a fixed rate such as RACER's. Only "even" may have d_min = d_max: no
     remainder could be divided then, and the last two intervals share it, each d_max / 2 or longer.
     """
 
@@ -87,6 +88,13 @@ def detect_onsets(samples: Samples, sample_rate: int, merge: float = 0.05) -> Ar
     before = np.concatenate([[0], np.cumsum(audible)])
     first, last = (np.clip(np.round((times + shift) / FRAME).astype(int), 0, len(audible)) for shift in _AUDIBLE)
     return merged(times[before[last] > before[first]], merge)
+
+
+def strength_at(samples: Samples, sample_rate: int, onsets: Array) -> Array:
+    """How much the sound rises at onsets of `detect_onsets` [n] seconds: dB, [n]."""
+    strength = onset_strength(samples, sample_rate)
+    frames = np.round(onsets / _HOP - (_WINDOW / 2 // _HOP - (_LAG - 1))).astype(int)
+    return np.asarray(strength[np.clip(frames, 0, len(strength) - 1)])
 
 
 def merged(times: Array, closest: float) -> Array:
@@ -154,21 +162,25 @@ def _peaks(strength: Array, reach: int, around: int) -> NDArray[np.int64]:
 
 
 def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
-              settings: BeatSettings) -> tuple[float, BeatFlag]:
-    """The beat that follows `beat` by the bounded rule, and why it stands there.
+              settings: BeatSettings, strengths: Array | None = None) -> tuple[float, BeatFlag]:
+    """The beat that follows `beat` by the bounded rule (or, with strengths, the strongest), and why it stands there.
 
     onsets, loud: rising seconds of the onsets and of the frames louder than the noise. end: the end of the recording,
-    None while it is not known. Only what lies before beat + d_max + d_min is looked at; `end` must be told when it
+    None while it is not known. strengths: dB of the onsets; of those in reach the first of the strongest is taken, and
+    without strengths the first. Only what lies before beat + d_max + d_min is looked at; `end` must be told when it
     lies there.
     """
     low, high = beat + settings.d_min, beat + settings.d_max
     horizon = high + settings.d_min
     if end is not None and end >= horizon:
         end = None
-    near = onsets[np.searchsorted(onsets, low - _EPS):np.searchsorted(onsets, horizon)]
-    for onset in near[near <= high + _EPS]:
-        if end is None or end - onset >= settings.d_min - _EPS:
-            return float(onset), BeatFlag.ONSET
+    first_near = int(np.searchsorted(onsets, low - _EPS))
+    near = onsets[first_near:np.searchsorted(onsets, horizon)]
+    fits = (near <= high + _EPS) & (True if end is None else end - near >= settings.d_min - _EPS)
+    if fits.any():
+        rises = None if strengths is None else strengths[first_near:first_near + len(near)]
+        at = int(fits.argmax()) if rises is None else int(np.where(fits, rises, -np.inf).argmax())
+        return float(near[at]), BeatFlag.ONSET
     if end is not None and end <= high + _EPS:
         return end, BeatFlag.BOUNDARY
     # Leave room for what comes next: an onset (even one that the end will rule out: it cannot be known yet), the end.
@@ -180,15 +192,23 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
     return latest, BeatFlag.EVEN_PSEUDO
 
 
-def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings | None = None) -> Beats:
+def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings | None = None,
+                strengths: Array | None = None) -> Beats:
     """Beats from onsets: a pure function of rising seconds (RG 4.2.1; `next_beat`, `_paper_beats` and `_even_beats`
     tell the rules).
 
-    onsets: [n]; loud: [m] the times of the frames louder than the noise. 0 and `duration` are beats. Every interval
+    onsets: [n]; loud: [m] the times of the frames louder than the noise; strengths: [n] dB of the onsets, for the rule
+    "strongest". 0 and `duration` are beats. Every interval
     lies in [d_min, d_max], unless the whole recording is shorter than d_min, or d_min = d_max (`_even_beats`).
     """
     settings = settings or BeatSettings()
-    onsets = merged(onsets, settings.merge)
+    every, onsets = np.asarray(onsets, dtype=np.float64), merged(onsets, settings.merge)
+    if settings.rule != "strongest":
+        strengths = None
+    elif strengths is None or len(strengths) != len(every):
+        raise ValueError("the strongest onset is found by the strengths of all of them")
+    else:
+        strengths = strengths[np.searchsorted(every, onsets)]
     loud = np.asarray(loud, dtype=np.float64)
     if settings.rule == "even":
         return _even_beats(duration, settings)
@@ -197,7 +217,7 @@ def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSetti
     else:
         beats = [(0.0, BeatFlag.BOUNDARY)]
         while beats[-1][0] < duration:
-            beats.append(next_beat(beats[-1][0], onsets, loud, duration, settings))
+            beats.append(next_beat(beats[-1][0], onsets, loud, duration, settings, strengths))
     return Beats(np.array([time for time, _ in beats]), np.array([flag for _, flag in beats], dtype=np.int8))
 
 
@@ -254,4 +274,5 @@ def find_beats(speech: Speech, settings: BeatSettings | None = None) -> Beats:
     onsets = detect_onsets(speech.samples, speech.sample_rate, settings.merge)
     audible = ~silent_frames(speech.samples, speech.sample_rate)
     loud = np.flatnonzero(audible).astype(np.float64) * FRAME
-    return place_beats(onsets, loud, speech.duration, settings)
+    strengths = (strength_at(speech.samples, speech.sample_rate, onsets) if settings.rule == "strongest" else None)
+    return place_beats(onsets, loud, speech.duration, settings, strengths)

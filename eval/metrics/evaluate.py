@@ -158,6 +158,7 @@ def lexeme_values(own: EncodedMotion | None, truth: EncodedMotion | None, reward
         for name in LEXEME_METRICS:
             out.put(name, nan, NO_SPEECH)
         return out
-    out.put("reward", reward, "nothing is said" if judged else "the bundle has no judging reward model")
+    out.put("reward", reward, "nothing is said" if judged
+            else "no judging reward model of the bundle's training was found in the work folder (--work)")
     out.put("lexeme_accuracy", 100.0 * float((own.labels == truth.labels).mean()), "")
     return out

@@ -21,6 +21,7 @@ PROBES: dict[str, Plugin] = {
     "languages": Plugin("eval.probes.languages", "does one language's model gesture in time with another?"),
     "two-languages": Plugin("eval.probes.two_languages", "does a speech encoder gain from a second language?"),
     "gate": Plugin("eval.probes.gate", "does the gate know when people gesture, and what does it do?"),
+    "racer": Plugin("eval.probes.racer", "does RACER pay? Every clause of its acceptance with bound and verdict"),
     "rewards": Plugin("eval.probes.rewards", "does RACER's reward rank?"),
     "speech-levels": Plugin("eval.probes.speech_levels", "what does each level of the speech encoder know?"),
     "style-editing": Plugin("eval.probes.style_editing", "does the motion do what is asked of its style?"),

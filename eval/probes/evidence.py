@@ -42,7 +42,6 @@ from eval import stats
 from eval.context import EvalContext
 from eval.metrics.diversity import distinct_2, longest_run, repetition
 from eval.table import Cell, Column, Table
-from eval.teacher import teacher_logits
 from gesticulator import config as configs
 from gesticulator import presets
 from gesticulator.config import Config, digest
@@ -61,6 +60,7 @@ from gesticulator.stages import (
     Run,
     Stage,
 )
+from gesticulator.stages.interpreter import teacher_logits
 from interpreters.lstm import LstmInterpreter
 
 AS_IT_IS, NO_POSE = "as it is", "no pose"

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from eval import stats
 from eval.context import EvalContext, Lexemes
 from eval.table import Cell, Column, Table
-from eval.teacher import teacher_logits
 from gesticulator import config as configs
 from gesticulator.stages import CORPUS, INTERPRETER, LEXICON, TOKENS, Corpus, Run
 from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.interpreter import teacher_logits
 from interpreters.lstm import LstmInterpreter
 
 Scores = dict[str, NDArray[np.float64]]

@@ -81,8 +81,9 @@ def policies(context: EvalContext, by: Sequence[gesture_features.Features]) -> l
     bundle, corpus = context.bundle, context.corpus
     lstm, cql, reward, judge = bundle.interpreter, bundle.q_network, bundle.reward, bundle.reward_judge
     if lstm is None or cql is None or reward is None or judge is None:
-        raise InputError("the bundle", "lacks the lstm, the Q-network or one of the two reward models",
-                         "use one over a lexicon, with schedules.reward.steps and schedules.cql.steps")
+        raise InputError("the bundle", "lacks the lstm, the Q-network or, in --work, one of the two reward models",
+                         "use one over a lexicon, with schedules.reward.steps and schedules.cql.steps, and the work "
+                         "folder of its training")
     decisions = Decisions.of(bundle, corpus, context.labels, context.limit)
     if not decisions.takes:
         raise InputError(context.store.path, "has no test recording with a decision in it", "build the store again")

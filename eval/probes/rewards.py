@@ -189,8 +189,8 @@ def rewards(context: EvalContext) -> list[Table]:
     as long as a reward looks back."""
     bundle, store = context.bundle, context.store
     if bundle.reward is None or bundle.reward_judge is None:
-        raise InputError("the bundle", "lacks one of the two reward models",
-                         "train it with schedules.reward.steps above 0")
+        raise InputError(context.work, "lacks one of the two reward models of the bundle's training",
+                         "give the work folder of its training, with schedules.reward.steps above 0")
     corpus, window = context.corpus, bundle.reward.config.window
     labels = token_labels(bundle.lexicon, corpus)
     takes = [take for take in takes_of(corpus, labels, "test") if len(take.blocks) >= window][:context.limit]

@@ -32,6 +32,12 @@ class Row:
     """"val" for what is there to choose a setting by."""
     training: str = "stages"
     """"stages": those of the training command; else a Q-network over a given lexicon: see `eval.rows.racer`."""
+    scale: float = 1.0
+    """Of such a network: what rewards are multiplied by before it learns from them. One head is both classifier and
+    value: rewards that are small beside the log-odds of a lexeme change no choice, whatever their sign."""
+    matched: str = ""
+    """Of such a network: the row whose network it is, which is then sampled at the temperature that makes it as
+    undecided as the lstm; empty for a network of its own, which takes the best."""
 
 
 @dataclass(frozen=True)

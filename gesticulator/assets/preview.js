@@ -376,7 +376,7 @@ class Figure {
   buildLeg(side) {
     const { Vector3 } = this.THREE;
     const zero = new Vector3(), joint = (part) => this.bone(side + part);
-    this.limb(joint("UpLeg"), zero, this.offset(side + "Leg"), 0.084, 0.056, "trousers");
+    this.limb(joint("UpLeg"), zero, this.offset(side + "Leg"), 0.076, 0.056, "trousers");
     this.limb(joint("Leg"), zero, this.offset(side + "Foot"), 0.056, 0.044, "trousers");
     const ball = this.offset(side + "ToeBase");
     this.limb(joint("Foot"), new Vector3(0, ball.y * 0.62, -0.035), new Vector3(ball.x, ball.y * 0.75, ball.z * 0.95), 0.043, 0.037, "shoe");
@@ -871,6 +871,20 @@ function writeBlock(k) {
   $("best").innerHTML = best[k].map((id, i) => `<li class="${id === lexemes[k] ? "chosen" : ""}"><span>${id}</span>`
     + `<span class="gauge"><i style="width:${(part(row[i]) * 100).toFixed(1)}%"></i></span>`
     + `<span class="value">${Number(row[i].toPrecision(3))}</span></li>`).join("");
+  $("worth").hidden = !data.worth;
+  if (data.worth) $("worth").textContent = worthInWords(k);
+}
+
+/** What the reward weighed, in a sentence: how likely people make the lexeme, what it is worth, and the runner-up. */
+function worthInWords(k) {
+  const { prior, advantage, runnerUp } = data.worth;
+  const last = prior[k].length - 1, worth = advantage[k][last], [other, more] = runnerUp[k];
+  const percent = prior[k][last] < 0.01 ? "under 1 %" : `${Math.round(prior[k][last] * 100)} %`;
+  const size = Math.abs(worth) < 0.05 ? "as much as the usual choice"
+    : `${Math.abs(worth).toFixed(1)} sd ${worth > 0 ? "more" : "less"} than the usual choice`;
+  const than = Math.abs(more) < 0.05 ? "as much" : `${Math.abs(more).toFixed(1)} sd ${more > 0 ? "more" : "less"}`;
+  return `Lexeme ${lexemes[k]}: people choose it here in ${percent} of cases; by the reward it is worth ${size}. `
+    + `Runner-up ${other}: it would have been worth ${than}.`;
 }
 
 function writeClock(time) {

@@ -82,8 +82,20 @@ def describe(performance: Performance) -> dict[str, Any]:
             "scores": [[float(f"{score:.4g}") for score in row] for row in performance.scores.tolist()],
         },
         "scoreIs": performance.score_is,
+        "worth": _worth(performance),
         "words": [[word.text, round(word.start, 3), round(word.end, 3)] for word in words if word.text],
     }
+
+
+def _worth(performance: Performance) -> dict[str, Any] | None:
+    """What the candidates and, last, the played lexeme were worth, and the runner-up with what it was worth more."""
+    worth = performance.weighed
+    if worth is None:
+        return None
+    others = [worth.runner_up(best, int(played), block)
+              for block, (best, played) in enumerate(zip(performance.best, performance.lexemes, strict=True))]
+    return {"prior": np.round(worth.prior, 4).tolist(), "advantage": np.round(worth.advantage, 3).tolist(),
+            "runnerUp": [[other["id"], round(other["worth_more"], 3)] for other in others]}
 
 
 def _skeleton(skeleton: Skeleton) -> dict[str, Any]:

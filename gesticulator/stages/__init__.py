@@ -13,6 +13,7 @@ import numpy as np
 
 from gesticulator.bundle import Bundle, TextSource, rest_distances
 from gesticulator.config import Config
+from gesticulator.stages.advantage import ADVANTAGE, COUNTERFACTUALS
 from gesticulator.stages.base import Node, Run, Stage, closure
 from gesticulator.stages.corpus import BLOCKS, Corpus
 from gesticulator.stages.features import CORPUS
@@ -27,13 +28,13 @@ from gesticulator.stages.speech import CONTRAST, ENCODER, SPEECH
 from gesticulator.stages.style import STYLE, STYLE_TEXT
 
 STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
-    SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, REWARD, REWARD_JUDGE, Q_NETWORK, GENERATOR,
-    STYLE, STYLE_TEXT)}
+    SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, REWARD, REWARD_JUDGE, Q_NETWORK, ADVANTAGE,
+    GENERATOR, STYLE, STYLE_TEXT)}
 
-__all__ = ["BLOCKS", "CODEC", "CONTRAST", "CORPUS", "ENCODER", "EPISODES", "GATE", "GENERATOR", "INTERPRETER",
-           "INTERPRETER_TEXT", "LABELS", "LEXICON", "Q_NETWORK", "REWARD", "REWARD_JUDGE", "SPEECH", "STAGES", "STYLE",
-           "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run", "Stage", "Tokens", "assemble", "closure",
-           "wanted"]
+__all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
+           "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "Q_NETWORK", "REWARD", "REWARD_JUDGE",
+           "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run", "Stage", "Tokens",
+           "assemble", "closure", "wanted"]
 
 
 def wanted(config: Config) -> list[Stage[Any]]:

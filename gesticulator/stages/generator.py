@@ -38,11 +38,13 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
 
     @torch.no_grad()
     def validate() -> Figures:
-        torch.manual_seed(run.seed(GENERATOR))  # the same times and noises every time
         batches = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
         figures = {}
-        for name, deaf, unnamed in (("flow", 0.0, 0.0), ("without_audio", 1.0, 0.0), ("without_lexeme", 0.0, 1.0)):
-            terms = [model.losses(b, 1.0, lexicon.nearest, (deaf, unnamed, 0.0))["flow"] for b in batches]
+        for name, left_out in (("flow", (0.0, 0.0, 0.0, 0.0)), ("without_audio", (1.0, 0.0, 0.0, 0.0)),
+                               ("without_lexeme", (0.0, 1.0, 0.0, 0.0)), ("without_history", (0.0, 0.0, 1.0, 0.0)),
+                               ("without_history_and_audio", (1.0, 0.0, 1.0, 0.0))):
+            torch.manual_seed(run.seed(GENERATOR))  # the same times and noises for each, or they could not be compared
+            terms = [model.losses(b, 1.0, lexicon.nearest, left_out)["flow"] for b in batches]
             figures[name] = float(sum(terms)) / len(terms)
         return figures
 
@@ -64,7 +66,8 @@ def _build(run: Run) -> Generator | FlowGenerator:
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
         known = torch.as_tensor(corpus.select("train"))
-        model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]))
+        model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]),
+                    lexicon.added(torch.arange(lexicon.size)))
     return model
 
 

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
 
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.config import Config
 from gesticulator.stages.base import Figures, Run, Stage
+from gesticulator.stages.corpus import Corpus
 from gesticulator.stages.features import CORPUS
 from gesticulator.stages.labels import LABELS, model_sizes
 from gesticulator.stages.lexicon import LEXICON
 from gesticulator.stages.windows import Windows, sequences, validation
 from interpreters.lstm import LstmInterpreter
+from interpreters.pose import pose_of
 
 
 def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInterpreter], text: bool) -> Figures:
@@ -76,3 +82,19 @@ INTERPRETER_TEXT: Stage[LstmInterpreter] = Stage(
     wanted=lambda config: config.tokens == "lexicon" and bool(config.text.encoder) and config.interpreter.reads,
     part="interpreter_text", build=_build_text,
     train=lambda run, model, folder: _train(run, model, folder, INTERPRETER_TEXT, True))
+
+
+@torch.inference_mode()
+def teacher_logits(model: LstmInterpreter, corpus: Corpus, blocks: NDArray[np.int64], lexemes: NDArray[np.int64],
+                   words: NDArray[np.int64] | None = None) -> Tensor:
+    """[M - 1, S] scores of blocks [M] of a recording but the first, after lexemes [M] and the performer's motion.
+
+    words: block numbers [M] whose words are read; those of the blocks themselves where None.
+    """
+    own, previous = torch.as_tensor(blocks[1:]), torch.as_tensor(lexemes[:-1])[None]
+    text = corpus.text((blocks if words is None else words)[1:])[None] if model.config.reads else None
+    pose = pose_of(*corpus.before(blocks[1:]))[None] if model.config.pose_features else None
+    who = torch.tensor([int(corpus.speaker_of[corpus.recording[blocks[0]]])])
+    speaker = functional.one_hot(who, model.speakers).float()
+    logits, _ = model.scores(previous, corpus.high[own].float()[None], speaker, None, text, pose=pose)
+    return logits[0]

@@ -169,7 +169,7 @@ class KeptRenderings:
         return Rendering.unpacked(data)
 
 
-class _Listening(Gesticulator):
+class ListeningGesticulator(Gesticulator):
     """The pipeline, with an ear on the blocks that were drawn."""
 
     drawn: NDArray[np.float32]
@@ -194,7 +194,7 @@ class BundleSystem:
     def __init__(self, name: str, folder: Path, kept: KeptRenderings) -> None:
         self.name, self.folder, self._kept = name, folder, kept
         bundle = bundles.load(folder)
-        self.gesticulator = _Listening(bundle)
+        self.gesticulator = ListeningGesticulator(bundle)
         self.key = hashlib.sha256((folder / bundles.INDEX).read_bytes()).hexdigest()
         self._encoded: dict[str, tuple[SpeechFeatures, float]] = {}
 
@@ -207,7 +207,7 @@ class BundleSystem:
         """The same without rest and life laid over what the generator draws."""
         other = copy.copy(self)
         config = with_settings(self.bundle.config, ["silence.rest=decay", "silence.rest_decay=0"])
-        other.gesticulator = _Listening(replace(self.bundle, config=config))
+        other.gesticulator = ListeningGesticulator(replace(self.bundle, config=config))
         other.key, other._encoded = f"{self.key} bare", {}
         return other
 

@@ -1,0 +1,220 @@
+"""The policy of behaviour and advantage: known answers of its formulas, and what its critics can learn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gesticulator.stages.advantage import CounterfactualRewards, discounted, gains
+from interpreters.advantage import AdvantageInterpreter, Critics, advantages
+from interpreters.base import BlockFeatures, Scores, select
+from interpreters.reward import RewardConfig, RewardModel
+from interpreters.reward_table import EnsembleReward, RewardTable
+from interpreters.settings import CriticConfig
+
+FRAMES, AUDIO, SIZE, SPEAKERS = 3, 4, 5, 2
+SMALL = CriticConfig(width=16, heads=2, layers=1, dropout=0.0, decisions=4, audio_features=8, audio_bottleneck=0,
+                     gamma=0.8)
+
+
+@dataclass(frozen=True)
+class Always:
+    """A behaviour policy that says the same of every block."""
+
+    scores: NDArray[np.float64]
+
+    def start(self, speaker: int, first_lexeme: int) -> int:
+        return 0
+
+    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, int]:
+        return self.scores, state + 1
+
+
+def critics(seed: int = 0, config: CriticConfig = SMALL) -> Critics:
+    torch.manual_seed(seed)
+    model = Critics(config, FRAMES, AUDIO, SIZE, SPEAKERS).eval()
+    with torch.no_grad():
+        for head in (model.reward, model.future):
+            head.weight.normal_(0.0, 0.5)
+    return model
+
+
+def heard(seed: int = 0) -> BlockFeatures:
+    window = torch.randn(3 * FRAMES, AUDIO, generator=torch.Generator().manual_seed(seed))
+    return BlockFeatures(window, window)
+
+
+def prior() -> NDArray[np.float64]:
+    return np.log(np.array([0.4, 0.3, 0.15, 0.1, 0.05]))
+
+
+# ------------------------------------------------------------------------------------------------ the formulas
+
+def test_the_advantage_of_one_critic_is_q_less_its_mean_under_the_behaviour() -> None:
+    q = torch.tensor([[1.0, 3.0, -2.0]])
+    log_prior = torch.log(torch.tensor([0.5, 0.25, 0.25]))
+    torch.testing.assert_close(advantages(q, log_prior), torch.tensor([1.0, 3.0, -2.0]) - 0.75)
+
+
+def test_of_several_critics_the_least_counts() -> None:
+    q = torch.tensor([[0.0, 1.0], [10.0, 9.0]])  # one prefers the second lexeme by 1, the other the first
+    flat = torch.zeros(2)
+    torch.testing.assert_close(advantages(q, flat), torch.zeros(2))  # they agree about nothing
+    # A of the first is (-0.5, 0.5), of one that is surer (-1.5, 1.5): the least (-1.5, 0.5) told from its mean, -0.5.
+    sure = advantages(torch.stack([q[0], 3 * q[0]]), flat)
+    torch.testing.assert_close(sure, torch.tensor([-1.0, 1.0]))
+
+
+def test_what_a_state_is_worth_changes_nothing() -> None:
+    q, log_prior = torch.randn(4, 2, SIZE), torch.randn(4, SIZE)
+    torch.testing.assert_close(advantages(q + torch.randn(4, 2, 1), log_prior), advantages(q, log_prior))
+    own = advantages(q, log_prior)
+    torch.testing.assert_close((own * log_prior.softmax(-1)).sum(-1), torch.zeros(4), atol=1e-6, rtol=0)
+
+
+def test_beta_0_is_the_behaviour_policy_to_the_last_bit() -> None:
+    system = AdvantageInterpreter(Always(prior()), critics(), 3.0).steered(0.0, 0.7)
+    scores, _ = system.step(system.start(0, 1), heard(), 1)
+    np.testing.assert_array_equal(scores, prior())
+
+
+@pytest.mark.parametrize("temperature", [1.0, 0.7, 2.0])
+@pytest.mark.parametrize("beta", [0.5, 2.0])
+def test_the_policy_is_the_tempered_prior_times_exp_beta_advantage(beta: float, temperature: float) -> None:
+    system = AdvantageInterpreter(Always(prior()), critics()).steered(beta, temperature)
+    scores, state = system.step(system.start(0, 1), heard(), 1)
+    assert state.advantage is not None
+    weights = np.exp(prior()) ** (1 / temperature) * np.exp(beta * state.advantage)
+    tempered = np.exp(scores / temperature)
+    np.testing.assert_allclose(tempered / tempered.sum(), weights / weights.sum(), rtol=1e-9)
+    drawn = np.bincount([select(scores, temperature=temperature, rng=np.random.default_rng(seed))
+                         for seed in range(2000)], minlength=SIZE) / 2000
+    np.testing.assert_allclose(drawn, weights / weights.sum(), atol=0.05)
+
+
+def test_at_temperature_0_the_best_of_the_policy_is_taken() -> None:
+    one, none = (AdvantageInterpreter(Always(prior()), critics()).steered(2.0, t) for t in (1.0, 0.0))
+    np.testing.assert_array_equal(one.step(one.start(0, 1), heard(), 1)[0], none.step(none.start(0, 1), heard(), 1)[0])
+
+
+def test_what_the_state_says_of_a_block_is_that_of_the_policy() -> None:
+    system = AdvantageInterpreter(Always(prior()), critics(), 1.0)
+    _, state = system.step(system.start(1, 0), heard(3), 0)
+    assert state.log_prior is not None and state.advantage is not None
+    np.testing.assert_array_equal(state.log_prior, prior())
+    assert (np.exp(prior()) * state.advantage).sum() == pytest.approx(0, abs=1e-5)
+
+
+def test_a_stream_values_blocks_as_a_batch_does() -> None:
+    model = critics()
+    previous, rows = torch.tensor([[1, 3, 0, 2, 2, 4]]), torch.randn(8, FRAMES, AUDIO)
+    audio = torch.cat([rows[:-2], rows[1:-1], rows[2:]], 1)[None]
+    whole = model.values(previous, audio, torch.tensor([[0.0, 1.0]]), torch.zeros(1, 6))
+    state = model.trunk.start(1, 1)
+    for i in range(6):
+        found, state = model.step(state, BlockFeatures(audio[0, i], audio[0, i]), int(previous[0, i]))
+        torch.testing.assert_close(found.reward, whole.reward[0, i], atol=1e-5, rtol=1e-4)
+        torch.testing.assert_close(found.future, whole.future[0, i], atol=1e-5, rtol=1e-4)
+
+
+# ------------------------------------------------------------------------------------------- counterfactual rewards
+
+def test_returns_are_discounted() -> None:
+    np.testing.assert_allclose(discounted(np.array([1.0, 2.0, 4.0], np.float32), 0.5), [3.0, 4.0, 4.0])
+
+
+def table() -> EnsembleReward:
+    torch.manual_seed(4)
+    models = [RewardModel(RewardConfig(width=8, projection=6, window=3, longest=4), FRAMES, 6, AUDIO).eval()
+              for _ in range(2)]
+    generator = torch.Generator().manual_seed(5)
+    audio, times, motion = (torch.randn(*shape, generator=generator)
+                            for shape in ((12, FRAMES, AUDIO), (12,), (SIZE, FRAMES, 6)))
+    return EnsembleReward([RewardTable(model, audio, times, motion) for model in models], 0.5)
+
+
+@pytest.mark.parametrize("at", [1, 6, 10, 11])
+def test_what_a_swap_gains_is_the_difference_of_the_two_sequences(at: int) -> None:
+    rewards, gamma = table(), 0.7
+    actions, blocks = torch.as_tensor(np.random.default_rng(1).integers(SIZE, size=12)), torch.arange(12)
+    got = gains(rewards, actions, blocks, np.array([at]), np.arange(SIZE)[None], gamma)[0]
+    for lexeme in range(SIZE):
+        other = actions.clone()
+        other[at] = lexeme
+        more = (rewards.sequence(other, blocks) - rewards.sequence(actions, blocks))[at + 1:]
+        assert got[lexeme] == pytest.approx(sum(gamma ** i * float(m) for i, m in enumerate(more)), abs=1e-5)
+    assert got[int(actions[at])] == pytest.approx(0, abs=1e-6)
+
+
+def data(seed: int = 0, count: int = 400) -> tuple[CounterfactualRewards, Tensor]:
+    """Decisions whose reward is a known function of audio and lexeme, and the audio of their blocks."""
+    rng = np.random.default_rng(seed)
+    audio = torch.as_tensor(rng.standard_normal((count, 3 * FRAMES, AUDIO))).float()
+    told = audio[:, FRAMES:2 * FRAMES].mean((1, 2)).numpy() * 3
+    liked = np.linspace(-1, 1, SIZE)
+    every = (told[:, None] * liked).astype(np.float32)
+    action, swap = rng.integers(SIZE, size=count), rng.integers(SIZE, size=(count, 3))
+    gained = (0.5 * (liked[swap] - liked[action][:, None])).astype(np.float32)
+    gained[::2] = np.nan
+    earned = every[np.arange(count), action]
+    return CounterfactualRewards(
+        np.array([count // 2, count // 2]), np.array([0, 1]), np.arange(count), action,
+        np.roll(action, 1), np.zeros(count, bool), every, np.full((count, SIZE), -np.log(SIZE), np.float32), swap,
+        gained, discounted(earned, 0.8)), audio
+
+
+def test_critics_learn_what_lexemes_earn_now_and_later() -> None:
+    known, audio = data()
+    model = critics()
+    optimiser = torch.optim.Adam(model.parameters(), 3e-3)
+    rng = np.random.default_rng(2)
+
+    def batch(count: int) -> dict[str, Tensor]:
+        windows = known.windows(rng, count, 4)
+        return {**windows, "audio": audio[windows["block"]],
+                "speaker": torch.nn.functional.one_hot(windows["speaker"], SPEAKERS).float(),
+                "heard": torch.ones(count, 2)}
+
+    for step in range(250):
+        terms = model.losses(batch(16), step / 250)
+        loss = sum((model.weights[key] * value for key, value in terms.items()), torch.zeros(()))
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    asked = batch(32)
+    found = model.values(asked["previous"], asked["audio"], asked["speaker"], asked["silent"])
+    learned, true = (value - value.mean(-1, keepdim=True) for value in (found.reward.mean(-2), asked["every"]))
+    assert float(torch.cosine_similarity(learned, true, dim=-1).mean()) > 0.8
+    liked = torch.linspace(-1, 1, SIZE)
+    later = found.future.mean(-2)
+    later = later - later.mean(-1, keepdim=True)
+    assert float((later - 0.5 * liked).abs().mean()) < 0.15
+    assert float(model.spread) > 0.2
+
+
+def test_a_critic_learns_from_its_own_recordings_alone() -> None:
+    known, audio = data()
+    model = critics()
+    windows = known.windows(np.random.default_rng(0), 8, 4)
+    batch = {**windows, "audio": audio[windows["block"]], "heard": torch.zeros(8, 2),
+             "speaker": torch.nn.functional.one_hot(windows["speaker"], SPEAKERS).float()}
+    batch["heard"][:, 1] = 1
+    terms = model.losses(batch)
+    sum(terms.values()).backward()
+    own = model.reward.weight.grad.unflatten(0, (2, SIZE))
+    assert float(own[0].abs().max()) == 0 < float(own[1].abs().max())
+
+
+def test_counterfactuals_survive_a_file(tmp_path: Path) -> None:
+    known, _ = data(count=20)
+    file = tmp_path / "c.npz"
+    known.save(file)
+    again = CounterfactualRewards.load(file)
+    for name in ("every", "gained", "swap", "total", "lengths"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(known, name))
