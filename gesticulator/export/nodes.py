@@ -22,6 +22,10 @@ _CHUNK = 1024
 """Frames whose matrices are held at once: an hour of them would take gigabytes."""
 
 
+_UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""Takes Z up, facing -Y, to Y up, facing +Z."""
+
+
 @dataclass(frozen=True)
 class NodeMotion:
     """N nodes, parents before children, that move over T frames; frame t is the pose at t / fps seconds.
@@ -115,6 +119,8 @@ def of_character(moved: CharacterMotion) -> NodeMotion:
     character = moved.character
     kept = _joints_below(character, moved.hips, {*np.flatnonzero(character.skinned).tolist(), *moved.moved})
     rest, world = character.world_matrices(), moved.world_matrices()
+    if character.kind == "fbx":  # as Blender reads it: Z up
+        rest, world = _UPRIGHT @ rest, _UPRIGHT @ world
     rest_turns, turns = (_turns(matrices[..., kept, :, :]) for matrices in (rest, world))
     parents = [kept.index(character.parents[node]) if node != moved.hips else -1 for node in kept]
     places = rest[kept, :3, 3] * moved.unit

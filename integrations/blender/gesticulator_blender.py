@@ -65,8 +65,10 @@ def export_rig(armature: Any, target: Path) -> None:
 
 
 def _select(things: list[Any], active: Any) -> None:
+    bpy.context.view_layer.update()  # what was just removed is still listed otherwise
     for thing in bpy.context.view_layer.objects:
-        thing.select_set(thing in things)
+        if thing is not None:
+            thing.select_set(thing in things)
     bpy.context.view_layer.objects.active = active
 
 
