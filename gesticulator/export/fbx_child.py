@@ -46,6 +46,7 @@ def convert(source: str, target: str, fps: int) -> None:
         bake_anim_simplify_factor=0.0, path_mode="COPY", embed_textures=True)
 
 
-# Nothing else runs this file: Blender, given it, passes what stands behind "--"; a Python with bpy passes all.
-given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
-convert(given[0], given[1], int(given[2]))
+if __name__ == "__main__":
+    # Blender, given this file, passes what stands behind "--"; a Python with bpy passes all.
+    given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
+    convert(given[0], given[1], int(given[2]))
