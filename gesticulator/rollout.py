@@ -126,10 +126,9 @@ class Rollout:
         rest = b.rest_feature(self.speaker)
         past = rest.expand(1, b.frames, -1)
         drawer = drawer_for(b, encoded, self.speaker, previous, self.sampling.keys)
-        inner = free = deaf = self.interpreter.start(self.speaker, previous)
+        inner = free = self.interpreter.start(self.speaker, previous)
         gate_state = None if gate is None else gate.start(self.speaker)
         guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
-        by_ear = b.config.selection.interpreter_guidance * getattr(self.interpreter, "can_be_deaf", False)
         low, high = self._tensor(b.statistics.bounds)
         made = RolloutResult.empty(count, len(b.vectors), past.shape[1:], b.code_width)
         life = None if b.config.silence.rest == "decay" else Rest(
@@ -148,11 +147,6 @@ class Rollout:
             if asked is not None:
                 unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
                 scores = unasked + guidance * (scores - unasked)
-            if by_ear:
-                unheard, deaf = self.interpreter.step(
-                    deaf, replace(features, high=torch.zeros_like(features.high)), previous)
-                scores = scores + by_ear * (scores - unheard)
-                scores = scores - np.logaddexp.reduce(scores)
             quiet = closed or (features.silent and b.config.silence.mask)
             previous = int(lexemes[i]) if lexemes is not None else self._select(scores, b.silent if quiet else None)
             if closed and life is None and self.quiet_low is not None:
