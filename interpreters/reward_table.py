@@ -35,18 +35,19 @@ class RewardTable:
     """
 
     def __init__(self, model: RewardModel, audio: Tensor, log_duration: Tensor, decoded: Tensor | None = None, *,
-                 decode: Decode | None = None, size: int | None = None, bases: Bases | None = None,
-                 centred: bool = False) -> None:
+                 decode: tuple[Decode, int] | None = None, bases: Bases | None = None, centred: bool = False) -> None:
         """audio: [N, K, d] and log_duration: [N] of the corpus' blocks. The lexicon is one of
         decoded: [S, K, D_m], every lexeme decoded by itself (the cheap way), or, with bases, what it adds to them; or
-        decode: windows of lexemes [B, n] to motion [B, n, K, D_m], and size: S. It is given no padding.
+        decode: windows of lexemes [B, n] to motion [B, n, K, D_m], and S. It is given no padding.
         centred: the reward is m . (u - mean u) instead of m . u: what a motion earns under any audio is taken off.
         """
-        if (decoded is None) == (decode is None) or (decode is not None and size is None):
+        if (decoded is None) == (decode is None):
             raise ValueError("give either the decoded lexemes, or a way to decode them and their number")
         self.model = copy.deepcopy(model)
         freeze(self.model)
-        self.window, self._decode, self.bases = model.config.window, decode, bases
+        self._decode = None if decode is None else decode[0]
+        size = 0 if decode is None else decode[1]
+        self.window, self.bases = model.config.window, bases
         with torch.no_grad():
             self._log_duration, self._audio = log_duration, self.model.block_audio(audio)
             self._tempo = self.model.tempo(log_duration)
@@ -57,7 +58,7 @@ class RewardTable:
                 if bases is not None:  # the bias comes with the base
                     self._lexemes = self._lexemes - self.model.read_motion.bias
             self._centre = self._mean_audio() if centred else None
-        self.size = int(size or 0)
+        self.size = size
         """S, how many lexemes there are."""
 
     def _mean_audio(self) -> Tensor:

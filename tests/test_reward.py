@@ -63,7 +63,7 @@ def table(way: str = "decoded", seed: int = 0, window: int = 6, **changes: objec
     audio, log_duration = drawn(BLOCKS, FRAMES, AUDIO, seed=3), 0.3 * drawn(BLOCKS, seed=4)
     if way == "decoded":
         return RewardTable(net, audio, log_duration, alone(torch.arange(LEXEMES)))
-    return RewardTable(net, audio, log_duration, decode=alone if way == "alone" else together, size=LEXEMES)
+    return RewardTable(net, audio, log_duration, decode=(alone if way == "alone" else together, LEXEMES))
 
 
 def windows(count: int, width: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
@@ -372,7 +372,7 @@ def test_a_decoder_is_given_no_padding() -> None:
         seen.append(tuple(lexemes.shape))
         return alone(lexemes)
 
-    asked = RewardTable(model(), drawn(BLOCKS, FRAMES, AUDIO), drawn(BLOCKS), decode=decode, size=LEXEMES)
+    asked = RewardTable(model(), drawn(BLOCKS, FRAMES, AUDIO), drawn(BLOCKS), decode=(decode, LEXEMES))
     lexemes, blocks, valid = windows(8, 4)
     lexemes[~valid] = -1
     asked.rewards(lexemes, blocks, valid)
@@ -393,7 +393,7 @@ def test_the_table_keeps_its_own_model() -> None:
 
 def test_a_table_needs_one_lexicon() -> None:
     audio, log_duration, decoded = drawn(BLOCKS, FRAMES, AUDIO), drawn(BLOCKS), alone(torch.arange(LEXEMES))
-    for wrong in ({}, {"decode": alone}, {"decoded": decoded, "decode": alone, "size": LEXEMES}):
+    for wrong in ({}, {"decoded": decoded, "decode": (alone, LEXEMES)}):
         with pytest.raises(ValueError):
             RewardTable(model(), audio, log_duration, **wrong)
 

@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -183,7 +184,7 @@ def _table(run: Run, by: Stage[RewardEnsemble] | None = None) -> EnsembleReward 
     return taught_reward(table, corpus, run.config.episodes.baseline)
 
 
-def _needs(config: Config) -> Sequence[Node[object]]:
+def _needs(config: Config) -> Sequence[Node[Any]]:
     return CORPUS, TOKENS, LABELS, REWARD, EPISODES, INTERPRETER
 
 

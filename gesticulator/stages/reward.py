@@ -104,7 +104,7 @@ def reward_table(model: RewardModel | RewardEnsemble, tokens: Tokens, corpus: Co
     how: dict[str, Any] = {"centred": model.config.centred and not literal}
     context = context or context_of(tokens, corpus)
     if isinstance(tokens, RacerCodec):
-        how |= {"decode": tokens.decode_tokens, "size": len(tokens.vectors)}
+        how |= {"decode": (tokens.decode_tokens, len(tokens.vectors))}
     elif context is not None:
         how |= {"decoded": context.added, "bases": context}
     else:

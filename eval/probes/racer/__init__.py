@@ -245,8 +245,8 @@ def alive(judged: Judged, by: Sequence[gesture_features.Features], real: Sequenc
         Clause.judged("alive: out of distribution, % less the performer's", rare, at_most(0.0), digits=1,
                       reason=f"of {float(np.nanmean(chosen[PERFORMER]['rare'])):.1f} %")]
     if by:
-        apart = fgd.difference(*(gesture_features.pooled(row.motions[::seeds], by[0]) for row in (ours, lstm)),
-                               gesture_features.pooled(list(real), by[0]))
+        one, other = (gesture_features.pooled(row.motions[::seeds], by[0]) for row in (ours, lstm))
+        apart = fgd.difference(one, other, gesture_features.pooled(list(real), by[0]))
         out.append(Clause("alive: FGD less the lstm's", apart, f"upper bound at most {FGD}", bool(apart.high <= FGD),
                           by[0].name))
     out.append(_seen_alike(ours, lstm))

@@ -20,9 +20,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.nn import functional
 
 from data_module.errors import InputError
+from data_module.store import Split
 from data_module.types import Array
 from eval.baselines import Majority, Random
 from eval.clip import measure
@@ -137,7 +139,7 @@ def policies(context: EvalContext, betas: Sequence[float], chosen: float) -> tup
 
 # ------------------------------------------------------------------------------------------------------- playing
 
-def voices_of(context: EvalContext, seconds: float, split: str) -> list[AcceptanceVoice]:
+def voices_of(context: EvalContext, seconds: float, split: Split) -> list[AcceptanceVoice]:
     """The middle of every recording of the split that lasts long enough; InputError where none does."""
     chosen = [info for info in context.store.of_split(split) if info.seconds >= SHORTEST][:context.limit]
     if not chosen:
@@ -204,7 +206,7 @@ class PlayedFigures:
     motions: the same as motion; eyes: what the figures for the eye say of each clip."""
 
     values: dict[str, Array]
-    lexemes: list[Array]
+    lexemes: list[NDArray[np.int64]]
     motions: list[Any]
     eyes: dict[str, Array] = field(default_factory=dict)
 
