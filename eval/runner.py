@@ -51,7 +51,20 @@ from gesticulator import config as configs
 from gesticulator.config import Config
 from gesticulator.features import SpeechFeatures
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Corpus, Node, Run, Stage, assemble, wanted
+from gesticulator.stages import (
+    BLOCKS,
+    CORPUS,
+    ENCODER,
+    LABELS,
+    LEXICON,
+    STAGES,
+    Corpus,
+    Node,
+    Run,
+    Stage,
+    assemble,
+    wanted,
+)
 from gesticulator.stages.corpus import weights_hash
 from gesticulator.stages.q_network import takes_of
 
@@ -136,7 +149,11 @@ class AblationContext:
     @cached_property
     def racer(self) -> RacerContext:
         """What RACER's rows stand on."""
-        bundle = bundles.load(self.bundle) if self.bundle else self.trained("q-network", 1)[0]
+        if self.bundle:
+            bundle = bundles.load(self.bundle)
+        else:
+            bundle, run = self.trained("q-network", 1)
+            bundle = bundle.with_parts(**{name: run.get(STAGES[name]) for name in bundles.JUDGES})
         return RacerContext.of(self.store, bundle, self.first.work, racer.PRESETS[self.first.config.name], self.limit,
                                self.first.progress)
 

@@ -152,12 +152,17 @@ IMPORT = {
 """Suffix -> what to set in Blender's importer: the rest are its defaults."""
 
 
-def in_blender(path: Path, fps: float, settings: dict[str, Any]) -> dict[str, Any]:
-    """What Blender makes of a file; places with Y up."""
+@pytest.fixture
+def blender(tmp_path: Path) -> None:
+    """Skips the test, with the reason, where there is no Blender."""
     try:
-        check_blender(path)
+        check_blender(tmp_path)
     except InputError as lacking:
         pytest.skip(str(lacking))
+
+
+def in_blender(path: Path, fps: float, settings: dict[str, Any]) -> dict[str, Any]:
+    """What Blender makes of a file; places with Y up."""
     target = path.with_suffix(".json")
     run_in_blender(path, HERE / "blender_joints.py", str(path), f"{fps:g}", str(target), json.dumps(settings))
     told: dict[str, Any] = json.loads(target.read_text())
@@ -167,6 +172,7 @@ def in_blender(path: Path, fps: float, settings: dict[str, Any]) -> dict[str, An
     return told
 
 
+@pytest.mark.usefixtures("blender")
 @pytest.mark.parametrize("suffix", sorted(IMPORT))
 def test_blender_puts_our_joints_where_we_do(tmp_path: Path, suffix: str) -> None:
     made = perform(0.6, 30.0, skeleton=WHOLE_BODY)
@@ -176,6 +182,7 @@ def test_blender_puts_our_joints_where_we_do(tmp_path: Path, suffix: str) -> Non
     np.testing.assert_allclose(told["scale"], 1.0, atol=1e-5)
 
 
+@pytest.mark.usefixtures("blender")
 def test_blenders_defaults_take_a_bvh_in_metres(tmp_path: Path) -> None:
     made = perform(0.4, 30.0, skeleton=FINGERED)
     told = in_blender(write(tmp_path / "a.bvh", made, unit="m"), 30.0, {})
@@ -184,6 +191,7 @@ def test_blenders_defaults_take_a_bvh_in_metres(tmp_path: Path) -> None:
     np.testing.assert_allclose(got, made.positions(), atol=1e-3)
 
 
+@pytest.mark.usefixtures("blender")
 @pytest.mark.parametrize("suffix", [".fbx", ".glb"])
 def test_blender_takes_a_character_with_her_skin(tmp_path: Path, suffix: str) -> None:
     plain = perform(0.4, 30.0, skeleton=FINGERED)

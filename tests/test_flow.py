@@ -138,7 +138,8 @@ def test_blocks_that_fill_a_short_window_up_weigh_nothing() -> None:
 
     def loss() -> float:
         torch.manual_seed(3)
-        return float(generator.losses(batch, 1.0, lambda y: torch.zeros(len(y), dtype=torch.long), (0, 0, 0))["flow"])
+        losses = generator.losses(batch, 1.0, lambda y: torch.zeros(len(y), dtype=torch.long), (0, 0, 0, 0))
+        return float(losses["flow"])
 
     batch["valid"] = torch.ones(8, CONFIG.blocks + 1)
     batch["valid"][:, -1] = 0

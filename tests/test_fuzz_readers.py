@@ -39,7 +39,7 @@ from data_module.corpora.serialised import deserialise
 from data_module.corpora.trinity import read_words
 from data_module.errors import InputError
 from data_module.motion import skeletons, smartbody
-from data_module.motion.bvh import bvh_text, read_bvh, write_bvh
+from data_module.motion.bvh import bvh_text, read_bvh, read_hierarchy, write_bvh
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
 from data_module.performer.borrowed import load_borrowed
@@ -395,6 +395,7 @@ READERS: dict[str, Case] = {
     **{suffix: Case(_container(suffix, kind, codec), load_speech, ("load_speech",))
        for suffix, kind, codec in (("m4a", "mp4", "aac"), ("webm", "webm", "libopus"), ("mkv", "matroska", "flac"))},
     "bvh": Case(_bvh, lambda file: skeletons.to_character(read_bvh(file)), ("read_bvh",)),
+    "bvh, the hierarchy": Case(_bvh, read_hierarchy, ("read_hierarchy",)),
     "smplx, the archive": Case(_smplx, lambda file: skeletons.to_character(read_smplx(file)),
                                ("read_smplx", "read_npz")),
     **{f"smplx, {name}": Case(_smplx, lambda file: (skeletons.to_character(read_smplx(file)), read_npz(file)),

@@ -243,7 +243,7 @@ def test_what_the_bundle_has_is_listed(tiny_bundle: Path, capfd: pytest.CaptureF
     assert [line.split("  ")[0] for line in lines] == list(speakers)
     assert [line for line in lines if line.endswith("(default)")] == [f"{speakers[0]}  (default)"]
     assert infer.main(["--list", "interpreters", "--bundle", str(tiny_bundle)]) == 0
-    assert capfd.readouterr().out.splitlines() == ["lstm  (default)", "cql", "statistical"]
+    assert capfd.readouterr().out.splitlines() == ["lstm  (default)", "cql", "advantage", "statistical"]
 
 
 @pytest.mark.parametrize("name", ["caf\u00e9.flac", os.fsdecode(b"caf\xe9.flac")])

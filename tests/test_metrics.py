@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
@@ -19,6 +20,7 @@ from eval.foreign import Clip
 from eval.metrics import EYE_METRICS, METRICS, SET_METRICS
 from eval.metrics.gesture_features import RawFeatures
 from gesticulator import bundle as bundles
+from interpreters.reward import RewardEnsemble
 
 SECONDS, FPS, RATE = 12.0, 20.0, 16000
 NETWORK = "raw directions of 2 frames, 12 frames"
@@ -48,12 +50,20 @@ def clip(seed: int) -> Clip:
     return Clip(f"clip{seed}", motion, Speech(samples, RATE), f"clip{seed}")
 
 
+def with_a_judge(bundle: bundles.Bundle) -> bundles.Bundle:
+    """The bundle with a judging reward model that was never trained: bundles hold none."""
+    s = bundle.statistics
+    torch.manual_seed(0)
+    judge = RewardEnsemble(bundle.config.judge, bundle.frames, len(s.deviation), len(s.high.mean))
+    return bundle.with_parts(reward_judge=judge.eval())
+
+
 @pytest.fixture(scope="module")
 def rows() -> dict[str, Any]:
     """metric -> figure, by row: the truth, the same again, and every control."""
     truth = {f"clip{seed}": clip(seed) for seed in range(12)}
     figures = score.score(common_clips({"truth": truth, "same": truth}), {NETWORK: RawFeatures(12)},
-                          bundles.load(bundles.SHIPPED)).figures
+                          with_a_judge(bundles.load(bundles.SHIPPED))).figures
     return {row: {("fgd" if key == NETWORK else key): score.mean_of(figures, row, key) for key in cells}
             for row, cells in figures.items()}
 

@@ -130,7 +130,7 @@ def test_training_repeats_and_is_kept(context: RacerContext, name: str) -> None:
 def test_a_key_tells_what_shapes_a_row(context: RacerContext) -> None:
     rows = set(twins(context.run.config).values())
     keys = {context.key(name, seed) for name in rows for seed in (1, 2)}
-    assert len(keys) == 2 * len(rows)
+    assert len(keys) == 2 * sum(not ROWS[name].matched for name in rows), "a row and its twin share a network"
     longer = dataclasses.replace(context.run, config=with_settings(context.run.config, ["schedules.cql.steps=5"]))
     assert dataclasses.replace(context, run=longer).key("racer-cql", 1) not in keys
 

@@ -145,7 +145,9 @@ def test_the_command_judges_every_clause(tiny_store: Path, tiny_movement_bundle:
 
 def test_without_the_work_folder_of_the_training_it_says_so(tiny_store: Path, tiny_movement_bundle: Path,
                                                             tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert PROBE.main("gesticulator probe", [
-        "racer", "--data", str(tiny_store), "--bundle", str(tiny_movement_bundle), "--work", str(tmp_path / "none"),
-        "--quiet"]) == 2
+    with pytest.raises(SystemExit) as left:
+        PROBE.main("gesticulator probe", [
+            "racer", "--data", str(tiny_store), "--bundle", str(tiny_movement_bundle), "--work", str(tmp_path / "none"),
+            "--quiet"])
+    assert left.value.code == 2
     assert "reward (in --work)" in capsys.readouterr().err

@@ -116,7 +116,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
     monkeypatch.setattr(fitting._Learner, "step", one_step)
     training.train(short(), store, tmp_path / "broken", broken, QUIET)
     names = sorted(file.name for file in (tmp_path / "whole").glob("*.safetensors"))
-    assert len(names) == 12 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
+    assert len(names) == 11 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
     for name in names:
         a, b = (load_file(tmp_path / run / name) for run in ("whole", "broken"))
         assert a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a), name
@@ -423,7 +423,8 @@ def test_statistics_undo_themselves_and_centre_each_speaker(tiny_store: Path, wo
     corpus = prepare(Store.open(tiny_store), presets.preset("tiny"), work, progress=False)
     s = corpus.statistics
     poses = np.random.default_rng(0).normal(size=(7, s.deviation.size))
-    np.testing.assert_allclose(s.denormalise(s.normalise(poses, 0), 0), poses, atol=1e-12)
+    moves = s.present.numpy() > 0
+    np.testing.assert_allclose(s.denormalise(s.normalise(poses, 0), 0)[:, moves], poses[:, moves], atol=1e-12)
     train_blocks = corpus.select("train")
     speaker = corpus.speaker_of[corpus.recording[train_blocks]]
     for own in range(len(s.speakers)):
