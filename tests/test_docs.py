@@ -239,7 +239,7 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
     quality, claims = tables("quality.json"), tables("claims.json")["Claims"].facts
     motion = tables("motion.json")
     seen, held = motion["Beside others, BEAT voice"].rows, motion["Acceptance of the motion"].rows
-    judged = result("racer_acceptance.json")
+    judged = [row["holds"] for row in result("racer_acceptance.json")]
     speed, onsets = result("realtime.json"), [row["f"] for row in result("onsets.json")["rows"].values()]
     times, count, about = speed["real_time_factor"][0], claims["count"], quality["Reconstruction"].facts
 
@@ -257,7 +257,7 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
         [eye(far, "ours"), eye(far, "unit selection")], [eye(size, "ours"), eye(size, "real take")],
         [f"{sum(int(str(row['hold'])) for row in held.values())} of "
          f"{sum(int(str(row['of'])) for row in held.values())}",
-         f"{[row['holds'] for row in judged].count(True)} of {len([row for row in judged if row['holds'] is not None])}"],
+         f"{judged.count(True)} of {judged.count(True) + judged.count(False)}"],
         [shown(rhythm, name, "above 0.1", 1) for name in ("lstm", "performer")],
         [shown(rhythm, name, "above 0.1", 1) for name in ("lstm with text", "statistical")],
         [shown(hands, name, "speech", 2) for name in ("lstm", "performer")],
