@@ -15,9 +15,9 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
+from gesticulator.character import COMMAND
 from gesticulator.characters import read_character
 from gesticulator.characters.bvh_rig import write_character_bvh
-from gesticulator.characters.choice import COMMAND
 from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
