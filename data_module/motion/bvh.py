@@ -167,13 +167,8 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
     for name, value in (("frame rate", fps), ("unit", unit)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise InputError(where, f"cannot be read with a {name} of {value}", "give a positive number")
-    text = read_text(path, "give a .bvh file", _LARGEST_FILE)
-    at = text.find("Frame Time:")
-    if at < 0:
-        raise InputError(where, "is not a BVH file (no 'Frame Time:')", "give a .bvh file")
-    end = text.find("\n", at)
-    header = _parse_header(text[:end if end >= 0 else len(text)], where)
-    rows = _rows(text[end:] if end >= 0 else "", sum(map(len, header.channels)), where)
+    header, frames = _opened(path, where)
+    rows = _rows(frames, sum(map(len, header.channels)), where)
     if len(rows) != header.frames:
         said = (f"its header says {header.frames} frames at {header.fps:g} fps but {len(rows)} rows follow "
                 f"({len(rows) * header.fps / max(header.frames, 1):.4g} fps would keep the header's duration)")
@@ -196,17 +191,23 @@ def read_hierarchy(path: str | os.PathLike[str]) -> tuple[Motion, tuple[tuple[st
     offset, and places of other joints are those of their offsets.
     """
     where = str(path)
+    header, frames = _opened(path, where)
+    width = sum(map(len, header.channels))
+    first = next((line for line in frames.splitlines() if line.strip()), "")
+    rows = _rows(first, width, where) if first else np.zeros((1, width))
+    motion = _assemble(header, rows, header.fps)
+    return replace(motion, skeleton=header.skeleton), header.channels
+
+
+def _opened(path: str | os.PathLike[str], where: str) -> tuple[_Header, str]:
+    """The header of a file, and the lines of its frames as they stand."""
     text = read_text(path, "give a .bvh file", _LARGEST_FILE)
     at = text.find("Frame Time:")
     if at < 0:
         raise InputError(where, "is not a BVH file (no 'Frame Time:')", "give a .bvh file")
     end = text.find("\n", at)
     header = _parse_header(text[:end if end >= 0 else len(text)], where)
-    width = sum(map(len, header.channels))
-    first = next((line for line in text[end:].splitlines() if line.strip()), "") if end >= 0 else ""
-    rows = _rows(first, width, where) if first else np.zeros((1, width))
-    motion = _assemble(header, rows, header.fps)
-    return replace(motion, skeleton=header.skeleton), header.channels
+    return header, text[end:] if end >= 0 else ""
 
 
 def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
