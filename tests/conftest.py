@@ -17,6 +17,19 @@ settings.register_profile("project", deadline=None, max_examples=50, derandomize
 settings.load_profile("project")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Fills numba's cache of librosa before there are workers: two that fill a new one together read each other's
+    half-written machine code and crash (4 of 12 pairs of processes did, on an empty cache)."""
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        import librosa
+        import numpy as np
+
+        # Most is compiled as these names are looked up, the path finder of pyin when it is first called.
+        sound = np.sin(np.arange(8000, dtype=np.float32) / 10)
+        librosa.onset.onset_detect(y=sound, sr=16000)
+        librosa.pyin(sound, fmin=60, fmax=400, sr=16000)
+
+
 @pytest.fixture(scope="session")
 def outside_data() -> Path:
     """The folder that holds strokes/, speech/, takes/ and fgd/; the test is skipped where it is not to be had."""
