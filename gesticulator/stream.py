@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 LATENCIES = ("full", "low")
 
 
-class StreamState(str, Enum):
+class StreamState(StrEnum):
     """What the character does: nothing (idle), speak, listen to another, or think before an answer."""
 
     IDLE = "idle"
