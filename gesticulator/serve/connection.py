@@ -357,11 +357,20 @@ class Connection:
     async def _close(self, code: int, reason: str) -> None:
         """Close, or cut the connection of a client that does not even read the close."""
         short = reason.encode()[:_REASON_BYTES].decode(errors="ignore")
+        # The client's answer comes after what it sent before, which nobody reads any more.
+        swallowing = asyncio.create_task(self._swallow())
         try:
             async with asyncio.timeout(CLOSE_SECONDS):
                 await self.socket.close(code, short)
         except TimeoutError:
             self.socket.transport.abort()
+        finally:
+            swallowing.cancel()
+
+    async def _swallow(self) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                await self.socket.recv()
 
 
 _MOST_WAITING = 10_000
