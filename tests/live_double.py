@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -11,6 +14,7 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
 from gesticulator.serve.protocol import StreamRequest
+from gesticulator.serve.server import LiveServer, Page, ServerAddress
 from gesticulator.serve.session import Session, SessionFacts
 from gesticulator.serve.settings import ServerLimits
 from gesticulator.stream import StreamBlock, StreamFrames, StreamState
@@ -86,3 +90,20 @@ def opener(limits: ServerLimits, seconds: float = 0.0) -> Callable[[str, StreamR
         return Session(name, request, TellingStream(request, seconds), SessionFacts(LOOK_AHEAD, limits))
 
     return open_session
+
+
+@contextmanager
+def served(limits: ServerLimits, pages: Mapping[str, Page]) -> Iterator[tuple[LiveServer, int]]:
+    """A server of telling streams in a thread of its own, and its port."""
+    address = ServerAddress(port=0)
+    listening = address.listen()
+    server = LiveServer(address, limits, opener(limits), pages=pages)
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=lambda: loop.run_until_complete(server.run(listening)))
+    thread.start()
+    try:
+        yield server, listening.getsockname()[1]
+    finally:
+        loop.call_soon_threadsafe(server.stop)
+        thread.join(20)
+        loop.close()

@@ -87,3 +87,30 @@ COMMAND = Command(
         "serve --host 0.0.0.0 --token-file token.txt --origin https://example.org",
         "serve --vmc 127.0.0.1:39539",
     ))
+
+
+def live_arguments(p: argparse.ArgumentParser) -> None:
+    """Add what the verb `live` takes."""
+    p.add_argument("--port", type=int, default=8765, help="default 8765; 0 for any that is free")
+    p.add_argument("--no-browser", action="store_true", help="do not open the page, only serve it")
+    p.add_argument("--vmc", metavar="HOST:PORT", help="also send the poses by VMC, such as 127.0.0.1:39539")
+    p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
+    p.add_argument("--threads", type=int, default=1, metavar="N", help="threads (default 1)")
+
+
+def run_live(asked: argparse.Namespace) -> int:
+    """Serve the page to this machine until SIGTERM or SIGINT; exit code 0 then."""
+    from gesticulator.serve.launch import Launch, launch
+    from gesticulator.serve.settings import ServerLimits
+
+    limits = ServerLimits(drain_seconds=1.0)
+    return launch(Launch(host="127.0.0.1", port=asked.port, origins=(), token="", limits=limits, vmc=asked.vmc,
+                         bundle=asked.bundle, threads=asked.threads, live=True, browser=not asked.no_browser))
+
+
+LIVE = Command(
+    "open a page that gestures to your microphone, or to a recording", live_arguments, run_live,
+    examples=(
+        "live",
+        "live --port 9000 --no-browser",
+    ))

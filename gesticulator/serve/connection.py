@@ -220,6 +220,7 @@ class Connection:
                     self._waits, self._idling = item.message["type"], begin
             await self._put(answer)
             if isinstance(item, _Command) and item.message["type"] == "finish":
+                self.reason = self.reason if self._leaving else "finished"
                 await self._end()
                 return
 

@@ -34,7 +34,7 @@ _MOST_SHORT_LIVES = 5
 @dataclass(frozen=True)
 class Launch:
     """What to serve and where; picklable, so that workers get it as it is. vmc: "HOST:PORT" or None; live: with the
-    page of `gesticulator live`."""
+    page of `gesticulator live`; browser: open it when it is there."""
 
     host: str
     port: int
@@ -46,6 +46,7 @@ class Launch:
     bundle: str | None = None
     threads: int = 1
     live: bool = False
+    browser: bool = False
 
 
 def launch(asked: Launch) -> int:
@@ -102,11 +103,24 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
             ServerAddress(asked.host, asked.port, asked.origins, asked.token), asked.limits,
             session_opener(system, asked.limits), output, _pages(asked), folder, worker)
         playing = None if output is None else asyncio.create_task(output.run())
-        await server.run(listening, lambda: LOG.info("worker %d is ready", worker))
+        await server.run(listening, lambda: _tell_ready(asked, listening, worker))
         if playing is not None:
             playing.cancel()
 
     asyncio.run(serve())
+
+
+def _tell_ready(asked: Launch, listening: socket.socket, worker: int) -> None:
+    LOG.info("worker %d is ready", worker)
+    if asked.live:
+        page = f"http://127.0.0.1:{listening.getsockname()[1]}/"
+        LOG.info("the page is %s", page)
+        if asked.browser:
+            import threading
+            import webbrowser
+
+            # It may wait for the browser, and the server must answer meanwhile.
+            threading.Thread(target=webbrowser.open, args=(page,), daemon=True).start()
 
 
 def _pages(asked: Launch) -> Mapping[str, Page]:

@@ -149,6 +149,7 @@ class VmcOutput:
         self.host, self.port = read_target(target)
         self.stream: str | None = None
         self._parts: list[_Played] = []
+        self._came = asyncio.Event()
         self._begin = time.monotonic()
         self._zero = 0.0
         """time.monotonic() of frame 0."""
@@ -172,6 +173,7 @@ class VmcOutput:
         self._parts = [part for part in self._parts if part.first < first]
         if first / fps < now - self._zero + MOST_SECONDS:
             self._parts.append(_Played(first, VmcFrames(frames.motion())))
+            self._came.set()
 
     def leave(self, stream: str) -> None:
         """A stream has ended. What is left of it is played, unless another has frames before."""
@@ -191,6 +193,17 @@ class VmcOutput:
         at = min(max(frame, part.first), end - 1) - part.first
         return part.frames.bundle(min(at, len(part.frames) - 1), now - self._begin)
 
+    async def _wait(self, now: float) -> None:
+        """Until the next frame is due, or there is a first; a second at most."""
+        if self._parts:
+            period = 1 / self._parts[0].frames.fps
+            await asyncio.sleep(period - (now - self._zero) % period)
+            return
+        self._came.clear()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(1.0):
+                await self._came.wait()
+
     async def run(self) -> None:
         """Send a bundle for each frame, until cancelled."""
         try:
@@ -200,8 +213,6 @@ class VmcOutput:
                 # A receiver that is not there, or a network that is full, must not end the streams.
                 with contextlib.suppress(OSError):
                     self._socket.sendto(found or _bundled([_ok(0), _time(now - self._begin)]), self._address)
-                period = 1 / self._parts[0].frames.fps if self._parts else 1.0
-                since = now - self._zero if self._parts else 0.0
-                await asyncio.sleep(period - since % period)
+                await self._wait(now)
         finally:
             self._socket.close()
