@@ -309,6 +309,7 @@ async function change(next) {
   const own = new Stream(context.sampleRate, next.options, (message) => heard(own, message));
   voice = next;
   stream = own;
+  $("level").value = 0;
   $("microphone").setAttribute("aria-pressed", String(next instanceof Microphone));
   $("stop").disabled = next instanceof Idle;
   await own.ready;
