@@ -1,9 +1,14 @@
-"""A gesticulator server for the tests: the one that GESTICULATOR_URL names, or one of `gesticulator` on the path."""
+"""A gesticulator server for the tests.
+
+It is the one that GESTICULATOR_URL names, or one that is started: by GESTICULATOR_COMMAND (run in GESTICULATOR_ROOT),
+or by `gesticulator` on the path.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -18,10 +23,12 @@ def url() -> Iterator[str]:
     if told:
         yield told
         return
-    program = shutil.which("gesticulator")
-    if program is None:
+    command = os.environ.get("GESTICULATOR_COMMAND") or shutil.which("gesticulator")
+    if command is None:
         pytest.skip("no gesticulator on the path, and GESTICULATOR_URL is not set")
-    server = subprocess.Popen([program, "serve", "--port", "0"], stderr=subprocess.PIPE, text=True)
+    place = os.environ.get("GESTICULATOR_ROOT")
+    server = subprocess.Popen([*shlex.split(command), "serve", "--port", "0"], stderr=subprocess.PIPE, text=True,
+                              cwd=place, env={**os.environ, "PYTHONPATH": place} if place else None)
     assert server.stderr is not None
     found = None
     for line in server.stderr:
