@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import wave
@@ -14,6 +15,7 @@ import pytest
 from live_double import TURN, served
 
 from data_module.motion.skeletons import CHARACTER
+from gesticulator.serve import page as page_module
 from gesticulator.serve.page import pages
 from gesticulator.serve.settings import ServerLimits
 
@@ -98,3 +100,9 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
     assert all(url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "blob:", "data:")) for url in requests)
     if os.environ.get("SCREENSHOT"):
         page.screenshot(path=os.environ["SCREENSHOT"])
+
+
+def test_three_is_unmodified() -> None:
+    folder = Path(page_module.__file__).parents[1] / "assets" / "live"
+    digest = hashlib.sha256((folder / "three.module.min.js").read_bytes()).hexdigest()
+    assert digest in (folder / "README.md").read_text()

@@ -12,9 +12,7 @@ _KINDS = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=
 
 def pages() -> dict[str, Page]:
     """Path -> file."""
-    assets = resources.files("gesticulator") / "assets"
-    names = {"/": "live/live.html", "/live.css": "live/live.css", "/live.js": "live/live.js",
-             "/capture.js": "live/capture.js", "/three.module.min.js": "three.module.min.js",
-             "/three.LICENSE.txt": "three.LICENSE.txt"}
-    return {path: Page((assets / name).read_bytes(), _KINDS[name[name.rindex("."):]])
-            for path, name in names.items()}
+    folder = resources.files("gesticulator") / "assets" / "live"
+    names = {"/": "live.html", **{f"/{name}": name for name in (
+        "live.css", "live.js", "capture.js", "three.module.min.js", "three.LICENSE.txt")}}
+    return {path: Page((folder / name).read_bytes(), _KINDS[name[name.rindex("."):]]) for path, name in names.items()}
