@@ -14,5 +14,5 @@ def pages() -> dict[str, Page]:
     """Path -> file."""
     folder = resources.files("gesticulator") / "assets" / "live"
     names = {"/": "live.html", **{f"/{name}": name for name in (
-        "live.css", "live.js", "capture.js", "three.module.min.js", "three.LICENSE.txt")}}
+        "live.css", "live.min.js", "capture.js", "licences.txt")}}
     return {path: Page((folder / name).read_bytes(), _KINDS[name[name.rindex("."):]]) for path, name in names.items()}

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Word
 from gesticulator.serve.protocol import VERSION, CloseCode, RefusedError, StreamRequest, joints, pack
 
@@ -46,6 +49,8 @@ class Session:
         self._stream = stream
         self._received = 0.0
         self._state = "idle"
+        self._lift: float | None = None
+        """Metres."""
         self._words: list[Word] = []
         """Those whose poses were not sent."""
 
@@ -104,6 +109,7 @@ class Session:
 
     def _answer(self, frames: StreamFrames) -> SessionAnswer:
         answer = SessionAnswer()
+        frames = self._standing(frames)
         state = str(self._stream.state.value)
         if state != self._state:
             self._state = state
@@ -120,6 +126,15 @@ class Session:
             answer.messages.append(pack(frames, self.request, state, self._received))
             answer.frames.append(frames)
         return answer
+
+
+    def _standing(self, frames: StreamFrames) -> StreamFrames:
+        """The frames with her hips above the floor where the models have them at the origin; decided once."""
+        if len(frames) and self._lift is None:
+            self._lift = HIP_HEIGHT if frames.root_positions[0, 1] < HIP_HEIGHT / 4 else 0.0
+        if not self._lift or not len(frames):
+            return frames
+        return replace(frames, root_positions=frames.root_positions + np.array([0.0, self._lift, 0.0]))
 
 
 _MOST_WORDS = 20_000
