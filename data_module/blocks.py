@@ -185,6 +185,11 @@ class KnotPath:
         self._times, self._values = np.zeros(1), np.array(first, dtype=np.float64)[None]
         self._slopes = np.zeros_like(self._values)
 
+    @property
+    def reach(self) -> float:
+        """Seconds after a frame in which other frames smooth it."""
+        return self._half / self.fps
+
     def push(self, times: Array, values: Array) -> Array:
         """[T, D] the frames that are certain by more knots [K, D] at rising `times` [K], seconds."""
         known = len(self._times)
@@ -204,9 +209,9 @@ class KnotPath:
         count = max(1, round(duration * self.fps))
         return self._given(count, count)
 
-    def again(self, first: int) -> Array:
-        """[T, D] the frames from number `first` on that were given before, as far back as knots are kept."""
-        return self._frames(np.arange(first, self.next))
+    def frames(self, first: int, last: int) -> Array:
+        """[T, D] the frames from `first` to before `last` once more, where the knots around them are still kept."""
+        return self._frames(np.arange(first, last))
 
     def rewind(self, times: Array, values: Array, first: int) -> None:
         """Go back to a frame: knots [M, D] up to the one from which another path goes on, two at least, with the last
