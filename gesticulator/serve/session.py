@@ -85,7 +85,8 @@ class Session:
         if kind == "words":
             return self._add_words(message["words"])
         if kind == "finish":
-            answer = self._answer(self._stream.finish())
+            # A stream that took nothing in has no rest to give.
+            answer = self._answer(self._stream.finish()) if self._stream.time > 0 else SessionAnswer()
             answer.say("done", frames=self._stream.made)
             return answer
         return SessionAnswer()  # listen and speak: the sound that follows tells the stream
