@@ -28,7 +28,7 @@ from data_module.speech.audio import SAMPLE_RATE, SampleFeed
 from data_module.types import Array, Blocks, Motion, Samples, Skeleton, Word
 from gesticulator.attention import Attention
 from gesticulator.bundle import Bundle
-from gesticulator.cutter import BlockCutter
+from gesticulator.cutter import TICK, BlockCutter
 from gesticulator.features import SpeechBlock
 from gesticulator.motion_path import HISTORY, MotionPath
 from gesticulator.performance import InferenceOptions
@@ -159,12 +159,13 @@ class Stream:
     def look_ahead(self) -> float:
         """Seconds of sound after a frame's own that may be needed before it is final, at most."""
         beats = self._bundle.config.rhythm.beats
-        # From the start of a block to where its end is certain; and one block further where the next one is awaited.
+        # From a beat to where the next one is certain, and from the next to where the pauses of the block after it are.
         certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD
         if not self._path.prompt:
-            certain = 2 * beats.d_max + max(beats.d_max + beats.d_min + onsets.LOOK_AHEAD - beats.d_min,
-                                            silence.LOOK_AHEAD + 0.1)
-        return certain + beats.d_max + self._path.reach
+            known = beats.d_max + silence.LOOK_AHEAD + silence.STEP * silence.FRAME
+            # A block is drawn when the next is known, and its last knot is certain with the one after that.
+            certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
+        return certain + self._path.reach + TICK / SAMPLE_RATE
 
     # -------------------------------------------------------------------------------------------------- what is done
 
