@@ -294,7 +294,7 @@ class Stream:
             away = until + self._path.reach - self._committed
             knots, start = min(max(math.ceil(away / _KNOT), 1), frames), self._committed
             features = [one.idle(start, _KNOT, knots) for one in self._rollouts][-1]
-            times: Array = start + _KNOT * np.arange(1, knots + 1)
+            times = start + _KNOT * np.arange(1, knots + 1, dtype=np.float64)
             made.append((self._show(times, features, count), None))
         return made
 
