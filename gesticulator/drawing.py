@@ -12,6 +12,7 @@ from torch import Tensor
 from data_module.motion.movement import PAST, Pasts
 from generator.flow import FlowGenerator, FlowInputs, circumstances
 from gesticulator.bundle import Bundle
+from gesticulator.config import UNTOLD
 from gesticulator.features import SpeechFeatures
 from interpreters.base import BlockFeatures
 
@@ -116,7 +117,9 @@ class FlowDrawer:
         """The block as it is, and once more for each thing that guides with this left out; and the guidance."""
         chosen, none = self.chosen, self.generator.lexemes
         control = features.control
-        gained = {"audio": chosen.audio_guidance, "lexeme": chosen.lexeme_guidance, "history": chosen.history - 1.0}
+        untold = chosen.lexeme_guidance == UNTOLD
+        gained = {"audio": chosen.audio_guidance, "lexeme": 0.0 if untold else chosen.lexeme_guidance,
+                  "history": chosen.history - 1.0}
         if control is not None:
             gained["control"] = chosen.guidance - 1.0
         gained = {what: gain for what, gain in gained.items() if gain}
@@ -127,7 +130,7 @@ class FlowDrawer:
             asked = control.expand(count, 1, -1, -1).clone()
             if left[-1] == "control":
                 asked[-1] = 0.0
-        names = torch.tensor([[none if what == "lexeme" else lexeme] for what in left], device=self.device)
+        names = torch.tensor([[none if untold or what == "lexeme" else lexeme] for what in left], device=self.device)
         return FlowInputs(
             features.low.expand(count, 1, -1, -1), names, past.expand(count, -1, -1)[:, None],
             self.ratios[i].expand(count, 1), self.circumstances[i].expand(count, 1, -1),
