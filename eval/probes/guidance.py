@@ -1,12 +1,14 @@
 """What do obedience and timing cost each other? The front over guidance on sound and on the lexeme.
 
     gesticulator probe guidance --store STORE [--bundle DIR] [--audio 0 1 2 3] [--lexeme -1 0 0.4 1]
-                                [--split val|test] [--limit N] [--seed 0] [--work DIR] [--out FILE.json]
+                                [--system NAME=BUNDLE ...] [--split val|test] [--limit N] [--renderings 1]
+                                [--work DIR] [--out FILE.json]
 
 Every pair of values is played on a minute of each recording of the split, the rest of the selection as the bundle was
-frozen with. A row: window Frechet distance to real takes and to the split's own motion, PMB above chance by two
-detectors, the same of the sound rolled by 60 blocks on the same grid, the share of drawn blocks that are the lexeme
-that was asked for, and what hands do. At -1 the lexeme is left out: what it costs to be told one at all.
+frozen with; other bundles (`--system`), such as those with other beats, as they were frozen. A row: window Frechet
+distance to real takes and to the split's own motion, PMB above chance by two detectors, the same of the sound rolled by
+60 blocks on the same grid, the share of drawn blocks that are the lexeme that was asked for, and what hands do. At -1
+the lexeme is left out: what it costs to be told one at all.
 
 What fools it: blocks end on beats, so what is in time on its grid alone keeps its PMB when the sound is rolled; the row
 of the split's own motion tells how much there is to be gained. Values are chosen on the validation split, never on
@@ -27,6 +29,7 @@ import torch
 from data_module.errors import InputError
 from data_module.store import Store
 from eval.eye_table import CORPUS, EyeSample
+from eval.foreign import named
 from eval.metrics.eye import ReferenceSpace
 from eval.probes.motion.movements import BEST, encode
 from eval.probes.motion.renderings import (
@@ -74,15 +77,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="guidance on the lexeme (-1 0 0.4 1); -1 leaves it out")
     add("--split", choices=("val", "test"), default="val", help="recordings to gesture for (val)")
     add("--limit", type=int, metavar="N", help="the first N recordings of the split only")
-    add("--seed", type=int, default=0, metavar="N", help="of every rendering (0)")
+    add("--system", action="append", default=[], metavar="NAME=BUNDLE", help="another bundle, as it was frozen")
+    add("--renderings", type=int, default=1, metavar="N", help="seeds of every recording (1)")
     add("--work", type=Path, metavar="DIR", help="renderings are kept there (default: STORE.work)")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
     """A row for each pair of values; InputError for what cannot be used."""
     torch.set_num_threads(1)
-    if arguments.limit is not None and arguments.limit < 1:
-        raise InputError("--limit", f"is {arguments.limit}", "give 1 or more")
+    for name, value in (("--limit", arguments.limit), ("--renderings", arguments.renderings)):
+        if value is not None and value < 1:
+            raise InputError(name, f"is {value}", "give 1 or more")
+    places = named(arguments.system, "--system")
     store = Store.open(arguments.store)
     kept = KeptRenderings((arguments.work or Path(f"{store.path}.work") / "acceptance") / "renderings")
     ours = BundleSystem("ours", arguments.bundle or bundles.SHIPPED, kept)
@@ -98,9 +104,11 @@ def run(arguments: argparse.Namespace) -> list[Table]:
         name: found for name, found in measured(corpus, space, None).items() if name in FIGURES}}
     frozen = (config.selection.audio_guidance, config.selection.lexeme_guidance)
     for pair in dict.fromkeys([frozen, *itertools.product(arguments.audio, arguments.lexeme)]):
-        rows[_title(pair, frozen)] = _row(_guided(ours, *pair), voices, arguments.seed, space, corpus)
-    notes = [f"{len(voices)} recordings of the split {arguments.split}, a minute of each at most, seed "
-             f"{arguments.seed}; intervals are bootstrap 95 % over recordings.",
+        rows[_title(pair, frozen)] = _row(_guided(ours, *pair), voices, arguments.renderings, space, corpus)
+    for name, place in places.items():
+        rows[name] = _row(BundleSystem(name, Path(place), kept), voices, arguments.renderings, space, corpus)
+    notes = [f"{len(voices)} recordings of the split {arguments.split}, a minute of each at most, "
+             f"{arguments.renderings} renderings; intervals are bootstrap 95 % over recordings.",
              "At -1 the lexeme is left out; the grid of blocks, which ends on beats, is the same in all rows."]
     facts = {"store": store.fingerprint, "bundle": ours.key, "split": arguments.split, **described(voices)}
     return [Table("Guidance on sound and on the lexeme", FIGURES, rows, "guidance", notes, facts)]
@@ -121,9 +129,9 @@ def _guided(ours: BundleSystem, audio: float, lexeme: float) -> BundleSystem:
     return other
 
 
-def _row(system: BundleSystem, voices: Sequence[AcceptanceVoice], seed: int, space: ReferenceSpace | None,
+def _row(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int, space: ReferenceSpace | None,
          corpus: EyeSample) -> dict[str, Cell]:
-    pairs = [(voice, system.pairs(voice, [seed])[0]) for voice in voices]
+    pairs = [(voice, pair) for voice in voices for pair in system.pairs(voice, range(renderings))]
     found: dict[str, Cell] = dict(measured(sample_of(pairs, space), space, corpus))
     found |= _obedience(system, pairs)
     return {name: found[name] for name in FIGURES if name in found}
