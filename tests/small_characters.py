@@ -43,11 +43,17 @@ def offsets() -> np.ndarray:
     return out
 
 
-def write_character(path: Path, seed: int = 0, vrm: bool = False, named: str = "mixamorig:") -> Path:
-    """Write the character as GLB, or as VRM 1.0."""
+MIXAMO = {joint: "mixamorig:" + name for joint, name in NAME_TABLES["mixamo"].items()}
+VROID = NAME_TABLES["vrm"]
+"""Bones as exporters of VRM name them."""
+HUMANOID = {row[2]: bone for bone, row in BONES.items()}
+"""Bones by the names of the VRM humanoid."""
+
+
+def write_character(path: Path, seed: int = 0, vrm: bool = False, table: dict[str, str] = MIXAMO) -> Path:
+    """Write the character as GLB, or as VRM 1.0; table: our joint -> name of a bone, for the joints that it has."""
     rng = np.random.default_rng(seed)
     names, parents = WHOLE_BODY.names, WHOLE_BODY.parents
-    table = NAME_TABLES["mixamo"]
     kept = [joint for joint, name in enumerate(names) if name in table]
     above = {}
     for joint in kept:
@@ -66,7 +72,7 @@ def write_character(path: Path, seed: int = 0, vrm: bool = False, named: str = "
     for joint in kept:
         parent = above[joint]
         back, origin = (axes[parent].inv(), places[parent]) if parent >= 0 else (stand.inv(), np.zeros(3))
-        nodes.append({"name": named + table[names[joint]],
+        nodes.append({"name": table[names[joint]],
                       "translation": (back.apply(places[joint] - origin) / scale).tolist(),
                       "rotation": (back * axes[joint]).as_quat().tolist()})
         nodes[kept.index(parent) + 1 if parent >= 0 else 0].setdefault("children", []).append(len(nodes) - 1)
