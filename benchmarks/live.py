@@ -1,146 +1,181 @@
-"""How late and how costly a stream is: `python benchmarks/live.py SPEECH [SPEECH ...] [--out docs/results/live.json]`.
+"""How many live streams a server carries: `python benchmarks/live.py [--seconds 20] [--out docs/results/live.json]`.
 
-For each latency mode, over all recordings, with sound in pieces of 20 ms as a microphone gives it:
-
-- late: seconds from the sound at t to the frame of t, computing included (sound comes by the clock, and what comes
-  while it computes, waits).
-- block: seconds of computing of a piece of sound that drew a block; other: of one that drew none.
-- busy: share of a processor that a stream takes; 1 / busy streams keep it wholly busy.
-- behind: frames that are lacking at their time behind a synthesiser that gives 10 s in 1 s, from its first sample.
-- first: seconds of sound, and of computing, before the first frame.
-- PMB, its chance level and the speed of the hands, as `eval` measures them.
-- memory: bytes that a stream holds, and that it has more after the last recording has been fed `--again` times.
+A server is started as a process with one thread. Streams send sound as a microphone does, 20 ms at a time in real
+time; each reads its poses and notes how long after a sound its pose came. A stream more than a core can carry shows in
+the 99th percentile. `core_share` is the server's processor time over the clock's; `other_load` the machine's load, of
+which a quiet machine has none. Beside them: the server's memory before, with and after streams; a client that never
+reads; and the poses of a synthesiser that delivers ten seconds in one.
 """
 
 from __future__ import annotations
 
 import argparse
-import gc
+import asyncio
 import json
+import os
 import platform
+import re
+import signal
+import subprocess
+import sys
 import time
-import tracemalloc
-from collections.abc import Sequence
+import urllib.request
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from realtime import processor
 
-from data_module.speech.audio import SAMPLE_RATE, load_speech
-from data_module.types import Motion, Speech
-from eval.clip import measure
-from gesticulator.pipeline import Gesticulator
-from gesticulator.stream import StreamFrames
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "integrations" / "pipecat-gesticulator"))
 
-PIECE = 320
-"""Samples (20 ms)."""
-SYNTHESIS = 10.0
-"""Times real time that a synthesiser is."""
+from pipecat_gesticulator import Hello, Poses, connect  # noqa: E402
+from realtime import processor  # noqa: E402
 
+from data_module.speech.audio import load_speech, resample  # noqa: E402
 
-def percentiles(values: Sequence[float]) -> dict[str, float]:
-    """p50, p95, p99 and the greatest."""
-    found = np.percentile(values, [50, 95, 99, 100])
-    return {name: round(float(one), 4) for name, one in zip(("p50", "p95", "p99", "max"), found, strict=True)}
+RATE = 16000
+PIECE = RATE // 50
+"""Samples in 20 ms, as a microphone's driver delivers them."""
 
 
-def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
-    """One recording, as from a microphone."""
-    stream = system.stream(latency=latency)
-    parts: list[StreamFrames] = []
-    late, drew, other, first, clock = [], [], [], (0.0, 0.0), 0.0
-    spent = 0.0
-    for at in range(0, len(speech.samples), PIECE):
-        heard = min(at + PIECE, len(speech.samples)) / SAMPLE_RATE
-        begin = time.perf_counter()
-        part = stream.feed(speech.samples[at:at + PIECE])
-        took = time.perf_counter() - begin
-        spent += took
-        clock = max(clock, heard) + took  # what comes while it computes, waits
-        (drew if part.blocks else other).append(took)
-        late += (clock - part.times).tolist()
-        if len(part) and not any(len(one) for one in parts):
-            first = (heard, spent)
-        parts.append(part)
-    parts.append(stream.finish())
-    motion = Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
-                    np.concatenate([part.root_positions for part in parts]), stream.fps)
-    clip = measure(motion, speech)
-    rhythm = clip.rhythm()
-    return {"late": late, "block": drew, "other": other, "busy": spent / speech.duration, "first": first,
-            "bound": stream.look_ahead,
-            "quality": (rhythm.pmb, rhythm.chance, rhythm.above_chance, clip.speech_speed, speech.duration)}
+class Server:
+    """A server's process."""
+
+    def __init__(self) -> None:
+        command = "from gesticulator.serve.command import COMMAND as C; import sys; sys.exit(C.main('s', sys.argv[1:]))"
+        self.process = subprocess.Popen([sys.executable, "-c", command, "--port", "0", "--streams", "256"], cwd=ROOT,
+                                        stderr=subprocess.PIPE, text=True)
+        assert self.process.stderr is not None
+        self.port = 0
+        for line in self.process.stderr:
+            found = re.search(r"ws://127.0.0.1:(\d+)/", line)
+            self.port = int(found.group(1)) if found else self.port
+            if "is ready" in line:
+                break
+
+    @property
+    def url(self) -> str:
+        return f"ws://127.0.0.1:{self.port}/stream"
+
+    def memory(self) -> float:
+        """Resident memory, MB."""
+        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
+        return round(pages * os.sysconf("SC_PAGE_SIZE") / 1e6, 1)
+
+    def processor_seconds(self) -> float:
+        """Of user and system time."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def figures(self) -> str:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/metrics", timeout=10) as answer:
+            return answer.read().decode()
+
+    def stop(self) -> int:
+        self.process.send_signal(signal.SIGTERM)
+        self.process.communicate(timeout=60)
+        return self.process.returncode
 
 
-def behind(system: Gesticulator, speech: Speech, latency: str) -> float:
-    """Seconds that playing must wait, at most, so that no frame is lacking behind a synthesiser."""
-    stream, piece, clock, worst, done = system.stream(latency=latency), SAMPLE_RATE // 5, 0.0, 0.0, 0.0
-    for at in range(0, len(speech.samples), piece):
-        clock = max(clock, min(at + piece, len(speech.samples)) / SAMPLE_RATE / SYNTHESIS)
-        begin = time.perf_counter()
-        part = stream.feed(speech.samples[at:at + piece])
-        clock += time.perf_counter() - begin
-        if len(part):
-            worst, done = max(worst, clock - part.first / stream.fps), clock
-    return max(worst, done - speech.duration)
+async def microphone(url: str, sound: np.ndarray, latency: str, begin: float) -> list[float]:
+    """Seconds from the time that a pose belongs to until it came, for the last pose of each packet."""
+    late: list[float] = []
+    async with connect(url, Hello(RATE, options={"latency": latency})) as stream:
+        start = time.monotonic() + begin
+
+        async def send() -> None:
+            for k in range(0, len(sound), PIECE):
+                await asyncio.sleep(max(0.0, start + (k + PIECE) / RATE - time.monotonic()))
+                await stream.send(sound[k:k + PIECE].tobytes())
+            await stream.finish()
+
+        sending = asyncio.create_task(send())
+        # The first pose of a packet has waited longest; those after the last sound are no measure.
+        late += [time.monotonic() - start - message.time async for message in stream
+                 if isinstance(message, Poses) and not sending.done()]
+        await sending
+    return late
 
 
-def memory(system: Gesticulator, speech: Speech, again: int) -> tuple[int, int]:
-    """Bytes that a stream holds once its history is full, and how many more after the recording was fed again."""
-    gc.collect()
-    tracemalloc.start()
-    stream, sizes, fed = system.stream(), [], 0.0
-    for turn in range(again):
-        stream.feed(speech.samples)
-        fed += speech.duration
-        if fed > 75.0 or turn == again - 1:
-            gc.collect()
-            sizes.append(tracemalloc.get_traced_memory()[0])
-    tracemalloc.stop()
-    return sizes[0], sizes[-1] - sizes[0]
+async def synthesiser(url: str, sound: np.ndarray) -> dict[str, float]:
+    """Ten seconds at once: when the first pose is there, when the last, and how late a player would have been."""
+    async with connect(url, Hello(RATE)) as stream:
+        begin = time.monotonic()
+        await stream.send(sound.tobytes())
+        await stream.finish()
+        first, late = 0.0, 0.0
+        async for message in stream:
+            if isinstance(message, Poses):
+                first = first or time.monotonic() - begin
+                late = max(late, time.monotonic() - begin - first - message.time)
+        return {"first_pose": round(first, 4), "all_poses": round(time.monotonic() - begin, 4),
+                "added_latency": round(max(0.0, late), 4)}
+
+
+async def stall(url: str, sound: np.ndarray, seconds: float) -> None:
+    """Send as much as is taken, and never read."""
+    async with connect(url, Hello(RATE, fps=240)) as stream:
+        stream._socket.transport.pause_reading()
+        try:
+            async with asyncio.timeout(seconds):
+                while True:
+                    await stream.send(sound.tobytes())
+                    await asyncio.sleep(0.5)
+        except Exception as error:  # noqa: BLE001 - it is meant to be closed
+            print("stalled client:", type(error).__name__)
+        stream._socket.transport.abort()
+
+
+async def load(server: Server, sound: np.ndarray, count: int, latency: str) -> dict[str, Any]:
+    """So many microphones at once."""
+    spent, clock = server.processor_seconds(), time.monotonic()
+    every = await asyncio.gather(*(microphone(server.url, np.roll(sound, k * 7919), latency, 0.02 * k / count)
+                                   for k in range(count)))
+    late = np.concatenate(every)
+    return {"streams": count, "latency_mode": latency, "p50": round(float(np.quantile(late, 0.5)), 4),
+            "p95": round(float(np.quantile(late, 0.95)), 4), "p99": round(float(np.quantile(late, 0.99)), 4),
+            "memory": server.memory(),
+            "core_share": round((server.processor_seconds() - spent) / (time.monotonic() - clock), 3),
+            "other_load": round(os.getloadavg()[0], 1)}
 
 
 def main() -> None:
     """Entry point."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("speech", nargs="+")
-    p.add_argument("--bundle")
-    p.add_argument("--seconds", type=float, default=float("inf"), help="of each recording")
-    p.add_argument("--again", type=int, default=0, help="how often to feed the last one, to see the memory")
-    p.add_argument("--threads", type=int, default=1)
-    p.add_argument("--out")
+    p = argparse.ArgumentParser(description=__doc__)
+    p.add_argument("--seconds", type=float, default=20.0)
+    p.add_argument("--streams", type=int, nargs="*", default=[1, 4, 8, 16])
+    p.add_argument("--speech", default=str(ROOT / "examples" / "speech.flac"))
+    p.add_argument("--out", type=Path)
     a = p.parse_args()
-    torch.set_num_threads(a.threads)
-    system = Gesticulator.from_pretrained(a.bundle)
-    read = [load_speech(name) for name in a.speech]
-    recordings = [Speech(one.samples[:round(min(a.seconds, one.duration) * SAMPLE_RATE)], SAMPLE_RATE) for one in read]
-    live(system, Speech(recordings[0].samples[:SAMPLE_RATE], SAMPLE_RATE), "full")  # what is slow once
-    result: dict[str, Any] = {"processor": processor(), "threads": a.threads, "python": platform.python_version(),
-                              "torch": torch.__version__, "files": [Path(name).name for name in a.speech],
-                              "seconds": round(sum(one.duration for one in recordings), 1)}
-    for latency in ("full", "low"):
-        found = [live(system, speech, latency) for speech in recordings]
-        seconds = np.array([one["quality"][-1] for one in found])
-        percent = np.average([one["quality"][:-1] for one in found], axis=0, weights=seconds)
-        result[latency] = {
-            **{name: percentiles([value for one in found for value in one[name]])
-               for name in ("late", "block", "other")},
-            "late_at_most": round(found[0]["bound"], 3),
-            "busy": round(float(np.average([one["busy"] for one in found], weights=seconds)), 4),
-            "first_frame": {"sound": round(max(one["first"][0] for one in found), 3),
-                            "computing": round(max(one["first"][1] for one in found), 3)},
-            "behind_a_synthesiser": round(max(behind(system, speech, latency) for speech in recordings), 3),
-            **dict(zip(("pmb", "pmb_chance", "pmb_above_chance", "hand_speed"), percent.round(2).tolist(),
-                       strict=True))}
-        print(latency, json.dumps(result[latency]), flush=True)
-    if a.again:
-        held, more = memory(system, recordings[-1], a.again)
-        result["memory"] = {"bytes": held, "more_bytes": more, "seconds": round(a.again * recordings[-1].duration)}
-        print(json.dumps(result["memory"]))
+    samples = resample(load_speech(a.speech), RATE).samples
+    voice = np.resize((samples * 32767).astype("<i2"), int(a.seconds * RATE))
+    server = Server()
+    report: dict[str, Any] = {"processor": processor(), "cores": os.cpu_count(), "threads": 1,
+                              "python": platform.python_version(), "seconds": a.seconds,
+                              "memory_before": server.memory()}
+    report["synthesiser"] = asyncio.run(synthesiser(server.url, voice[:10 * RATE]))
+    report["microphone"] = []
+    for latency, counts in (("full", [1]), ("low", a.streams)):
+        for count in counts:
+            report["microphone"].append(asyncio.run(load(server, voice, count, latency)))
+            print(report["microphone"][-1], flush=True)
+
+    async def beside() -> dict[str, Any]:
+        stalled = asyncio.create_task(stall(server.url, voice[:5 * RATE], a.seconds))
+        row = await load(server, voice, 1, "low")
+        await stalled
+        return row
+
+    report["beside_a_stalled_client"] = asyncio.run(beside())
+    report["memory_after"] = server.memory()
+    # By processor time, so that what else the machine does counts little.
+    one = next(row for row in report["microphone"] if row["latency_mode"] == "low")
+    report["streams_per_core"] = round(one["streams"] / one["core_share"], 1)
+    report["compute"] = [line for line in server.figures().splitlines() if line.startswith("gesticulator_compute_")]
+    report["exit_code"] = server.stop()
+    print(json.dumps(report, indent=1))
     if a.out:
-        Path(a.out).write_text(json.dumps(result, indent=1) + "\n")
+        a.out.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

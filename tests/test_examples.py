@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import shutil
 from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +17,17 @@ from small_characters import write_character
 
 from data_module.errors import InputError
 from data_module.motion import rotation
-from data_module.motion.bvh import read_bvh
+from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.kinematics import positions_of
+from eval.table import load
 from gesticulator import Gesticulator
+from gesticulator.config import Schedules
 from gesticulator.export.blender import check_blender, run_in_blender
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
-RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples", "to_blender", "to_character", "to_vrm"}
+RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples", "score", "to_blender", "to_character", "to_vrm",
+       "train"}
 NEEDS_MORE = {"make_speech"}
 """Examples that need a program that is not installed with the tests."""
 
@@ -89,7 +94,7 @@ def test_rotations_for_an_engine(recording: Path, tmp_path: Path) -> None:
 
 
 def test_a_character_and_a_vrm_animation(recording: Path, tmp_path: Path) -> None:
-    for vrm, source in ((False, tmp_path / "her.glb"), (True, tmp_path / "her.vrm")):
+    for vrm, source in (("", tmp_path / "her.glb"), ("1.0", tmp_path / "her.vrm")):
         before = GlbFile.parse(write_character(source, vrm=vrm).read_bytes())
         example("to_character")(str(recording), str(source), str(tmp_path / "out.glb"))
         after = GlbFile.parse((tmp_path / "out.glb").read_bytes())
@@ -119,3 +124,53 @@ def test_a_scene_for_blender(recording: Path, tmp_path: Path) -> None:
                     "print('told', json.dumps([scene.frame_end, scene.render.fps, len(strips), strips[0].type]))\n")
     told = run_in_blender(tmp_path, look, str(tmp_path / "talk.blend"))
     assert json.loads(told.split("told ")[1].splitlines()[0]) == [round(SECONDS * 30) - 1, 30, 1, "SOUND"]
+
+
+@pytest.fixture
+def spoken(tiny_store: Path, tmp_path: Path) -> Path:
+    """A folder as a user has one: BVH files and the WAV files that go with them, and nothing else."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for number, motion in enumerate(sorted((tiny_store / "dataset").glob("*.bvh"))[:4]):
+        samples, rate = soundfile.read(motion.with_suffix(".flac"))
+        soundfile.write(folder / f"take{number}.wav", samples, rate)
+        shutil.copy(motion, folder / f"take{number}.bvh")
+    return folder
+
+
+def test_a_folder_of_recordings_becomes_weights_that_gesture(spoken: Path, recording: Path, tmp_path: Path) -> None:
+    few = [part for stage in fields(Schedules) for part in ("--set", f"schedules.{stage.name}.steps=6")
+           if stage.name != "interpreter_text"]
+    options = ("--preset", "tiny", "--threads", "1", "--quiet", "--set", "text.encoder=", "--set", "cql.copy_every=3")
+    example("train")(str(spoken), str(tmp_path / "bundle"), str(recording), str(tmp_path / "talk.bvh"), *options, *few)
+    told = json.loads((tmp_path / "bundle" / "bundle.json").read_text())
+    assert told["config"]["name"] == "tiny"
+    motion = read_bvh(tmp_path / "talk.bvh")
+    assert motion.duration == pytest.approx(SECONDS, abs=0.02)
+    assert np.ptp(positions_of(motion)[:, motion.skeleton.index("RightHand")], axis=0).max() > 0.01, "she moves"
+    shipped = Gesticulator.from_pretrained()(recording)
+    assert len(motion.skeleton) == 16 != len(shipped.joints), "by its own weights: the preset has no fingers"
+
+
+def test_another_system_is_scored(spoken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for number in range(4):
+        motion, sound = spoken / f"take{number}.bvh", spoken / f"take{number}.wav"
+        if number > 1:  # two recordings, of a few seconds, are enough
+            motion.unlink()
+            sound.unlink()
+            continue
+        samples, rate = soundfile.read(sound, frames=round(SECONDS * 16000))
+        soundfile.write(sound, samples, rate)
+        made = read_bvh(motion)
+        kept = round(SECONDS * made.fps)
+        made = replace(made, rotations=made.rotations[:kept], root_positions=made.root_positions[:kept])
+        write_bvh(motion, made)
+        shutil.copy(motion, theirs / motion.name)  # a system that is as good as the speaker
+    example("score")(str(spoken), str(theirs), str(tmp_path / "score.json"), "--no-controls")
+    about, joints, *_ = load(tmp_path / "score.json")
+    assert about.facts["clips"] == ["take0", "take1"] and about.facts["systems"] == ["theirs", "ours"]
+    apart = {name: joints.rows[name]["maje"].value.mean for name in ("theirs", "ours")}  # type: ignore[union-attr]
+    assert apart["theirs"] < 0.01 < 10.0 < apart["ours"], "millimetres from the speaker's own joints"
+    assert "theirs - ours" in capsys.readouterr().out
