@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 LATENCIES = ("full", "low")
 """What is waited for, see `BlockCutter`."""
-_TICK = 800
+TICK = 800
 """Samples (50 ms) that are taken at a time: half a step of the noise floor, five spectra."""
 _STEP_SAMPLES = round(STEP * FRAME * SAMPLE_RATE)
 _WORDS_NEAR = 30.0
@@ -159,11 +159,11 @@ class BlockCutter:
         self._pending.append(samples)
         self._waiting += len(samples)
         out: list[SpeechBlock] = []
-        if self._waiting >= _TICK:
+        if self._waiting >= TICK:
             sound = np.concatenate(self._pending)
-            whole = len(sound) - len(sound) % _TICK
-            for start in range(0, whole, _TICK):
-                out += self._tick(sound[start:start + _TICK])
+            whole = len(sound) - len(sound) % TICK
+            for start in range(0, whole, TICK):
+                out += self._tick(sound[start:start + TICK])
             self._pending, self._waiting = [sound[whole:]], len(sound) - whole
         return out
 
@@ -212,7 +212,8 @@ class BlockCutter:
             if last and not self._ended and not self._low:
                 return
             after = self._cut[at + 1] if not last else None if self._ended else self._foreseen(own.end)
-            yield self._encoded(self._cut[0] if at else None, own, after)
+            block = self._encoded(self._cut[0] if at else None, own, after)
+            yield replace(block, foreseen=last and not self._ended)
             self._count += 1
             del self._cut[:at]
             self._forget(own.start)

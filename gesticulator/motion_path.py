@@ -66,12 +66,13 @@ class MotionPath:
         """Seconds after a frame in which other frames smooth it."""
         return self._knots.reach
 
-    def push(self, times: Array, features: NDArray[np.floating]) -> Motion | None:
+    def push(self, times: Array, features: NDArray[np.floating], until: int | None = None) -> Motion | None:
         """The frames that are certain by more knots: features [K, D_m] at rising times [K] seconds; None for none.
+        Those from number `until` on are kept back for later.
 
         Positions of joints make rotations only together, so there all frames come at the end.
         """
-        frames = self._knots.push(times, self._poses(features))
+        frames = self._knots.push(times, self._poses(features), until)
         if self._whole is None:
             return self._motion(frames)
         self._whole.append(frames)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right, insort
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,6 +79,8 @@ _REPAY = 6.0
 """Seconds of speech too much or too little in gesture that decide the next phrase for certain."""
 _TRUSTED = 4.0
 """Phrases after which the gate's ranking counts as much as the dice."""
+_RANKED = 1000
+"""Phrases before that a phrase is ranked among: most of an hour, and no more memory for a day."""
 _PATH = 9
 
 
@@ -167,6 +170,7 @@ class Phrases:
     def __init__(self, activity: float, seed: int) -> None:
         self.activity, self.seed = activity, seed
         self._ranked: list[float] = []
+        self._order: deque[float] = deque()
         self._spoken = self._gestured = self._phrase = 0.0
         self._speaks, self._open = False, False
 
@@ -197,6 +201,9 @@ class Phrases:
                 rank = (below + (at_most - below) * dice) / len(self._ranked)
                 weight = len(self._ranked) / (len(self._ranked) + _TRUSTED)
             insort(self._ranked, score)
+            self._order.append(score)
+            if len(self._order) > _RANKED:
+                del self._ranked[bisect_left(self._ranked, self._order.popleft())]
         q = weight * rank + (1.0 - weight) * dice
         if self.activity in (0.0, 1.0):
             return self.activity == 1.0
