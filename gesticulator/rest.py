@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import Representation
 from data_module.types import Array
-from gesticulator.features import SpeechFeatures, Statistics
+from gesticulator.features import SpeechBlock, Statistics
 from gesticulator.life import HEAD, SIDES, Idle, uniform
 
 Flags = NDArray[np.bool_]
@@ -95,14 +95,12 @@ class Span:
         return self.start + self.duration * np.arange(1, count + 1) / count
 
 
-def span_of(encoded: SpeechFeatures, i: int) -> Span:
-    """What is known of the sound when block i is drawn."""
-    blocks = encoded.blocks
-    quiet = encoded.quiet if encoded.quiet is not None else np.repeat(blocks.silent[:, None], blocks.frames, axis=1)
-    start, end = float(blocks.edges[i]), float(blocks.edges[i + 1])
-    if i + 1 == len(blocks):
-        return Span(start, end - start, quiet[i])
-    return Span(start, end - start, quiet[i], quiet[i + 1], float(blocks.edges[i + 2]) - end)
+def span_of(block: SpeechBlock) -> Span:
+    """What is known of the sound when a block is drawn."""
+    _, own, after = block.durations
+    if block.ahead is None:
+        return Span(block.start, own, block.quiet)
+    return Span(block.start, own, block.quiet, block.ahead, after)
 
 
 # ---------------------------------------------------------------------------------------------------- pauses
