@@ -244,11 +244,14 @@ def _stretched(speech: Speech, blocks: Blocks) -> Iterator[tuple[slice, Samples]
         yield slice(start, stop), block_module.windows_of(stretched)[start - first:stop - first]
 
 
-def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None
-                  ) -> SpeechFeatures:
-    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too."""
+def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
+                  blocks: Blocks | None = None) -> SpeechFeatures:
+    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too.
+
+    blocks: to cut it into, where they are decided already.
+    """
     front = front or front_end_for(config)
-    blocks = block_module.cut(speech, config.rhythm)
+    blocks = blocks or block_module.cut(speech, config.rhythm)
     reference = reference_level(speech.samples, speech.sample_rate, blocks.edges)
     low, high = _with_tempo(*_encoded(_stretched(speech, blocks), reference, front), blocks.durations, config)
     text = None

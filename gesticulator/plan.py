@@ -20,6 +20,7 @@ from data_module.files import write_text
 from data_module.settings import SettingChoice, SettingRange
 from gesticulator.json_lines import LinedJson, parse
 from gesticulator.json_lines import Path as Place
+from gesticulator.performance import ENERGIES, HANDS
 from gesticulator.plan_schema import PRIVATE, read_as, schema_of, to_plain
 
 FORMAT = "gesticulator-plan"
@@ -28,8 +29,6 @@ FLAGS = ("boundary", "onset", "loud_pseudo", "even_pseudo", "edited")
 """Why a block ends where it ends: the names of `BeatFlag`, and a beat that a user moved or made."""
 SHORTEST, LONGEST = 0.1, 1.0
 """Seconds that a block may last whose beats were edited; those that are found last 0.2 to 0.5."""
-HANDS = ("left", "right", "both")
-ENERGIES = ("calm", "neutral", "lively")
 GESTURES = {
     "wave": "the right hand goes up beside the head, palm ahead, and waves (made by formula)",
     "point left": "the left arm points to her left (made by formula)",
@@ -45,6 +44,8 @@ GESTURES = {
 """The gestures that can be asked for by name, beside the names of the lexicon. The lexicon knows movements and no
 meanings, so these are small movements of our own that are laid over what was drawn."""
 
+SETTLES = 0.42
+"""Seconds before a range of stillness in which the hands come to rest, the longest that a stop takes."""
 _EPS = 1e-6
 """Seconds within which two times are the same: files round."""
 _MOST_BYTES = 64 << 20
@@ -192,7 +193,7 @@ class PlanKnobs:
     """How large gestures are: 0 holds the hands at their mean place, 1 as drawn, 2 largest."""
     mirror: bool = False
     """True exchanges left and right of everything."""
-    energy: Annotated[str, SettingChoice(ENERGIES)] = "neutral"
+    energy: Annotated[str, SettingChoice(tuple(ENERGIES))] = "neutral"
     """A named combination of intensity and activity, on top of them."""
     activity: Annotated[float, SettingRange(0.0, 1.0)] = 1.0
     """How much of the time of speech is gestured in."""
@@ -200,6 +201,26 @@ class PlanKnobs:
     """Which hand's lexemes are preferred; null prefers none."""
     hold_still: tuple[tuple[Seconds, Seconds], ...] = ()
     """Ranges of seconds, each from and to, in which the hands rest."""
+
+
+    @property
+    def size(self) -> float:
+        """Intensity with what the energy makes of it, 0 to 2."""
+        return min(self.intensity * ENERGIES[self.energy][0], 2.0)
+
+    @property
+    def share(self) -> float:
+        """Activity with what the energy makes of it, 0 to 1."""
+        return self.activity * ENERGIES[self.energy][1]
+
+    def draws_as(self, other: PlanKnobs) -> bool:
+        """Whether blocks are drawn alike: intensity and mirror are applied afterwards, and stillness is a block's."""
+        return self.share == other.share and self.handedness == other.handedness
+
+    def still_at(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
+        """The parts of the range from start to end in which the hands are to rest, or on their way there."""
+        ways = ((max(begin - SETTLES, start), min(stop, end)) for begin, stop in self.hold_still)
+        return tuple((begin, stop) for begin, stop in ways if begin < stop)
 
 
 @dataclass(frozen=True)
@@ -279,6 +300,26 @@ class GesturePlan:
     def to_json(self) -> str:
         """As it is written: a line for a block, a word, a lexeme; the same plan gives the same text."""
         return _dump(self.to_dict(), 0) + "\n"
+
+
+def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
+    """For each block whether it must be drawn anew; the others are replayed.
+
+    A block is as it was drawn when its beats, lexeme, silence and draw are, and no knob that changes drawing was turned
+    since; a lock keeps knobs away.
+    """
+    drawn, knobs = plan.drawn, plan.knobs
+    places = {pair: at for at, pair in enumerate(zip(drawn.edges, drawn.edges[1:], strict=False))}
+    alike = knobs.draws_as(drawn.knobs)
+    out = []
+    for block in plan.blocks:
+        at = places.get((block.start, block.end))
+        same = at is not None and block.lexeme == drawn.lexemes[at] and block.silent == drawn.silent[at] \
+            and block.draw == BlockDraw(plan.seed, plan.variation, at)
+        if same and not block.locked:
+            same = alike and knobs.still_at(block.start, block.end) == drawn.knobs.still_at(block.start, block.end)
+        out.append(not same)
+    return tuple(out)
 
 
 def schema() -> dict[str, Any]:
