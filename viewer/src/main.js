@@ -100,6 +100,8 @@ function toggleTogether() {
   }
   together = !together;
   performers();
+  // From aside, one of two is nearer and hides part of the other.
+  if (together) look("front");
 }
 
 // ---------------------------------------------------------------- what is written on the page
@@ -329,7 +331,10 @@ refresh();
 resized();
 raise();
 writeLabels();
-if (data.together && session.lanes.length > 1) toggleTogether();
+if (data.together && session.lanes.length > 1) {
+  toggleTogether();
+  if (stage) stage.view = { ...stage.goal };
+}
 resized();
 new ResizeObserver(resized).observe($("stage"));
 new ResizeObserver(resized).observe($("desk"));

@@ -156,8 +156,8 @@ export class Stage {
   draw(time) {
     const { yaw, pitch, distance, x, y, z } = this.view;
     // A narrow window needs more room for the arms, and two need more than one.
-    const wide = this.performers.length > 1 ? 1.72 : 0.8;
-    const far = distance * Math.max(1, wide / this.camera.aspect);
+    const [wide, least] = this.performers.length > 1 ? [1.9, 1.2] : [0.8, 1];
+    const far = distance * Math.max(least, wide / this.camera.aspect);
     this.camera.position.set(x + far * Math.sin(yaw) * Math.cos(pitch), y + far * Math.sin(pitch), z + far * Math.cos(yaw) * Math.cos(pitch));
     this.camera.lookAt(x, y, z);
     for (const performer of this.performers) performer.show(time, this.camera);
