@@ -65,6 +65,11 @@ def arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length of a .bvh (default cm)")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--explain", metavar="FILE.json", help="what was done: settings, blocks, their best lexemes")
+    performance_arguments(p)
+
+
+def performance_arguments(p: argparse.ArgumentParser) -> None:
+    """Add what tells how a recording is performed, whatever is made of it."""
     heard = p.add_argument_group("what is heard")
     heard.add_argument("--text", metavar="FILE", help="what is said: plain text, TextGrid, SRT, VTT or JSON with word "
                        "times; or a folder of files named like the recordings")

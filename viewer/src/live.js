@@ -10,6 +10,7 @@ export class Live {
   constructor(session, told, say) {
     Object.assign(this, { session, told, say, waiting: 0, busy: false });
     session.on("edited", () => this.edited());
+    this.edited();
   }
 
   edited() {
