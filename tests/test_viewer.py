@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from browser import OpenedPage, chromium
 from gltf_reader import GlbFile
 from performances import perform
+from scipy.spatial.transform import Rotation
 from small_characters import write_character
 
 from data_module.motion import kinematics
@@ -272,16 +274,54 @@ def _places(file: GlbFile, frame: int = 25) -> dict[str, np.ndarray]:
     return dict(zip(file.names(), worlds[frame, :, :3, 3], strict=True))
 
 
-@pytest.mark.parametrize("vrm", [False, True], ids=["glb", "vrm"])
-def test_a_character_of_the_users_makes_the_gestures(opened: OpenedPage, tmp_path: Path, vrm: bool) -> None:
+def _rewrite(path: Path, file: GlbFile) -> None:
+    """Write a GLB whose document was changed."""
+    text = json.dumps(file.document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(file.binary), 0x4E4942)
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(file.binary)) + chunks + file.binary)
+
+
+def _as_vrm_0(path: Path) -> None:
+    """Make a VRM 1.0 one of 0.x: she faces -Z, and her bones are a list in another extension."""
+    file = GlbFile.parse(path.read_bytes())
+    document = file.document
+    bones = document["extensions"].pop("VRMC_vrm")["humanoid"]["humanBones"]
+    document["extensions"]["VRM"] = {"meta": {"title": "x"}, "humanoid": {"humanBones": [
+        {"bone": bone, "node": own["node"]} for bone, own in bones.items() if "Thumb" not in bone]}}
+    document["extensionsUsed"] = ["VRM"]
+    document["nodes"][0]["rotation"] = [0, 1, 0, 0]
+    _rewrite(path, file)
+
+
+def _in_a_pose(path: Path) -> None:
+    """Lower her arms by 50 degrees, and let her face +X."""
+    file = GlbFile.parse(path.read_bytes())
+    worlds = file.worlds()[0]
+    for side, angle in (("Left", -50), ("Right", 50)):
+        arm = file.names().index(f"mixamorig:{side}Arm")
+        above = file.names().index(f"mixamorig:{side}Shoulder")
+        back = Rotation.from_matrix(worlds[above, :3, :3] / np.linalg.norm(worlds[above, :3, :3], axis=0)).inv()
+        own = Rotation.from_quat(file.document["nodes"][arm]["rotation"])
+        lowered = back * Rotation.from_euler("Z", angle, degrees=True) * back.inv() * own
+        file.document["nodes"][arm]["rotation"] = lowered.as_quat().tolist()
+    stand = Rotation.from_quat(file.document["nodes"][0]["rotation"])
+    file.document["nodes"][0]["rotation"] = (Rotation.from_euler("Y", 90, degrees=True) * stand).as_quat().tolist()
+    _rewrite(path, file)
+
+
+@pytest.mark.parametrize("kind", ["GLB", "A-pose", "VRM 1.0", "VRM 0.x"])
+def test_a_character_of_the_users_makes_the_gestures(opened: OpenedPage, tmp_path: Path, kind: str) -> None:
     page, motion = opened.page, standing(perform(seconds=SECONDS).motion)
-    rig = tmp_path / ("rig.vrm" if vrm else "rig.glb")
-    write_character(rig, vrm=vrm)
+    rig = tmp_path / ("rig.vrm" if "VRM" in kind else "rig.glb")
+    write_character(rig, vrm="VRM" in kind)
+    {"VRM 0.x": _as_vrm_0, "A-pose": _in_a_pose}.get(kind, lambda path: None)(rig)
     (tmp_path / "x.glb").write_bytes(b"<b>")
     page.set_input_files("#pick-character", str(tmp_path / "x.glb"))
     page.wait_for_function("() => document.getElementById('notice').textContent.includes('no GLB')")
     page.set_input_files("#pick-character", str(rig))
     page.wait_for_function("() => preview.stage.performers[0].character !== null")
+    assert page.inner_text("#notice") == f"{rig.name}: a character of kind {kind.replace('A-pose', 'GLB')}."
     opened.go_to(1.0)
     page.evaluate("() => preview.stage.draw(1.0)")
     places = page.evaluate(PLACES, list(BONES.items()))
@@ -298,8 +338,9 @@ def test_a_character_of_the_users_makes_the_gestures(opened: OpenedPage, tmp_pat
         assert after.document.get(part) == before.document.get(part), part
     played = _places(after)
     names = {joint: next(name for name in played if name.endswith(joint)) for joint in BONES}
+    faces = Rotation.from_euler("Y", {"VRM 0.x": 180, "A-pose": 90}.get(kind, 0), degrees=True)
     for a, b in ARMS:
-        assert _direction((played[names[a]], played[names[b]])) @ _direction((truth[a], truth[b])) > 0.999
+        assert _direction((played[names[a]], played[names[b]])) @ faces.apply(_direction((truth[a], truth[b]))) > 0.999
     page.evaluate("() => document.getElementById('own-figure').click()")
     page.wait_for_function("() => preview.stage.performers[0].character === null")
 
