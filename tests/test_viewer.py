@@ -142,6 +142,14 @@ def test_buttons_and_keys(opened: OpenedPage) -> None:
     page.click("#mute")
     assert page.evaluate("preview.clock.sound.muted") is True
     page.click("#mute")
+    page.keyboard.press("Space")  # plays, and does not press the button again
+    page.wait_for_function("() => preview.clock.playing")
+    assert page.evaluate("preview.clock.sound.muted") is False
+    page.keyboard.press("Space")
+    page.click("#file-menu summary")
+    assert page.is_visible("#export-vrma")
+    page.click("#facts")
+    assert page.is_hidden("#export-vrma")
     assert page.text_content("#score-is") == "score: log-probability"
     page.click("#help")
     assert "side by side" in page.inner_text("#sheet")

@@ -230,7 +230,7 @@ const actions = {
   "h": () => toggleOf("silence"), "m": () => toggleOf("mirror"), "k": () => toggleOf("lock"), "[": () => inspector.nudge(-edits.INTENSITY.step),
   "]": () => inspector.nudge(edits.INTENSITY.step), "n": () => toggleOf("draw-again"), "b": () => inspector.addBeat(), "Delete": () => inspector.deleteBeat(),
   "Backspace": () => inspector.deleteBeat(), "ctrl+z": () => session.undo(), "ctrl+shift+z": () => session.redo(), "ctrl+y": () => session.redo(),
-  "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); document.activeElement?.blur(); },
+  "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); $("file-menu").open = false; document.activeElement?.blur(); },
   "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether,
   "a": () => session.activate(1 - session.active), "+": () => zoom(1.3), "=": () => zoom(1.3), "-": () => zoom(1 / 1.3), "?": () => $("sheet").showModal(),
   ...Object.fromEntries([1, 2, 3, 4, 5].map((rank) => [String(rank), () => inspector.chooseRank(rank)])),
@@ -265,6 +265,12 @@ function bindDesk() {
   $("speed").addEventListener("change", (event) => clock.setSpeed(Number(event.target.value)));
   for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => look(button.dataset.view));
   timeline.canvas.setAttribute("aria-valuemax", data.duration.toFixed(3));
+  addEventListener("click", (event) => {
+    if (!event.target.closest?.("#file-menu")) $("file-menu").open = false;
+    // What was clicked with a pointer leaves the keys to the page: space plays, and does not press the button again.
+    if (event.detail) event.target.closest?.("button, summary, input[type=range]")?.blur();
+  });
+  addEventListener("change", (event) => { if (event.target.matches("select")) event.target.blur(); });
   addEventListener("beforeunload", (event) => { if (session.plan !== session.original && session.plan !== saved) event.preventDefault(); });
 }
 
