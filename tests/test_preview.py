@@ -92,7 +92,8 @@ def test_the_policy_allows_this_script_and_style_alone() -> None:
 def test_the_notices_of_the_libraries_are_in_the_page() -> None:
     page = unescape(_page(perform()).split('<script type="application/json"')[0])
     lock = json.loads((ROOT / "viewer" / "package-lock.json").read_text())["packages"]
-    for name, holder in (("three", "three.js authors"), ("@pixiv/three-vrm", "pixiv")):
+    for name, holder in (("three", "three.js authors"), ("@pixiv/three-vrm", "pixiv"),
+                         ("@pixiv/three-vrm-animation", "pixiv")):
         assert f"{name} {lock[f'node_modules/{name}']['version']}" in page
         assert holder in page and holder in (ROOT / "NOTICE").read_text()
     assert page.count("Permission is hereby granted, free of charge") == page.count("THE SOFTWARE IS PROVIDED") >= 2

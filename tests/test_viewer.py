@@ -372,6 +372,35 @@ def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> 
         assert np.abs(played[name] - place).max() < 3e-3
 
 
+def test_a_motion_from_a_file_stands_beside_ours(browser: Any, tmp_path: Path) -> None:
+    other = standing(perform(seconds=SECONDS, seed=9).motion)
+    (tmp_path / "<i>.vrma").write_bytes(vrm_animation(other))
+    page = OpenedPage(browser, write(tmp_path / "talk.html", perform(seconds=SECONDS)).as_uri())
+    page.page.set_input_files("#pick-motion", str(tmp_path / "<i>.vrma"))
+    page.page.wait_for_function("() => preview.stage.performers.length === 2")
+    assert page.page.locator("#labels span").all_text_contents() == ["take", "<i>.vrma"]
+    page.go_to(1.2)
+    turned = page.page.evaluate("""() => {
+        const { figure } = preview.stage.performers[1];
+        figure.group.updateWorldMatrix(true, true);
+        return figure.bones.map((bone) => bone.getWorldQuaternion(bone.quaternion.clone()).toArray());
+    }""")
+    world = kinematics.global_rotations(other.skeleton, other.rotations)[30]
+    for joint in ("Hips", "Spine3", "Head", "LeftArm", "RightForeArm", "RightHand"):
+        row = other.skeleton.index(joint)
+        away = Rotation.from_quat(turned[row]).inv() * Rotation.from_quat(world[row], scalar_first=True)
+        assert away.magnitude() < 0.02, joint
+    before = page.plan()
+    page.page.keyboard.press("a")
+    page.page.keyboard.press("2")
+    assert "no plan" in page.page.inner_text("#notice") and page.plan() == before
+    (tmp_path / "no.vrma").write_bytes(b"none")
+    page.page.set_input_files("#pick-motion", str(tmp_path / "no.vrma"))
+    page.page.wait_for_function("() => document.getElementById('notice').textContent.includes('cannot be played')")
+    page.check_quiet()
+    page.page.close()
+
+
 def test_a_long_recordings_page_plays_on_a_phone(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(html, "LONG", 2.0)
     path = write(tmp_path / "a name that is much too long for the width of a phone.html", perform(seconds=20.0))

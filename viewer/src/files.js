@@ -1,4 +1,4 @@
-// Files that come in (a character, a plan) and go out.
+// Files that come in (a character, a motion, a plan) and go out.
 
 import { $ } from "./dom.js";
 
@@ -30,7 +30,7 @@ export function bindFiles(take) {
     show(-Infinity);
     for (const file of event.dataTransfer.files) take(file);
   });
-  for (const id of ["pick-character", "pick-plan"]) {
+  for (const id of ["pick-character", "pick-motion", "pick-plan"]) {
     $(id).addEventListener("change", (event) => {
       for (const file of event.target.files) take(file);
       event.target.value = "";

@@ -19,6 +19,7 @@ import { bindStage } from "./stage_hands.js";
 import { readTheme } from "./theme.js";
 import { Timeline } from "./timeline.js";
 import { TimelineHands } from "./timeline_hands.js";
+import { readVrma } from "./vrma_take.js";
 import { Waveform } from "./waveform.js";
 
 const data = readJson($("performance").textContent);
@@ -150,6 +151,7 @@ function savePlan() {
 
 async function takeFile(file) {
   const bytes = new Uint8Array(await file.arrayBuffer());
+  if (/\.vrma$/i.test(file.name)) { await besides(bytes, file.name); return; }
   if (!/\.json$/i.test(file.name)) { await wear(bytes, { name: file.name }); return; }
   try {
     const plan = readJson(new TextDecoder().decode(bytes)), wrong = edits.fault(plan, session.original);
@@ -158,6 +160,15 @@ async function takeFile(file) {
     notice(`${file.name} is open.`);
   } catch (error) {
     notice(error instanceof SyntaxError ? `${file.name} is no JSON: ${error.message}` : `${file.name}: ${error.message}`, true);
+  }
+}
+
+async function besides(bytes, name) {
+  try {
+    session.setBeside(await readVrma(bytes, name, session.lanes[0].take), true);
+    if (!together) toggleTogether();
+  } catch (error) {
+    notice(`${name} cannot be played: ${error.message}.`, true);
   }
 }
 
@@ -253,6 +264,7 @@ function bindDesk() {
   click("save-plan", savePlan);
   click("open-plan", () => $("pick-plan").click());
   click("open-character", () => $("pick-character").click());
+  click("open-motion", () => $("pick-motion").click());
   click("own-figure", undress);
   click("export-glb", () => exportAs("glb"));
   click("export-vrma", () => exportAs("vrma"));
@@ -331,6 +343,7 @@ new TimelineHands(timeline, session, clock, changed);
 session.on("edited", refresh);
 session.on("selected", refresh);
 session.on("takes", performers);
+session.on("refused", () => notice("A motion from a file has no plan to edit: choose the other take."));
 new Live(session, data.live, status);
 clock.load(data.sound, data.soundType, () => notice("This browser cannot play the sound (Ogg Vorbis).", true));
 refresh();

@@ -19,7 +19,8 @@ export class Session {
   get plan() { return this.lane.history.present; }
   get original() { return this.lane.history.original; }
 
-  /** kinds: "edited" (a plan), "selected", "takes" (a motion, or which one is active). */
+  /** kinds: "edited" (a plan), "selected", "takes" (a motion, or which one is active),
+   *  "refused" (an edit of a motion that has no plan). */
   on(kind, listener) { this.listeners.set(kind, [...(this.listeners.get(kind) ?? []), listener]); }
   tell(kind) { for (const listener of this.listeners.get(kind) ?? []) listener(); }
 
@@ -44,6 +45,7 @@ export class Session {
 
   /** Take over an edited plan. kind: see `History.push`. */
   edit(plan, kind = null) {
+    if (this.lane.fixed) { this.tell("refused"); return; }
     if (!plan || !this.lane.history.push(plan, kind)) return;
     this.keepSelection();
     this.tell("edited");
@@ -84,9 +86,13 @@ export class Session {
 
   /** Keep the active motion beside the one that is edited on. */
   pin(name) {
-    const { take, history, rendered } = this.lane;
-    const copy = Object.assign(Object.create(Take.prototype), take, { name });
-    this.lanes = [this.lane, { take: copy, history: new History(history.present), rendered }];
+    this.setBeside(Take.of({ ...this.take, name }), false);
+  }
+
+  /** Set a motion beside the one that is edited on, in the place of what stood there. fixed: it has no plan of its own. */
+  setBeside(take, fixed) {
+    const plan = this.plan;
+    this.lanes = [this.lane, { take, history: new History(plan), rendered: plan, fixed }];
     this.active = 0;
     this.tell("takes");
   }

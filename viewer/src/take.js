@@ -5,20 +5,20 @@ import { bytesOf, clamp } from "./numbers.js";
 export class Take {
   /** told: what `gesticulator.export.html.describe` wrote. */
   constructor(told) {
-    this.name = told.name;
-    this.fps = told.fps;
-    this.frames = told.frames;
-    this.duration = told.duration;
-    this.skeleton = told.skeleton;
-    this.scoreIs = told.scoreIs;
-    this.worth = told.worth;
-    this.edges = told.edges;
-    this.joints = told.skeleton.names.length;
-    const steps = new Int16Array(bytesOf(told.rotations).buffer);
-    this.rotations = new Float32Array(steps.length);
-    for (let i = 0; i < steps.length; i++) this.rotations[i] = steps[i] / told.steps;
-    this.roots = new Float32Array(bytesOf(told.root).buffer);
-    this.rows = new Map(told.skeleton.names.map((name, row) => [name, row]));
+    const steps = new Int16Array(bytesOf(told.rotations).buffer), rotations = new Float32Array(steps.length);
+    for (let i = 0; i < steps.length; i++) rotations[i] = steps[i] / told.steps;
+    this.fill({ ...told, rotations, roots: new Float32Array(bytesOf(told.root).buffer) });
+  }
+
+  /** A take of numbers that are there already. */
+  static of(parts) { return Object.create(Take.prototype).fill(parts); }
+
+  /** rotations: [T * J * 4]; roots: [T * 3], or [3] where she stays. */
+  fill({ name, fps, frames, duration, skeleton, scoreIs, rotations, roots }) {
+    Object.assign(this, { name, fps, frames, duration, skeleton, scoreIs, rotations, roots });
+    this.joints = skeleton.names.length;
+    this.rows = new Map(skeleton.names.map((joint, row) => [joint, row]));
+    return this;
   }
 
   has(joint) { return this.rows.has(joint); }
