@@ -1,11 +1,13 @@
 // Gestures asked for at a word or at a time. A plan with other cues is a new plan.
 
-/** When a cue is made, in seconds; null where its word is not said. */
+const plain = (text) => text.replace(/^[\p{P}\s]+|[\p{P}\s]+$/gu, "").toLowerCase();
+
+/** When a cue's stroke arrives, in seconds: a third into its word; null where that is not said. */
 export function cueTime(plan, cue) {
   if (cue.time != null) return cue.time;
-  const plain = (text) => text.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "");
   const said = (plan.words ?? []).filter((word) => plain(word.text) === plain(cue.word ?? ""));
-  return said[(cue.occurrence ?? 1) - 1]?.start ?? null;
+  const word = said[(cue.occurrence ?? 1) - 1];
+  return word ? word.start + (word.end - word.start) / 3 : null;
 }
 
 export const cuesOf = (plan) => plan.cues ?? [];
@@ -14,7 +16,7 @@ export const cuesOf = (plan) => plan.cues ?? [];
 function wordAt(plan, time) {
   const words = plan.words ?? [], here = words.findIndex((word) => time >= word.start && time < word.end);
   if (here < 0) return null;
-  const { text } = words[here], same = words.slice(0, here + 1).filter((word) => word.text === text);
+  const { text } = words[here], same = words.slice(0, here + 1).filter((word) => plain(word.text) === plain(text));
   return { word: text, occurrence: same.length };
 }
 
