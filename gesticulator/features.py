@@ -152,6 +152,39 @@ class SpeechFeatures:
     text: Features | None = None
     quiet: NDArray[np.bool_] | None = None
 
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    def block(self, i: int) -> SpeechBlock:
+        """What is known when block i is drawn."""
+        blocks, count = self.blocks, len(self.blocks)
+        three = (max(i - 1, 0), i, min(i + 1, count - 1))
+        before, own, after = (float(blocks.edges[n + 1] - blocks.edges[n]) for n in three)
+        was, now, then = (bool(blocks.silent[n]) for n in three)
+        quiet = [np.full(blocks.frames, blocks.silent[n]) if self.quiet is None else self.quiet[n] for n in three[1:]]
+        return SpeechBlock(i, float(blocks.edges[i]), (before, own, after), (was, now, then), self.low[i], self.high[i],
+                           None if self.text is None else self.text[i], quiet[0], quiet[1] if i + 1 < count else None)
+
+
+@dataclass(frozen=True)
+class SpeechBlock:
+    """What is known of the speech of a block when it is drawn; all that a performance needs of it.
+
+    number: from 0. start: seconds. durations, silent: of the block before, the block and the block after (its own
+    where there is none). low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K] whether each frame lies in a
+    pause; ahead: [K] the same of the block after, None where the speech ends.
+    """
+
+    number: int
+    start: float
+    durations: tuple[float, float, float]
+    silent: tuple[bool, bool, bool]
+    low: Features
+    high: Features
+    text: Features | None
+    quiet: NDArray[np.bool_]
+    ahead: NDArray[np.bool_] | None = None
+
 
 def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:
     """The audio front end that the settings name; encoder: the bundle's own, for "vqwav2vec"."""
@@ -211,11 +244,14 @@ def _stretched(speech: Speech, blocks: Blocks) -> Iterator[tuple[slice, Samples]
         yield slice(start, stop), block_module.windows_of(stretched)[start - first:stop - first]
 
 
-def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None
-                  ) -> SpeechFeatures:
-    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too."""
+def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
+                  blocks: Blocks | None = None) -> SpeechFeatures:
+    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too.
+
+    blocks: to cut it into, where they are decided already.
+    """
     front = front or front_end_for(config)
-    blocks = block_module.cut(speech, config.rhythm)
+    blocks = blocks or block_module.cut(speech, config.rhythm)
     reference = reference_level(speech.samples, speech.sample_rate, blocks.edges)
     low, high = _with_tempo(*_encoded(_stretched(speech, blocks), reference, front), blocks.durations, config)
     text = None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
@@ -17,18 +18,21 @@ from data_module.blocks import denormalise
 from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
-from data_module.types import Array, Motion, Speech
+from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator import __version__
 from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle import load as load_bundle
+from gesticulator.drawing import Direction
 from gesticulator.features import SpeechFeatures, control_rows, encode_speech, front_end_for, representation_of
 from gesticulator.performance import FPS as FPS
 from gesticulator.performance import HandControl, InferenceArguments, InferenceOptions, Performance
-from gesticulator.rollout import OnBlock, Sampling, rollout
+from gesticulator.rollout import OnBlock, Rollout, RolloutResult, Sampling, rollout
 
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
+    from gesticulator.editing import PlanRenderer
+    from gesticulator.plan import LexemeName
     from interpreters.base import LexemeInterpreter
 
 R = TypeVar("R", bound=SpeechInput)
@@ -148,48 +152,111 @@ class Gesticulator:
     def _perform(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
                  on_block: OnBlock | None) -> Performance:
         """`perform` for speech that is at `SAMPLE_RATE` and as loud as it was asked for."""
+        take = self._take(speech, options)
+        if options.plan is not None:
+            return self._rendered(speech, options, take, on_block)
+        encoded = self.encode_speech(speech) if encoded is None else encoded
+        rows, said = self._control_rows(take.controls, encoded), None
+        if options.directed:
+            from gesticulator import directing
+
+            said = directing.directions(self.bundle, options, speech, encoded.blocks)
+        made = take.rollout(take.activity).run(encoded, rows, on_block, said)
+        if options.variation:
+            said = said or [Direction()] * len(encoded)
+            made = replace(take, sampling=replace(take.sampling, variation=int(options.variation))).rollout(
+                take.activity).run(encoded, rows, on_block, [replace(one, lexeme=int(lexeme)) for one, lexeme
+                                                             in zip(said, made.lexemes, strict=True)])
+        return self._performance(speech, options, take, encoded, made)
+
+    def _take(self, speech: Speech, options: InferenceOptions) -> Take:
+        """Who performs what, with nothing left to the bundle; `InputError` for what it cannot do."""
         chosen = self.bundle.config.selection
-        activity = chosen.activity if options.activity is None else options.activity
+        activity = (chosen.activity if options.activity is None else options.activity) * options.energy_share
         self._check_activity(activity)
         self._check_variation(int(options.variation))
         controls = self.controls(options)
         who = self.speaker_index(options.speaker)
-        encoded = self.encode_speech(speech) if encoded is None else encoded
         name = options.interpreter or self.bundle.interpreters[0]
         system = self.interpreter(name, self._reads(speech)) if isinstance(name, str) else name
-        by_value = getattr(system, "gives_values", False)
         temperature = options.temperature
         if temperature is None:
-            temperature = chosen.q_temperature if by_value else chosen.temperature
+            temperature = chosen.q_temperature if getattr(system, "gives_values", False) else chosen.temperature
         system, beta = _steered(system, options.beta, temperature)
-        sampling = Sampling(temperature, chosen.top, int(options.seed))
-        rows = self._control_rows(controls, encoded)
-        made = rollout(self.bundle, system, who, sampling, activity).run(encoded, rows, on_block)
-        if options.variation:
-            sampling = replace(sampling, variation=int(options.variation))
-            made = rollout(self.bundle, system, who, sampling, activity).run(encoded, rows, on_block, made.lexemes)
-        motion = on_legs(self.to_motion(made.motion, encoded, who, options.fps), options)
-        return Performance(motion=motion, speech=speech,
-                           blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
-                           codes=made.codes, gate=made.gate, weighed=made.worth,
-                           score_is="Q value" if by_value else "log-probability",
-                           made_by=self._made_by(replace(
-                               options, speaker=self.speakers[who], interpreter=name, temperature=temperature,
-                               beta=beta, activity=activity, controls=controls, hand_height=None, hand_speed=None,
-                               hand_radius=None), self._reads(speech)))
+        return Take(self.bundle, system, name, who, Sampling(temperature, chosen.top, int(options.seed)), activity,
+                    beta, controls)
+
+    def _rendered(self, speech: Speech, options: InferenceOptions, take: Take, on_block: OnBlock | None) -> Performance:
+        """The plan of the options, rendered."""
+        from gesticulator import directing
+
+        assert options.plan is not None
+        directing.check_plan_of(self.bundle, options.plan, speech)
+        redrawn = self.plan_renderer(speech, options, on_block).render(options.plan)
+        return self._performance(speech, options, take, redrawn.encoded, redrawn.result)
+
+    def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None) -> PlanRenderer:
+        """What renders the plans of one first drawing of a speech (at 16 kHz), each in the time of its edits.
+
+        options: with a plan of that drawing, as `directing.planned` gives them.
+        """
+        from gesticulator import directing
+        from gesticulator.editing import PlanRenderer, Redrawer
+
+        plan = options.plan
+        assert plan is not None
+        take = self._take(speech, options)
+        take = replace(take, sampling=replace(take.sampling, variation=plan.variation))
+        rhythm = self.bundle.config.rhythm
+        return PlanRenderer(Redrawer(
+            take.rollout, lambda blocks: self.encode_speech(speech, blocks),
+            lambda encoded: self._control_rows(take.controls, encoded),
+            lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block)
+
+    def _performance(self, speech: Speech, options: InferenceOptions, take: Take, encoded: SpeechFeatures,
+                     made: RolloutResult) -> Performance:
+        shaping = None
+        if options.shaped:
+            from gesticulator import directing
+
+            shaping = directing.shaping(self.bundle, options, take.speaker, speech, encoded.blocks)
+        motion = on_legs(self.to_motion(made.motion, encoded, take.speaker, options.fps, shaping), options)
+        if options.mirrored:
+            from gesticulator.shaping import mirrored_motion
+
+            motion = mirrored_motion(motion)
+        used = replace(options, speaker=self.speakers[take.speaker], interpreter=take.name,
+                       temperature=take.sampling.temperature, beta=take.beta,
+                       activity=self.bundle.config.selection.activity if options.activity is None else options.activity,
+                       controls=take.controls, hand_height=None, hand_speed=None, hand_radius=None)
+        return Performance(motion=motion, speech=speech, blocks=encoded.blocks, lexemes=made.lexemes, best=made.best,
+                           scores=made.scores, codes=made.codes, gate=made.gate, weighed=made.worth,
+                           score_is="Q value" if take.by_value else "log-probability",
+                           made_by=self._made_by(used, self._reads(speech)), options=used,
+                           names=partial(_names, self.bundle))
 
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
-        spoken = _prepared(as_speech(speech, sample_rate), options)
-        if text is None:
-            return self._perform(spoken, options, encoded, on_block)
-        spoken, note = self.read(spoken, text)
-        return replace(self._perform(spoken, options, encoded, on_block), notes=(note,))
+        if options.plan is not None:
+            from gesticulator import directing
 
-    def encode_speech(self, speech: Speech) -> SpeechFeatures:
-        """A speech at 16 kHz cut into blocks and encoded, with its words where the bundle reads them."""
+            options = directing.planned(options)
+        spoken = _prepared(as_speech(speech, sample_rate), options)
+        notes: tuple[str, ...] = ()
+        if options.plan is not None:
+            spoken = directing.with_planned_words(spoken, options.plan)
+        elif text is not None:
+            spoken, note = self.read(spoken, text)
+            notes = (note,)
+        made = self._perform(spoken, options, encoded, on_block)
+        name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
+        return replace(made, notes=notes, sound_name=name)
+
+    def encode_speech(self, speech: Speech, blocks: Blocks | None = None) -> SpeechFeatures:
+        """A speech at 16 kHz cut into blocks (into these, where told) and encoded, with its words where the bundle
+        reads them."""
         words = self.word_encoder() if self._reads(speech) else None
-        return encode_speech(speech, self.bundle.config, self._front_end, words)
+        return encode_speech(speech, self.bundle.config, self._front_end, words, blocks)
 
     def _reads(self, speech: Speech) -> bool:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
@@ -253,13 +320,49 @@ class Gesticulator:
         bundle = {"preset": self.bundle.config.name, "lexicon": lexicon_hash(self.bundle.vectors)}
         return {"gesticulator": __version__, "bundle": bundle, "settings": settings}
 
-    def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int, fps: float) -> Motion:
-        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2)."""
+    def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int, fps: float,
+                  shaping: Callable[[Array, Array], Array] | None = None) -> Motion:
+        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2).
+
+        shaping: poses [N K, D_m] at seconds [N K] -> poses, what knobs make of them.
+        """
         statistics = self.bundle.statistics
         poses: Array = statistics.denormalise(features.astype(np.float64), speaker)
+        if shaping is not None:
+            poses = shaping(poses.reshape(-1, poses.shape[-1]), encoded.blocks.knot_times).reshape(poses.shape)
         frames = denormalise(poses, statistics.rest_pose[speaker], encoded.blocks, fps,
                              self.bundle.config.motion.smoothing)
         return representation_of(self.bundle.config).motion(frames, fps)
+
+
+@dataclass(frozen=True)
+class Take:
+    """Who performs, and how: what a rollout is made of. name: what was asked for as interpreter; beta: its own, where
+    it has one; controls: of the hands."""
+
+    bundle: Bundle
+    interpreter: LexemeInterpreter
+    name: str | LexemeInterpreter
+    speaker: int
+    sampling: Sampling
+    activity: float
+    beta: float | None
+    controls: Controls
+
+    @property
+    def by_value(self) -> bool:
+        """Whether the interpreter's scores are Q values."""
+        return bool(getattr(self.interpreter, "gives_values", False))
+
+    def rollout(self, activity: float) -> Rollout:
+        """A fresh one, with this activity."""
+        return rollout(self.bundle, self.interpreter, self.speaker, self.sampling, activity)
+
+
+def _names(bundle: Bundle) -> tuple[LexemeName, ...]:
+    from gesticulator.lexeme_names import lexeme_names
+
+    return lexeme_names(bundle)
 
 
 def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequence[Text | None]:
