@@ -49,6 +49,8 @@ class PageServer(ThreadingHTTPServer):
     block_on_close = False
     page: bytes = b""
     render: Render | None = None
+    queue = 20.0
+    """Seconds that a plan waits for another one that is being rendered, before it is refused."""
 
     def __init__(self, port: int = 0) -> None:
         """port: 0 takes any that is free. `InputError` where it is taken or not allowed."""
@@ -150,7 +152,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         if not isinstance(plan, dict) or self.server.render is None:
             self._refuse(HTTPStatus.BAD_REQUEST, "the request holds no plan")
             return
-        if not self.server.rendering.acquire(blocking=False):
+        if not self.server.rendering.acquire(timeout=self.server.queue):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "another plan is being rendered")
             return
         try:

@@ -43,8 +43,9 @@ class Renderer:
         if (lexemes == 999).any():
             raise RuntimeError("nobody thought of this")
         same = (lexemes == self.first.lexemes).all()
-        return {**html.describe(replace(self.first if same else self.other, blocks=self.first.blocks, lexemes=lexemes,
-                                        best=self.first.best, scores=self.first.scores)), "plan": plan}
+        made = replace(self.first if same else self.other, blocks=self.first.blocks, lexemes=lexemes,
+                       best=self.first.best, scores=self.first.scores)
+        return {**html.describe(made), "plan": plan}
 
 
 @pytest.fixture
@@ -119,7 +120,8 @@ def test_what_is_wrong_is_told_and_ends_nothing(served: tuple[PageServer, Render
     status, told = _ask(server, body=json.dumps(wild).encode())
     assert status == 500 and "RuntimeError" in told["error"]  # type: ignore[index]
     assert "nobody thought of this" in capfd.readouterr().err
-    # One at a time: a second plan is refused while the first is rendered, and taken after it.
+    # One at a time: a second plan is refused where the first takes long, and taken after it.
+    server.queue = 0.05
     renderer.may_go_on.clear()
     renderer.begun.clear()
     answers: list[int] = []

@@ -148,7 +148,7 @@ def test_a_name_of_bytes_that_are_no_text_is_written(tmp_path: Path) -> None:
 
 def test_the_page_tells_what_a_score_is() -> None:
     told = _data(_page(replace(perform(), score_is="Q value")))
-    assert told["takes"][0]["scoreIs"] == "Q value"
+    assert told["takes"][0]["plan"]["score_is"] == "Q value"
 
 
 def test_two_takes_of_one_recording_make_one_page(tmp_path: Path) -> None:

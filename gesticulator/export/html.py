@@ -22,7 +22,7 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.motion import kinematics
 from data_module.motion.skeletons import HIP_HEIGHT, standing
-from data_module.types import BeatFlag, Skeleton
+from data_module.types import Skeleton
 from gesticulator.export import sound
 from gesticulator.export.gltf import open_gltf
 
@@ -116,30 +116,8 @@ def describe(performance: Performance) -> dict[str, Any]:
         "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
         "steps": QUATERNION_STEPS,
         "root": _base64(root.astype("<f4").tobytes()),
-        "scoreIs": performance.score_is,
-        "plan": _plan(performance),
+        "plan": performance.plan().to_dict(),
     }
-
-
-def _plan(performance: Performance) -> dict[str, Any]:
-    """The gesture plan, as far as a performance tells of it."""
-    blocks, worth = performance.blocks, performance.weighed
-    edges = [round(edge, 5) for edge in blocks.edges.tolist()]
-    rows = []
-    for k in range(len(blocks)):
-        row: dict[str, Any] = {
-            "start": edges[k], "end": edges[k + 1], "lexeme": int(performance.lexemes[k]),
-            "silent": bool(blocks.silent[k]), "flag": BeatFlag(int(blocks.flags[k])).name.lower(),
-            "alternatives": [{"lexeme": int(lexeme), "score": float(f"{score:.4g}")} for lexeme, score in
-                             zip(performance.best[k], performance.scores[k], strict=True)]}
-        if worth is not None:
-            row["chosen"] = worth.entry(k, -1)
-            row["runner_up"] = worth.runner_up(performance.best[k], int(performance.lexemes[k]), k)
-        rows.append(row)
-    words = performance.speech.words or ()
-    return {"format": "gesticulator-plan", "version": 1, "blocks": rows, "score_is": performance.score_is,
-            "words": [{"text": word.text, "start": round(word.start, 3), "end": round(word.end, 3)}
-                      for word in words if word.text]}
 
 
 def _character(moved: CharacterMotion | None) -> dict[str, Any]:
@@ -207,9 +185,8 @@ def _asset(name: str) -> str:
 
 
 def embedded(data: Mapping[str, Any]) -> str:
-    """JSON that can stand in an element: "</script>" in a name would end it; "<\\u002f" is the same to JSON."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    return text.replace("</", "<\\u002f").replace("<!--", "<\\u0021--")
+    """JSON that can stand in an element: "</script>" in a name would end that; "\\u003c" is the same to JSON."""
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def _base64(data: bytes) -> str:

@@ -117,12 +117,12 @@ export class Inspector {
     chip.style.color = block.silent || many ? colours.ink : "#16181d";
     $("card-block").textContent = `${many ? `blocks ${first + 1} to ${last + 1}` : `block ${first + 1}`}, ${seconds} s from ${minutes(block.start, 2)}`;
     $("card-name").textContent = many ? "" : block.name ?? "";
-    const flag = $("card-flag"), kind = plan.blocks[last].flag;
+    const flag = $("card-flag"), kind = plan.blocks[last].flag ?? "edited";
     flag.replaceChildren(signPicture(kind), `ends on: ${TITLES[kind] ?? kind}${block.silent ? " · silent" : ""}`);
-    const { take } = this.session, worth = many ? null : worthInWords(block);
+    const worth = many ? null : worthInWords(block);
     $("worth").hidden = !worth;
     $("worth").textContent = worth ?? "";
-    $("score-is").textContent = `score: ${plan.score_is ?? take.scoreIs}`;
+    $("score-is").textContent = `score: ${plan.score_is ?? "log-probability"}`;
   }
 
   /** The lexemes that were considered, best first, as a list to choose from. */
@@ -154,11 +154,9 @@ export class Inspector {
     const gestures = plan.gestures ?? [];
     $("gesture").replaceChildren(...gestures.map(({ name, about }) => element("option", { value: name, title: about ?? "" }, name)));
     $("ask").hidden = !gestures.length;
-    $("whole").hidden = !plan.knobs;
   }
 
-  knobs(knobs) {
-    if (!knobs) return;
+  knobs(knobs = {}) {
     this.setSlider("knob-intensity", knobs.intensity ?? 1);
     this.setSlider("knob-activity", knobs.activity ?? 1);
     $("knob-energy").value = knobs.energy ?? "neutral";

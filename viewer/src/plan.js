@@ -18,7 +18,7 @@ export function blockAt(plan, time) {
 }
 
 /** How the beat that opens block k came to be; beat 0 opens the recording. */
-export const beatFlag = (plan, k) => (k === 0 ? "boundary" : plan.blocks[k - 1].flag);
+export const beatFlag = (plan, k) => (k === 0 ? "boundary" : plan.blocks[k - 1].flag ?? "edited");
 
 const withBlocks = (plan, blocks) => ({ ...plan, blocks });
 
@@ -98,8 +98,9 @@ export function restored(plan, original, first, last) {
   return whole ? withBlocks(plan, [...plan.blocks.slice(0, first), ...there, ...plan.blocks.slice(last + 1)]) : null;
 }
 
-const EDITED = ["start", "end", "lexeme", "silent", "intensity", "mirror", "locked"];
-const told = (block) => [...EDITED.map((key) => block[key] ?? null), block.draw?.variation ?? null].join();
+/** What can be edited of a block, as one text; what is left out of a file has its default. */
+const told = ({ start, end, lexeme, silent, intensity = 1, mirror = false, locked = false, draw }) => (
+  [start, end, lexeme, Boolean(silent), intensity, mirror, locked, draw?.variation].join());
 
 /** Whether a block of a plan is unlike every block of another one. */
 export function differs(block, original) {
@@ -111,7 +112,8 @@ export function differs(block, original) {
 export function countChanges(plan, original) {
   if (plan === original) return 0;
   const here = plan.blocks.filter((block) => differs(block, original)).length || Math.abs(plan.blocks.length - original.blocks.length);
-  const parts = ["knobs", "cues"].filter((name) => JSON.stringify(plan[name] ?? null) !== JSON.stringify(original[name] ?? null));
+  const plain = (part) => JSON.stringify(part && Object.keys(part).length ? part : null);
+  const parts = ["knobs", "cues"].filter((name) => plain(plan[name]) !== plain(original[name]));
   return here + parts.length;
 }
 

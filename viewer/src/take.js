@@ -14,8 +14,8 @@ export class Take {
   static of(parts) { return Object.create(Take.prototype).fill(parts); }
 
   /** rotations: [T * J * 4]; roots: [T * 3], or [3] where she stays. */
-  fill({ name, fps, frames, duration, skeleton, scoreIs, rotations, roots }) {
-    Object.assign(this, { name, fps, frames, duration, skeleton, scoreIs, rotations, roots });
+  fill({ name, fps, frames, duration, skeleton, rotations, roots }) {
+    Object.assign(this, { name, fps, frames, duration, skeleton, rotations, roots });
     this.joints = skeleton.names.length;
     this.rows = new Map(skeleton.names.map((joint, row) => [joint, row]));
     return this;

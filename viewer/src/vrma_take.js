@@ -36,7 +36,7 @@ export async function readVrma(bytes, name, like) {
     }
     roots.set(path ? [...path(time)].map((v) => v * size) : [0, skeleton.height, 0], t * 3);
   }
-  return Take.of({ name, fps: FPS, frames, duration: like.duration, skeleton, scoreIs: like.scoreIs, rotations, roots });
+  return Take.of({ name, fps: FPS, frames, duration: like.duration, skeleton, rotations, roots });
 }
 
 /** The values of a track at a time, its last ones after its end; null where there is none. */
