@@ -30,7 +30,7 @@ from interpreters import INTERPRETERS
 if TYPE_CHECKING:
     from data_module.controls import Controls
     from data_module.types import Speech
-    from gesticulator.performance import Performance
+    from gesticulator.performance import InferenceArguments, Performance
     from gesticulator.pipeline import Gesticulator
     from gesticulator.plan import GestureCue, GesturePlan
     from gesticulator.retarget import Retargeter
@@ -95,6 +95,11 @@ def arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--plan-out", "--explain", metavar="FILE.json", help="the gesture plan: what was decided, "
                      "to read, to edit and to render again with --plan")
+    performance_arguments(p)
+
+
+def performance_arguments(p: argparse.ArgumentParser) -> None:
+    """Add what tells how a recording is performed, whatever is made of it."""
     heard = p.add_argument_group("what is heard")
     heard.add_argument("--text", metavar="FILE", help="what is said: plain text, TextGrid, SRT, VTT or JSON with word "
                        "times; or a folder of files named like the recordings")
@@ -160,10 +165,10 @@ def run(asked: argparse.Namespace) -> int:
     retargeter = None if asked.list else _retargeter(asked)
     alone = len(jobs) == 1
     done = 0
-    with _our_warnings():
+    with our_warnings():
         ready = [job for job in jobs if _went_well(partial(_check, job, asked), alone)]
         if ready or asked.list:
-            with _threads(int(asked.threads)):
+            with limited_threads(int(asked.threads)):
                 from gesticulator.pipeline import Gesticulator
 
                 system = Gesticulator.from_pretrained(asked.bundle)
@@ -273,7 +278,7 @@ def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
 def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None,
             retargeter: Retargeter | None = None) -> None:
     """Do one recording and print its summary."""
-    speech = _load(job, asked)
+    speech = load(job, asked)
     begin = time.perf_counter()
     stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
     made = replace(_performed(job, speech, system, asked, controls, asked.legs or stands), sound_name=job.name)
@@ -289,7 +294,7 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
               + "".join(f"\n  {note}" for note in made.notes), flush=True)
 
 
-def _load(job: Job, asked: argparse.Namespace) -> Speech:
+def load(job: Job, asked: argparse.Namespace) -> Speech:
     """The recording as it is; a warning where little of it will be heard, even amplified as was asked."""
     from data_module.speech.audio import amplified, level_note, load_speech
 
@@ -310,12 +315,17 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
             bar.total = total
             bar.update()
 
-        return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
-                      seed=int(asked.seed), variation=int(asked.variation), temperature=asked.temperature,
-                      beta=asked.beta, activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls,
-                      intensity=asked.intensity, mirror=asked.mirror, energy=asked.energy,
-                      handedness=asked.handedness, hold_still=tuple(asked.hold_still), cues=tuple(asked.cue),
-                      plan=_asked_plan(asked), legs=legs, seated=asked.seated)
+        return system(speech, text=job.text, on_block=on_block, **asked_options(asked, controls, legs))
+
+
+def asked_options(asked: argparse.Namespace, controls: Controls | None, legs: bool) -> InferenceArguments:
+    """What the command asks of a performance."""
+    return {"speaker": asked.speaker, "interpreter": asked.interpreter, "seed": int(asked.seed),
+            "variation": int(asked.variation), "temperature": asked.temperature, "beta": asked.beta,
+            "activity": asked.activity, "fps": asked.fps, "gain": asked.gain, "controls": controls,
+            "intensity": asked.intensity, "mirror": asked.mirror, "energy": asked.energy,
+            "handedness": asked.handedness, "hold_still": tuple(asked.hold_still), "cues": tuple(asked.cue),
+            "plan": _asked_plan(asked), "legs": legs, "seated": asked.seated}
 
 
 def _asked_plan(asked: argparse.Namespace) -> GesturePlan | None:
@@ -328,7 +338,7 @@ def _asked_plan(asked: argparse.Namespace) -> GesturePlan | None:
 
 
 @contextmanager
-def _threads(count: int) -> Iterator[None]:
+def limited_threads(count: int) -> Iterator[None]:
     """As many threads in torch and in numpy's matrix products, whatever the environment says: the order in which sums
     are added up, and with it the last bits of a result, depend on their number."""
     import numpy  # noqa: F401 - its library must be loaded to be told
@@ -364,7 +374,7 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
 
 
 @contextmanager
-def _our_warnings() -> Iterator[None]:
+def our_warnings() -> Iterator[None]:
     """Only our own warnings concern the user, a line each; those of libraries do not."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -152,9 +152,9 @@ class Gesticulator:
     def _perform(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
                  on_block: OnBlock | None) -> Performance:
         """`perform` for speech that is at `SAMPLE_RATE` and as loud as it was asked for."""
-        take = self._take(speech, options)
         if options.plan is not None:
-            return self._rendered(speech, options, take, on_block)
+            return self.render(speech, options, on_block=on_block)
+        take = self._take(speech, options)
         encoded = self.encode_speech(speech) if encoded is None else encoded
         rows, said = self._control_rows(take.controls, encoded), None
         if options.directed:
@@ -186,14 +186,18 @@ class Gesticulator:
         return Take(self.bundle, system, name, who, Sampling(temperature, chosen.top, int(options.seed)), activity,
                     beta, controls)
 
-    def _rendered(self, speech: Speech, options: InferenceOptions, take: Take, on_block: OnBlock | None) -> Performance:
-        """The plan of the options, rendered."""
+    def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
+               on_block: OnBlock | None = None) -> Performance:
+        """The plan of the options (as `directing.planned` gives them) for a speech at 16 kHz, rendered.
+
+        renderer: what `plan_renderer` gave for this drawing, so that only edited blocks are drawn.
+        """
         from gesticulator import directing
 
         assert options.plan is not None
         directing.check_plan_of(self.bundle, options.plan, speech)
-        redrawn = self.plan_renderer(speech, options, on_block).render(options.plan)
-        return self._performance(speech, options, take, redrawn.encoded, redrawn.result)
+        redrawn = (renderer or self.plan_renderer(speech, options, on_block)).render(options.plan)
+        return self._performance(speech, options, self._take(speech, options), redrawn.encoded, redrawn.result)
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None) -> PlanRenderer:
         """What renders the plans of one first drawing of a speech (at 16 kHz), each in the time of its edits.

@@ -22,7 +22,7 @@ from gesticulator.export.blender import check_blender, run_in_blender
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
-RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples", "to_blender", "to_character", "to_vrm"}
+RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples", "to_blender", "to_character", "to_vrm", "two_takes"}
 NEEDS_MORE = {"make_speech"}
 """Examples that need a program that is not installed with the tests."""
 
@@ -102,6 +102,16 @@ def test_a_character_and_a_vrm_animation(recording: Path, tmp_path: Path) -> Non
         assert np.ptp(hand, axis=0).max() > 0.05 > np.ptp(foot, axis=0).max(), "hands move, feet stand"
     example("to_vrm")(str(recording), str(tmp_path / "talk.vrma"))
     assert "VRMC_vrm_animation" in GlbFile.parse((tmp_path / "talk.vrma").read_bytes()).document["extensions"]
+
+
+def test_two_takes_on_one_page(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("two_takes")(str(recording), "lstm", "statistical", str(tmp_path / "two.html"))
+    page = (tmp_path / "two.html").read_text(encoding="utf-8")
+    told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
+    takes = {take["name"]: [block["lexeme"] for block in take["plan"]["blocks"]] for take in told["takes"]}
+    assert list(takes) == ["lstm", "statistical"] and told["together"]
+    same = np.mean(np.equal(takes["lstm"], takes["statistical"]))
+    assert same < 0.9 and f"{same:.0%} of the blocks" in capsys.readouterr().out
 
 
 def test_a_scene_for_blender(recording: Path, tmp_path: Path) -> None:
