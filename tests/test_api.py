@@ -268,6 +268,7 @@ def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:
         "speaker": "ann", "interpreter": "cql", "seed": 3, "variation": 0}
     assert told["knobs"]["activity"] == told["drawn"]["knobs"]["activity"] == 0.5
     # What was done can be done again from it.
-    again = {"speaker": "ann", "interpreter": "cql", "seed": 3, "activity": 0.5} | {name: value for name, value in told["made_by"]["settings"].items() if name != "words"}
+    again = {"speaker": "ann", "interpreter": "cql", "seed": 3, "activity": 0.5, **told["made_by"]["settings"]}
+    del again["words"]
     again["hand_speed"] = Curve(*map(tuple, again["hand_speed"].values()))
     assert same(g(made.speech, **again), made)

@@ -19,13 +19,14 @@ from gesticulator import Gesticulator, infer
 from gesticulator.contacts import MARGIN, our_distances, pose_of
 from gesticulator.directing import cues_at
 from gesticulator.editing import BLEND
+from gesticulator.live_plans import LivePlans
 from gesticulator.named_gestures import laid_over, span_of_gesture
 from gesticulator.performance import Performance
 from gesticulator.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
 from gesticulator.shaping import FADE, MIRROR_FADE, Shaper, levels_at, mirrored_motion
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
-SECONDS, SEED = 8.0, 3
+SECONDS, SEED = 7.0, 3
 REACH = 0.13
 """Seconds: the smoothing's kernel and two frames of a block to either side of what was changed."""
 
@@ -49,6 +50,11 @@ def drawn(system: Gesticulator, speech: Speech) -> Performance:
 @pytest.fixture(scope="module")
 def plan(drawn: Performance) -> GesturePlan:
     return drawn.plan()
+
+
+@pytest.fixture(scope="module")
+def plans(system: Gesticulator, drawn: Performance) -> LivePlans:
+    return LivePlans(system, drawn)
 
 
 def changed(one: Performance, other: Performance) -> tuple[float, float]:
@@ -78,8 +84,8 @@ def test_a_plan_that_nobody_edited_gives_the_same_bytes_whatever_the_seed(
 
 
 @pytest.mark.parametrize("what", ["lexeme", "silence", "draw", "intensity", "mirror", "moved", "deleted"])
-def test_an_edit_changes_its_block_and_the_blend_alone(what: str, system: Gesticulator, speech: Speech,
-                                                       drawn: Performance, plan: GesturePlan) -> None:
+def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePlans, drawn: Performance,
+                                                       plan: GesturePlan) -> None:
     at = 8
     block, after = plan.blocks[at], plan.blocks[at + 1]
     begin, end, blend = block.start, block.end, BLEND
@@ -100,28 +106,27 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, system: Gestic
         two = [replace(block, end=middle), replace(after, start=middle)] if what == "moved" \
             else [replace(block, end=after.end)]
         edited = replace(plan, blocks=(*plan.blocks[:at], *two, *plan.blocks[at + 2:]))
-    made = system(speech, plan=edited)
+    made = plans.render(edited)
     first, last = changed(made, drawn)
     assert begin - REACH <= first < block.end and first < last <= end + blend + REACH
-    assert hand_speeds(made).max() < 1.3 * max(hand_speeds(drawn).max(), 2.0), "no jump"
+    assert hand_speeds(made).max() < 3.5, "no jump: real hands have 3.1 at 99 %"
     if what == "silence":
         inside = slice(round((block.start + 0.3) * 60), round(block.end * 60))
         assert hand_speeds(made)[inside].mean() < 0.5 * hand_speeds(drawn)[inside].mean()
     # What was made can be written and made again.
-    np.testing.assert_array_equal(system(speech, plan=made.plan()).rotations, made.rotations)
+    np.testing.assert_array_equal(plans.render(made.plan()).rotations, made.rotations)
 
 
-def test_edits_do_not_know_of_each_other(system: Gesticulator, speech: Speech, drawn: Performance,
-                                         plan: GesturePlan) -> None:
+def test_edits_do_not_know_of_each_other(plans: LivePlans, plan: GesturePlan) -> None:
     def lexeme(block: PlanBlock) -> int:
         return next(one.lexeme for one in block.alternatives if one.lexeme != block.lexeme)
 
     early = with_block(plan, 5, lexeme=lexeme(plan.blocks[5]))
     both = with_block(early, 15, lexeme=lexeme(plan.blocks[15]))
-    one, two = system(speech, plan=early), system(speech, plan=both)
+    one, two = plans.render(early), plans.render(both)
     first, _ = changed(one, two)
     assert first >= plan.blocks[15].start - REACH
-    late = system(speech, plan=with_block(plan, 15, lexeme=lexeme(plan.blocks[15])))
+    late = plans.render(with_block(plan, 15, lexeme=lexeme(plan.blocks[15])))
     after = round((plan.blocks[5].end + BLEND + REACH) * 60) + 1
     np.testing.assert_array_equal(late.rotations[after:], two.rotations[after:])
 
@@ -194,7 +199,9 @@ def test_levels_are_the_blocks_own_and_change_without_a_jump() -> None:
 def test_hands_hold_still_where_they_are_told_and_wake(system: Gesticulator, speech: Speech, drawn: Performance
                                                        ) -> None:
     held = system(speech, seed=SEED, hold_still=((4.0, 5.5),))
-    assert changed(held, drawn)[0] >= 4.0 - 0.42 - REACH
+    # From the block on in which they begin to settle.
+    settles = drawn.blocks.edges[np.searchsorted(drawn.blocks.edges, 4.0 - 0.42) - 1]
+    assert changed(held, drawn)[0] >= settles - REACH
     speeds = hand_speeds(held)
     still = slice(round(4.05 * 60), round(5.45 * 60))
     assert speeds[still].max() < 0.15 < hand_speeds(drawn)[still].mean()
@@ -238,7 +245,8 @@ def test_named_gestures_are_poses_of_a_body(name: str, drawn: Performance) -> No
     poses = rotation.unroll(rotation.to_exponential_map(drawn.rotations)).reshape(len(times), -1)
     out = laid_over(poses, times, [(GestureCue(name), 4.0)])
     flipped = laid_over(poses, times, [(GestureCue(name, mirror=True), 4.0)])
-    assert not np.array_equal(out, poses) and not np.array_equal(out, flipped)
+    both = name in ("shrug", "open palms", "nod")
+    assert not np.array_equal(out, poses) and (both or not np.allclose(out, flipped))
     before, after = span_of_gesture(name)
     far = (times <= 4.0 - before) | (times >= 4.0 + after)
     np.testing.assert_array_equal(out[far], poses[far])
