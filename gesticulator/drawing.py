@@ -14,6 +14,7 @@ from torch import Tensor
 from data_module.motion.movement import PAST, Pasts
 from generator.flow import Circumstances, FlowGenerator, FlowInputs
 from gesticulator.bundle import Bundle
+from gesticulator.config import UNTOLD
 from gesticulator.features import SpeechBlock
 from interpreters.base import BlockFeatures
 
@@ -158,7 +159,9 @@ class FlowDrawer:
         [8] its circumstances."""
         chosen, none = self.chosen, self.generator.lexemes
         control = features.control
-        gained = {"audio": chosen.audio_guidance, "lexeme": chosen.lexeme_guidance, "history": chosen.history - 1.0}
+        untold = chosen.lexeme_guidance == UNTOLD
+        gained = {"audio": chosen.audio_guidance, "lexeme": 0.0 if untold else chosen.lexeme_guidance,
+                  "history": chosen.history - 1.0}
         if control is not None:
             gained["control"] = chosen.guidance - 1.0
         gained = {what: gain for what, gain in gained.items() if gain}
@@ -169,7 +172,7 @@ class FlowDrawer:
             asked = control.expand(count, 1, -1, -1).clone()
             if left[-1] == "control":
                 asked[-1] = 0.0
-        names = torch.tensor([[none if what == "lexeme" else lexeme] for what in left], device=self.device)
+        names = torch.tensor([[none if untold or what == "lexeme" else lexeme] for what in left], device=self.device)
         return FlowInputs(
             features.low.expand(count, 1, -1, -1), names, past.expand(count, -1, -1)[:, None],
             cast(Pasts, self.told).ratio.expand(count, 1), place.expand(count, 1, -1),

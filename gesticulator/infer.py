@@ -69,7 +69,7 @@ def _cue(text: str) -> GestureCue:
 
     at, mark, gesture = text.rpartition("=")
     if not mark or not at or not gesture:
-        raise InputError(f"--cue {text[:40]}", "is no cue", "write WORD=GESTURE, such as hello=wave, or SECONDS=GESTURE")
+        raise InputError(f"--cue {text[:40]}", "is no cue", "write WORD=GESTURE (hello=wave) or SECONDS=GESTURE")
     try:
         return GestureCue(gesture, time=float(at))
     except ValueError:
@@ -93,8 +93,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("--format", metavar="SUFFIX", help=f"what -o writes where it is a folder (default {FORMAT})")
     out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length of a .bvh (default cm)")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
-    out.add_argument("--plan-out", "--explain", metavar="FILE.json", help="the gesture plan: what was decided, to read, "
-                     "to edit and to render again with --plan")
+    out.add_argument("--plan-out", "--explain", metavar="FILE.json", help="the gesture plan: what was decided, "
+                     "to read, to edit and to render again with --plan")
     performance_arguments(p)
 
 
@@ -131,16 +131,16 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     style.add_argument("--intensity", type=number("intensity"), default=1.0, metavar="0..2",
                        help="how large gestures are; 0 holds the hands at their mean place (default 1)")
     style.add_argument("--energy", choices=tuple(ENERGIES), default="neutral",
-                       help="intensity and activity together, on top of them: calm is .6 of both, lively 1.5 of intensity")
+                       help="on top of them: calm is .6 of intensity and activity, lively 1.5 of intensity")
     style.add_argument("--handedness", choices=HANDS, help="which hand is preferred")
     style.add_argument("--mirror", action="store_true", help="exchange left and right")
     style.add_argument("--hold-still", type=_seconds, action="append", default=[], metavar="FROM-TO",
                        help="seconds in which the hands rest, such as 3.2-5.0; may be given several times")
     style.add_argument("--cue", type=_cue, action="append", default=[], metavar="WORD=GESTURE",
-                       help="a gesture at a word, or at a time: hello=wave, 2.5=shrug, hello:2=wave at the second hello "
+                       help="a gesture at a word, or at a time: hello=wave, hello:2=wave at the second, 2.5=shrug "
                        "(gesticulator plan names lists them)")
-    style.add_argument("--plan", metavar="FILE", help="render a gesture plan (.json, .bml): what was drawn is replayed, "
-                       "what was edited is drawn anew; --seed does not matter")
+    style.add_argument("--plan", metavar="FILE", help="render a gesture plan (.json, .bml): what was drawn is "
+                       "replayed, what was edited is drawn anew; --seed does not matter")
     style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
     body = p.add_argument_group("whose body", "A character of yours, from Mixamo, VRM, Unreal, Blender or elsewhere; "

@@ -208,7 +208,8 @@ class InferenceOptions:
     @property
     def shaped(self) -> bool:
         """Whether drawn poses are changed."""
-        return bool(self.plan or self.cues or self.handedness or self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0)
+        sized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
+        return bool(self.plan or self.cues or self.handedness or sized)
 
     @property
     def mirrored(self) -> bool:

@@ -48,8 +48,8 @@ def _checked(path: str) -> str:
     plan = read_any_plan(path)
     anew = sum(edited_blocks(plan))
     locked = sum(block.locked for block in plan.blocks)
-    return (f"{path}: {plan.sound.name or 'a sound'}, {plan.duration:.1f} s, {len(plan.blocks)} blocks, of which {anew} "
-            f"are drawn anew and {locked} are locked; {len(plan.cues)} cues")
+    return (f"{path}: {plan.sound.name or 'a sound'}, {plan.duration:.1f} s, {len(plan.blocks)} blocks, of which "
+            f"{anew} are drawn anew and {locked} are locked; {len(plan.cues)} cues")
 
 
 def _print_names(bundle: str | None) -> None:

@@ -1,6 +1,6 @@
 """Run inside Blender: the add-on moves an armature to a recording; where the bones are then is written as JSON.
 
-    python blender_addon.py RIG.glb|rigify SOUND PROGRAM FRAMES_PER_SECOND OUT.json
+    python blender_addon.py RIG.glb|metarig|rigify SOUND PROGRAM FRAMES_PER_SECOND OUT.json
 """
 
 from __future__ import annotations
@@ -9,8 +9,17 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 ADDON = Path(__file__).resolve().parent.parent / "integrations" / "blender" / "gesticulator_blender.py"
+
+
+def curves_of(action: Any) -> list[Any]:
+    """The curves of an action, which has layers since Blender 4.4."""
+    if not getattr(action, "layers", None):
+        return list(action.fcurves)
+    return [curve for layer in action.layers for strip in layer.strips for bag in strip.channelbags
+            for curve in bag.fcurves]
 
 
 def main(rig: str, sound: str, program: str, fps: str, target: str) -> None:
@@ -27,19 +36,25 @@ def main(rig: str, sound: str, program: str, fps: str, target: str) -> None:
     sys.modules["gesticulator_blender"] = addon
     spec.loader.exec_module(addon)
     addon.register()
-    if rig == "rigify":
+    if rig in ("metarig", "rigify"):
         if addon_utils.enable("rigify", default_set=True) is None:
             Path(target).write_text(json.dumps({"lacking": "this Blender has no Rigify"}))
             return
         bpy.ops.object.armature_human_metarig_add()
+        if rig == "rigify":
+            metarig = bpy.context.object
+            bpy.ops.pose.rigify_generate()
+            bpy.data.objects.remove(metarig)
     else:
         bpy.ops.import_scene.gltf(filepath=rig)
     armature = next(thing for thing in bpy.data.objects if thing.type == "ARMATURE")
     bpy.context.view_layer.objects.active = armature
     before = {thing.name for thing in bpy.data.objects}
+    armatures = len(bpy.data.armatures)
     assert addon.GestureFromSpeech.poll(bpy.context)
     action = addon.gesture(armature, Path(sound), program, [], 10)
     assert {thing.name for thing in bpy.data.objects} == before, "what was made for the way is removed"
+    assert len(bpy.data.armatures) == armatures
     editor = scene.sequence_editor
     strips = getattr(editor, "strips", None) or editor.sequences
     frames = []
@@ -48,6 +63,7 @@ def main(rig: str, sound: str, program: str, fps: str, target: str) -> None:
         frames.append({bone.name: list(armature.matrix_world @ bone.head) for bone in armature.pose.bones})
     Path(target).write_text(json.dumps({
         "frames": frames, "range": [scene.frame_start, scene.frame_end], "action": action.name,
+        "keyed": sorted({curve.data_path.split('"')[1] for curve in curves_of(action)}),
         "strips": [[strip.type, strip.frame_start] for strip in strips]}))
     addon.unregister()
 

@@ -1,7 +1,7 @@
-"""Small characters for tests of what is written: a GLB with Mixamo's names, and a VRM 1.0.
+"""Small characters for tests of what is written: a GLB with Mixamo's names, and VRMs.
 
-Both are a body of other proportions than ours, whose joints rest in axes drawn at random, with a skin, a picture on it
-and data that no tool knows.
+All are a body of other proportions than ours, whose joints rest in axes drawn at random, with a skin, a picture on it
+and data that no tool knows. VRM 0.x allows no rest rotations, and has its characters face -Z.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion.skeletons import NAME_TABLES, WHOLE_BODY
 from gesticulator.export.vrma import BONES
+
+_THUMB = ("Metacarpal", "Proximal", "Distal")
 
 SIZE = 0.8
 """Of our own skeleton."""
@@ -43,11 +45,17 @@ def offsets() -> np.ndarray:
     return out
 
 
-def write_character(path: Path, seed: int = 0, vrm: bool = False, named: str = "mixamorig:") -> Path:
-    """Write the character as GLB, or as VRM 1.0."""
+MIXAMO = {joint: "mixamorig:" + name for joint, name in NAME_TABLES["mixamo"].items()}
+VROID = NAME_TABLES["vrm"]
+"""Bones as exporters of VRM name them."""
+HUMANOID = {row[2]: bone for bone, row in BONES.items()}
+"""Bones by the names of the VRM humanoid."""
+
+
+def write_character(path: Path, seed: int = 0, vrm: str = "", table: dict[str, str] = MIXAMO) -> Path:
+    """Write the character as GLB, or as VRM "1.0" or "0.x"; table: our joint -> name of a bone, for those it has."""
     rng = np.random.default_rng(seed)
     names, parents = WHOLE_BODY.names, WHOLE_BODY.parents
-    table = NAME_TABLES["mixamo"]
     kept = [joint for joint, name in enumerate(names) if name in table]
     above = {}
     for joint in kept:
@@ -60,13 +68,15 @@ def write_character(path: Path, seed: int = 0, vrm: bool = False, named: str = "
     for joint, parent in enumerate(parents):
         places[joint] = own[joint] + (places[parent] if parent >= 0 else 0)
     axes = Rotation.random(len(names), random_state=int(rng.integers(1000)))
+    if vrm == "0.x":
+        places, axes = places * [-1.0, 1.0, -1.0], Rotation.identity(len(names))
     # As exporters do: a node above the joints that is scaled and turned, and lengths in centimetres.
     scale, stand = (1.0, Rotation.identity()) if vrm else (0.01, Rotation.from_euler("X", -90, degrees=True))
     nodes: list[dict[str, Any]] = [{"name": "Armature", "scale": [scale] * 3, "rotation": stand.as_quat().tolist()}]
     for joint in kept:
         parent = above[joint]
         back, origin = (axes[parent].inv(), places[parent]) if parent >= 0 else (stand.inv(), np.zeros(3))
-        nodes.append({"name": named + table[names[joint]],
+        nodes.append({"name": table[names[joint]],
                       "translation": (back.apply(places[joint] - origin) / scale).tolist(),
                       "rotation": (back * axes[joint]).as_quat().tolist()})
         nodes[kept.index(parent) + 1 if parent >= 0 else 0].setdefault("children", []).append(len(nodes) - 1)
@@ -117,13 +127,22 @@ def write_character(path: Path, seed: int = 0, vrm: bool = False, named: str = "
         "scene": 0, "scenes": [{"nodes": [0, len(nodes)]}],
         "buffers": [{"byteLength": len(binary)}],
     }
-    if vrm:
-        mapped = {bone: {"node": kept.index(WHOLE_BODY.index(row[2])) + 1} for bone, row in BONES.items()
-                  if WHOLE_BODY.index(row[2]) in kept}
+    mapped = {bone: {"node": kept.index(WHOLE_BODY.index(row[2])) + 1} for bone, row in BONES.items()
+              if WHOLE_BODY.index(row[2]) in kept}
+    if vrm == "1.0":
         document["extensionsUsed"] = ["VRMC_vrm"]
         document["extensions"] = {"VRMC_vrm": {
             "specVersion": "1.0", "humanoid": {"humanBones": mapped},
             "meta": {"name": "small", "authors": ["a test"], "licenseUrl": "https://vrm.dev/licenses/1.0/"}}}
+    elif vrm == "0.x":
+        thumbs = dict(zip(_THUMB, ("Proximal", "Intermediate", "Distal"), strict=True))  # as that version calls them
+        bones = [{"bone": bone[:-len(bone.split("Thumb")[-1])] + thumbs[bone.split("Thumb")[-1]]
+                  if "Thumb" in bone else bone, **node, "useDefaultValues": True} for bone, node in mapped.items()]
+        document["extensionsUsed"] = ["VRM"]
+        document["extensions"] = {"VRM": {
+            "exporterVersion": "a test", "specVersion": "0.0", "meta": {"title": "small", "author": "a test"},
+            "humanoid": {"humanBones": bones}, "firstPerson": {}, "blendShapeMaster": {"blendShapeGroups": []},
+            "secondaryAnimation": {"boneGroups": [], "colliderGroups": []}, "materialProperties": []}}
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + 8 + len(binary)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from small_characters import write_character
+from small_characters import HUMANOID, MIXAMO, VROID, write_character
 
 from data_module.errors import InputError
 from data_module.types import Array
@@ -20,10 +20,13 @@ from gesticulator.performance import Performance
 HERE = Path(__file__).resolve().parent
 FPS, SECONDS = 24, 3.0
 RIGS = {
-    "mixamo": ("mixamorig:{side}Arm", "mixamorig:{side}ForeArm", "mixamorig:{side}Hand"),
-    "rigify": ("upper_arm.{side}", "forearm.{side}", "hand.{side}"),
+    "mixamo": (MIXAMO, "mixamorig:{side}Arm", "mixamorig:{side}ForeArm", "mixamorig:{side}Hand", ""),
+    "vroid": (VROID, "J_Bip_{side[0]}_UpperArm", "J_Bip_{side[0]}_LowerArm", "J_Bip_{side[0]}_Hand", ""),
+    "vrm humanoid": (HUMANOID, "{small}UpperArm", "{small}LowerArm", "{small}Hand", ""),
+    "metarig": (None, "upper_arm.{side[0]}", "forearm.{side[0]}", "hand.{side[0]}", "toe.{side[0]}"),
+    "rigify": (None, "DEF-upper_arm.{side[0]}", "DEF-forearm.{side[0]}", "DEF-hand.{side[0]}", "DEF-toe.{side[0]}"),
 }
-"""Kind of armature -> its bones of an arm."""
+"""Kind of armature -> the names of its bones where we write it, its bones of an arm, its toes."""
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +49,8 @@ def test_an_armature_moves_as_our_own_skeleton_does(kind: str, spoken: tuple[Pat
     program = tmp_path / "gesticulator"
     program.write_text(f'#!/bin/sh\nPYTHONPATH="{HERE.parent}" exec "{sys.executable}" -m gesticulator "$@"\n')
     program.chmod(0o755)
-    rig = "rigify" if kind == "rigify" else str(write_character(tmp_path / "her.glb"))
+    table, *arm, toe = RIGS[kind]
+    rig = kind if table is None else str(write_character(tmp_path / "her.glb", table=table))
     run_in_blender(tmp_path, HERE / "blender_addon.py", rig, str(sound), str(program), str(FPS),
                    str(tmp_path / "out.json"))
     told = json.loads((tmp_path / "out.json").read_text())
@@ -62,7 +66,7 @@ def test_an_armature_moves_as_our_own_skeleton_does(kind: str, spoken: tuple[Pat
 
     places = made.positions()
     for side in ("Left", "Right"):
-        names = [name.format(side=side if kind == "mixamo" else side[0]) for name in RIGS[kind]]
+        names = [name.format(side=side, small=side.lower()) for name in arm]
         ours = [made.joints.index(side + name) for name in ("Arm", "ForeArm", "Hand")]
         for k in (0, 1):
             expected = places[:, ours[k + 1]] - places[:, ours[k]]
@@ -70,4 +74,11 @@ def test_an_armature_moves_as_our_own_skeleton_does(kind: str, spoken: tuple[Pat
             apart = np.degrees(np.arccos(np.clip(np.sum(bone(names[k], names[k + 1]) * expected, axis=1), -1, 1)))
             # Hands that would enter her trunk are kept outside, which moves an arm for a while.
             assert np.median(apart) < 1.0, (side, k, apart.max())
+        if toe:
+            toes = np.array([frame[toe.format(side=side)] for frame in told["frames"]])
+            assert np.ptp(toes, axis=0).max() < 0.02, "she stands"
     assert np.ptp(bone(names[1], names[2]), axis=0).max() > 0.1, "she moves"
+    if kind == "rigify":  # what an animator goes on with
+        assert {"torso", "chest", "upper_arm_fk.L", "hand_fk.R", "foot_fk.L", "f_index.02.R", "upper_arm_parent.L"
+                } <= set(told["keyed"])
+        assert not [name for name in told["keyed"] if name.startswith(("DEF-", "ORG-", "MCH-"))]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import shutil
 from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +17,18 @@ from small_characters import write_character
 
 from data_module.errors import InputError
 from data_module.motion import rotation
-from data_module.motion.bvh import read_bvh
+from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.kinematics import positions_of
+from eval.table import load
 from gesticulator import Gesticulator
+from gesticulator.config import Schedules
 from gesticulator.export.blender import check_blender, run_in_blender
+from gesticulator.plan import edited_blocks, read_plan
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
-RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples", "to_blender", "to_character", "to_vrm", "two_takes"}
+RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_at_words", "own_engine", "samples", "score",
+       "to_blender", "to_character", "to_vrm", "train", "two_takes"}
 NEEDS_MORE = {"make_speech"}
 """Examples that need a program that is not installed with the tests."""
 
@@ -89,7 +95,7 @@ def test_rotations_for_an_engine(recording: Path, tmp_path: Path) -> None:
 
 
 def test_a_character_and_a_vrm_animation(recording: Path, tmp_path: Path) -> None:
-    for vrm, source in ((False, tmp_path / "her.glb"), (True, tmp_path / "her.vrm")):
+    for vrm, source in (("", tmp_path / "her.glb"), ("1.0", tmp_path / "her.vrm")):
         before = GlbFile.parse(write_character(source, vrm=vrm).read_bytes())
         example("to_character")(str(recording), str(source), str(tmp_path / "out.glb"))
         after = GlbFile.parse((tmp_path / "out.glb").read_bytes())
@@ -114,6 +120,34 @@ def test_two_takes_on_one_page(recording: Path, tmp_path: Path, capsys: pytest.C
     assert same < 0.9 and f"{same:.0%} of the blocks" in capsys.readouterr().out
 
 
+def test_a_plan_is_edited(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("edit_plan")(str(recording), str(tmp_path / "edited.bvh"), str(tmp_path / "plan.json"))
+    edited, plan = read_bvh(tmp_path / "edited.bvh"), read_plan(tmp_path / "plan.json")
+    first = Gesticulator.from_pretrained()(recording).save(tmp_path / "first.bvh")
+    differs = np.abs(edited.rotations - read_bvh(first).rotations).max(axis=(1, 2)) > 1e-6
+    assert sum(edited_blocks(plan)) >= 1 and 0.0 < differs.mean() < 0.9, "a part of it"
+    assert "drawn anew" in capsys.readouterr().out
+
+
+def test_gestures_at_words(recording: Path, tmp_path: Path) -> None:
+    example("gestures_at_words")(str(recording), "Heavy bread rises slowly", "bread=wave,slowly=open palms",
+                                 str(tmp_path / "cued.bvh"))
+    motion = read_bvh(tmp_path / "cued.bvh")
+    hand, shoulder = (positions_of(motion)[:, motion.skeleton.index(name), 1] for name in ("RightHand", "RightArm"))
+    assert (hand > shoulder + 0.05).mean() > 0.1, "she waves beside her head"
+
+
+def test_a_calmer_take(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("calmer_take")(str(recording), str(tmp_path / "first.bvh"), str(tmp_path / "calm.bvh"))
+    speeds = []
+    for name in ("first", "calm"):
+        motion = read_bvh(tmp_path / f"{name}.bvh")
+        hands = positions_of(motion)[:, [motion.skeleton.index(side + "Hand") for side in ("Left", "Right")]]
+        speeds.append(np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean() * motion.fps)
+    assert speeds[1] < 0.85 * speeds[0]
+    assert capsys.readouterr().out.count("m/s") == 2
+
+
 def test_a_scene_for_blender(recording: Path, tmp_path: Path) -> None:
     try:
         check_blender(tmp_path)
@@ -129,3 +163,53 @@ def test_a_scene_for_blender(recording: Path, tmp_path: Path) -> None:
                     "print('told', json.dumps([scene.frame_end, scene.render.fps, len(strips), strips[0].type]))\n")
     told = run_in_blender(tmp_path, look, str(tmp_path / "talk.blend"))
     assert json.loads(told.split("told ")[1].splitlines()[0]) == [round(SECONDS * 30) - 1, 30, 1, "SOUND"]
+
+
+@pytest.fixture
+def spoken(tiny_store: Path, tmp_path: Path) -> Path:
+    """A folder as a user has one: BVH files and the WAV files that go with them, and nothing else."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for number, motion in enumerate(sorted((tiny_store / "dataset").glob("*.bvh"))[:4]):
+        samples, rate = soundfile.read(motion.with_suffix(".flac"))
+        soundfile.write(folder / f"take{number}.wav", samples, rate)
+        shutil.copy(motion, folder / f"take{number}.bvh")
+    return folder
+
+
+def test_a_folder_of_recordings_becomes_weights_that_gesture(spoken: Path, recording: Path, tmp_path: Path) -> None:
+    few = [part for stage in fields(Schedules) for part in ("--set", f"schedules.{stage.name}.steps=6")
+           if stage.name != "interpreter_text"]
+    options = ("--preset", "tiny", "--threads", "1", "--quiet", "--set", "text.encoder=", "--set", "cql.copy_every=3")
+    example("train")(str(spoken), str(tmp_path / "bundle"), str(recording), str(tmp_path / "talk.bvh"), *options, *few)
+    told = json.loads((tmp_path / "bundle" / "bundle.json").read_text())
+    assert told["config"]["name"] == "tiny"
+    motion = read_bvh(tmp_path / "talk.bvh")
+    assert motion.duration == pytest.approx(SECONDS, abs=0.02)
+    assert np.ptp(positions_of(motion)[:, motion.skeleton.index("RightHand")], axis=0).max() > 0.01, "she moves"
+    shipped = Gesticulator.from_pretrained()(recording)
+    assert len(motion.skeleton) == 16 != len(shipped.joints), "by its own weights: the preset has no fingers"
+
+
+def test_another_system_is_scored(spoken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for number in range(4):
+        motion, sound = spoken / f"take{number}.bvh", spoken / f"take{number}.wav"
+        if number > 1:  # two recordings, of a few seconds, are enough
+            motion.unlink()
+            sound.unlink()
+            continue
+        samples, rate = soundfile.read(sound, frames=round(SECONDS * 16000))
+        soundfile.write(sound, samples, rate)
+        made = read_bvh(motion)
+        kept = round(SECONDS * made.fps)
+        made = replace(made, rotations=made.rotations[:kept], root_positions=made.root_positions[:kept])
+        write_bvh(motion, made)
+        shutil.copy(motion, theirs / motion.name)  # a system that is as good as the speaker
+    example("score")(str(spoken), str(theirs), str(tmp_path / "score.json"), "--no-controls")
+    about, joints, *_ = load(tmp_path / "score.json")
+    assert about.facts["clips"] == ["take0", "take1"] and about.facts["systems"] == ["theirs", "ours"]
+    apart = {name: joints.rows[name]["maje"].value.mean for name in ("theirs", "ours")}  # type: ignore[union-attr]
+    assert apart["theirs"] < 0.01 < 10.0 < apart["ours"], "millimetres from the speaker's own joints"
+    assert "theirs - ours" in capsys.readouterr().out

@@ -4,6 +4,9 @@ Install this one file from disk (`Edit > Preferences > Add-ons > Install from Di
 `gesticulator` program is, select an armature, and run `Object > Animation > Gesture from Speech`. The armature's rig is
 handed over as a small GLB, the motion comes back as one, and its keys become an action; frame rate, frame range and a
 sound strip are set to go with it. The add-on itself needs nothing but Blender (4.2 or newer).
+
+A rig that Rigify generated is moved by its own FK controls: the bones that it was made of are handed over, and each
+control turns as its bone does.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import bpy
 import numpy as np
 from bpy.props import EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
-from mathutils import Quaternion, Vector
+from mathutils import Matrix, Quaternion, Vector
 
 bl_info = {
     "name": "Gesture from Speech",
@@ -105,8 +108,6 @@ def make_action(armature: Any, source: Path, name: str, start: int) -> Any:
     Bones of glTF have the axes of Blender's own, so a pose is what turns the rest into the animated transform.
     """
     times, moved = read_motion(source)
-    scene = bpy.context.scene
-    rate = scene.render.fps / scene.render.fps_base
     armature.animation_data_create().action = bpy.data.actions.new(name)
     for bone_name, own in moved.items():
         bone = armature.pose.bones.get(bone_name)
@@ -114,23 +115,151 @@ def make_action(armature: Any, source: Path, name: str, start: int) -> Any:
             continue
         for constraint in bone.constraints:  # they would win over the keys
             constraint.mute = True
-        x, y, z, w = own["rest"].get("rotation", (0, 0, 0, 1))
-        rest = Quaternion((w, x, y, z))
-        bone.rotation_mode = "QUATERNION"
-        before = None
-        for time, (x, y, z, w) in zip(times, own["rotation"].tolist(), strict=True):
-            turn = rest.inverted() @ Quaternion((w, x, y, z))
-            if before is not None and turn.dot(before) < 0:
-                turn.negate()
-            before = turn.copy()
-            bone.rotation_quaternion = turn
-            bone.keyframe_insert("rotation_quaternion", frame=start + time * rate)
-        if "translation" in own:
-            origin = Vector(own["rest"].get("translation", (0, 0, 0)))
-            for time, place in zip(times, own["translation"].tolist(), strict=True):
-                bone.location = rest.inverted() @ (Vector(place) - origin)
-                bone.keyframe_insert("location", frame=start + time * rate)
+        _key(bone, times, start, *pose_of(own))
     return armature.animation_data.action
+
+
+def pose_of(own: dict[str, Any]) -> tuple[list[Quaternion], list[Vector] | None]:
+    """A node's track as a bone's pose: turns and, where it has any, shifts in the bone's own axes."""
+    x, y, z, w = own["rest"].get("rotation", (0, 0, 0, 1))
+    back = Quaternion((w, x, y, z)).inverted()
+    turns = [back @ Quaternion((w, x, y, z)) for x, y, z, w in own["rotation"].tolist()]
+    if "translation" not in own:
+        return turns, None
+    origin = Vector(own["rest"].get("translation", (0, 0, 0)))
+    return turns, [back @ (Vector(place) - origin) for place in own["translation"].tolist()]
+
+
+def _key(bone: Any, times: list[float], start: int, turns: list[Quaternion], shifts: list[Vector] | None = None
+         ) -> None:
+    """Keys of a bone's pose, `times` seconds after frame `start`, with signs such that no turn goes the long way."""
+    scene = bpy.context.scene
+    rate = scene.render.fps / scene.render.fps_base
+    bone.rotation_mode = "QUATERNION"
+    before = turns[0]
+    for index, time in enumerate(times):
+        turn = turns[index].copy()
+        if turn.dot(before) < 0:
+            turn.negate()
+        before = bone.rotation_quaternion = turn
+        bone.keyframe_insert("rotation_quaternion", frame=start + time * rate)
+        if shifts is not None:
+            bone.location = shifts[index]
+            bone.keyframe_insert("location", frame=start + time * rate)
+
+
+# ---------------------------------------------------------------- rigs that Rigify generated
+
+_FINGERS = ("thumb", "f_index", "f_middle", "f_ring", "f_pinky")
+CONTROLS: dict[str, tuple[str, str]] = {
+    "spine.001": ("spine_fk.001", "torso"), "spine": ("spine_fk", "spine.001"), "spine.002": ("spine_fk.002", "torso"),
+    "spine.003": ("spine_fk.003", "spine.002"), "spine.004": ("neck", "spine.003"), "spine.006": ("head", "spine.004")}
+"""Bone of the metarig -> its control, and the bone (or the control `torso`) whose control carries that."""
+for _side in ("L", "R"):
+    CONTROLS |= {f"{_name}.{_side}": (f"{_control}.{_side}", _above if _above.startswith("spine") else
+                                      f"{_above}.{_side}") for _name, _control, _above in (
+        ("shoulder", "shoulder", "spine.003"), ("upper_arm", "upper_arm_fk", "shoulder"),
+        ("forearm", "forearm_fk", "upper_arm"), ("hand", "hand_fk", "forearm"), ("thigh", "thigh_fk", "spine"),
+        ("shin", "shin_fk", "thigh"), ("foot", "foot_fk", "shin"), ("toe", "toe_fk", "foot"),
+        *((f"{finger}.0{place}", f"{finger}.0{place}", f"{finger}.0{place - 1}" if place > 1 else "hand")
+          for finger in _FINGERS for place in (1, 2, 3)))}
+_ABOVE = {"spine": "", "spine.001": "spine", "spine.002": "spine.001"}
+"""Metarig bone -> the one above it, where that is not what carries its control: hips hang on the trunk's controls."""
+_SWITCHES = {"upper_arm_parent.L": "IK_FK", "upper_arm_parent.R": "IK_FK", "thigh_parent.L": "IK_FK",
+             "thigh_parent.R": "IK_FK"}
+"""Control -> its property that is 1 where FK moves the limb."""
+_FOLLOW = ("neck_follow", "head_follow")
+"""Properties of `torso` that are 1 where the neck goes with the chest and the head with the neck."""
+
+
+def is_generated(armature: Any) -> bool:
+    """Whether Rigify made this rig of a metarig. RuntimeError where it did, but of none that is known here."""
+    bones = armature.data.bones
+    if "rig_id" not in armature.data or not any(bone.name.startswith("ORG-") for bone in bones):
+        return False
+    parts = [name for name in CONTROLS if not name.startswith((*_FINGERS, "spine.004"))]
+    lacking = [name for name in ("torso", "hips", "chest", *_SWITCHES) if name not in bones]
+    lacking += [name for part in parts for name in ("ORG-" + part, CONTROLS[part][0]) if name not in bones]
+    if lacking:
+        raise RuntimeError(f"{armature.name} was generated by Rigify, but lacks {lacking[0]}: only rigs of its human "
+                           "metarigs are known, with arms and legs that have FK")
+    return True
+
+
+def make_skeleton(rig: Any) -> Any:
+    """An armature of the bones that a generated rig was made of, named as in the metarig, where the rig stands."""
+    data = bpy.data.armatures.new(PROXY)
+    skeleton = bpy.data.objects.new(PROXY, data)
+    bpy.context.scene.collection.objects.link(skeleton)
+    skeleton.matrix_world = rig.matrix_world
+    selected, active = list(bpy.context.selected_objects), bpy.context.view_layer.objects.active
+    _select([skeleton], skeleton)
+    bpy.ops.object.mode_set(mode="EDIT")
+    for name in _metarig_bones(rig):
+        own, bone = rig.data.bones["ORG-" + name], data.edit_bones.new(name)
+        bone.head, bone.tail = own.head_local, own.tail_local
+        bone.matrix = own.matrix_local
+        above = _ABOVE.get(name, CONTROLS[name][1])
+        bone.parent = data.edit_bones[above] if above else None
+    bpy.ops.object.mode_set(mode="OBJECT")
+    _select(selected, active)
+    return skeleton
+
+
+def _metarig_bones(rig: Any) -> list[str]:
+    """Names of the bones that the rig has, those above before those below."""
+    names = [*_ABOVE, *(name for name in CONTROLS if name not in _ABOVE)]
+    return [name for name in names if "ORG-" + name in rig.data.bones and CONTROLS[name][0] in rig.data.bones]
+
+
+def move_controls(rig: Any, skeleton: Any, source: Path, name: str, start: int) -> Any:
+    """The motion of a GLB of `skeleton` as an action of the generated rig's FK controls; the action.
+
+    A bone's turn against its rest, D, is its control's, too. Under a control that turns by D' it has the rotation
+    B^-1 D'^-1 D B, where B is its own at rest. The trunk hangs on `torso`, which turns as the hips do.
+    """
+    times, moved = read_motion(source)
+    bones = rig.data.bones
+    turns: dict[str, list[Quaternion]] = {}
+    worlds: dict[str, list[Matrix]] = {}
+    for part in _metarig_bones(rig):
+        rest, above = skeleton.data.bones[part].matrix_local, _ABOVE.get(part, CONTROLS[part][1])
+        poses, shifts = pose_of(moved[part]) if part in moved else ([Quaternion()] * len(times), None)
+        local = (skeleton.data.bones[above].matrix_local.inverted() if above else Matrix()) @ rest
+        worlds[part] = [(worlds[above][k] if above else Matrix()) @ local @ Matrix.LocRotScale(
+            shifts[k] if shifts else None, poses[k], None) for k in range(len(times))]
+        turns[part] = [(world @ rest.inverted()).to_quaternion() for world in worlds[part]]
+    turns["torso"] = turns["spine"]
+    rig.animation_data_create().action = bpy.data.actions.new(name)
+    _prepare(rig, start)
+    rest = bones["torso"].matrix_local
+    pivot = skeleton.data.bones["spine.002"].head_local  # where hips and chest meet
+    shifts = [rest.to_quaternion().inverted() @ (
+        world.translation + turn @ (rest.translation - pivot) - rest.translation)
+        for world, turn in zip(worlds["spine.002"], turns["torso"], strict=True)]
+    _key(rig.pose.bones["torso"], times, start, _own(rest, turns["torso"]), shifts)
+    for part in _metarig_bones(rig):
+        control, above = CONTROLS[part]
+        _key(rig.pose.bones[control], times, start, _own(bones[control].matrix_local, turns[part], turns[above]))
+    return rig.animation_data.action
+
+
+def _own(rest: Matrix, turns: list[Quaternion], above: list[Quaternion] | None = None) -> list[Quaternion]:
+    """World turns against the rest as rotations in the axes of a control, under one that turns by `above`."""
+    axes = rest.to_quaternion()
+    return [axes.inverted() @ (turn if above is None else above[k].inverted() @ turn) @ axes
+            for k, turn in enumerate(turns)]
+
+
+def _prepare(rig: Any, start: int) -> None:
+    """FK for all limbs, a head that goes with the trunk, and the controls of hips and chest where they rest; keyed."""
+    pose = rig.pose.bones
+    for bone, switch in (*_SWITCHES.items(), *(("torso", name) for name in _FOLLOW)):
+        if switch in pose[bone]:
+            pose[bone][switch] = 1.0
+            pose[bone].keyframe_insert(f'["{switch}"]', frame=start)
+    for bone in ("hips", "chest"):
+        _key(pose[bone], [0.0], start, [Quaternion()], [Vector()])
 
 
 def lay_sound(sound: Path, start: int) -> None:
@@ -154,15 +283,22 @@ def gesture(armature: Any, sound: Path, command: str, options: list[str], start:
     """Move an armature to a recording; the action. RuntimeError with gesticulator's own message where it refuses."""
     scene = bpy.context.scene
     rate = scene.render.fps / scene.render.fps_base
-    with tempfile.TemporaryDirectory() as folder:
-        rig, motion = Path(folder) / "rig.glb", Path(folder) / "motion.glb"
-        export_rig(armature, rig)
-        done = subprocess.run([command, "infer", str(sound), "--character", str(rig), "-o", str(motion), "--fps",
-                               f"{rate:g}", "--quiet", *options], capture_output=True, text=True, check=False)
-        if done.returncode:
-            said = done.stderr.strip().splitlines()
-            raise RuntimeError(said[-1] if said else f"gesticulator ended with {done.returncode}")
-        action = make_action(armature, motion, f"gesture {sound.stem}", start)
+    skeleton = make_skeleton(armature) if is_generated(armature) else None
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            rig, motion = Path(folder) / "rig.glb", Path(folder) / "motion.glb"
+            export_rig(skeleton or armature, rig)
+            done = subprocess.run([command, "infer", str(sound), "--character", str(rig), "-o", str(motion), "--fps",
+                                   f"{rate:g}", "--quiet", *options], capture_output=True, text=True, check=False)
+            if done.returncode:
+                said = done.stderr.strip().splitlines()
+                raise RuntimeError(said[-1] if said else f"gesticulator ended with {done.returncode}")
+            name = f"gesture {sound.stem}"
+            action = (make_action(armature, motion, name, start) if skeleton is None
+                      else move_controls(armature, skeleton, motion, name, start))
+    finally:
+        if skeleton is not None:
+            bpy.data.armatures.remove(skeleton.data)  # and with it the object
     lay_sound(sound, start)
     scene.frame_start, scene.frame_end = start, max(start, round(action.frame_range[1]))
     return action
