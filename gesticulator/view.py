@@ -137,6 +137,8 @@ def _serve(server: PageServer, asked: argparse.Namespace) -> None:
         webbrowser.open(server.url)
     with suppress(KeyboardInterrupt):
         server.serve_forever()
+    # What is being rendered ends first: a thread that is stopped within torch ends the process with a crash.
+    server.rendering.acquire()
 
 
 COMMAND = Command(
