@@ -1,6 +1,6 @@
 """Ask for gestures at words.
 
-    python examples/gestures_at_words.py examples/speech.flac examples/speech.txt "bread=wave,slowly=open palms" cued.bvh
+    python examples/gestures_at_words.py examples/speech.flac examples/speech.txt "bread=wave,slowly=shrug" o.bvh
 """
 
 from __future__ import annotations

@@ -169,7 +169,7 @@ class Gesticulator:
                                                              in zip(said, made.lexemes, strict=True)])
         return self._performance(speech, options, take, encoded, made)
 
-    def _take(self, speech: Speech, options: InferenceOptions) -> Take:
+    def _take(self, speech: Speech, options: InferenceOptions) -> Casting:
         """Who performs what, with nothing left to the bundle; `InputError` for what it cannot do."""
         chosen = self.bundle.config.selection
         activity = (chosen.activity if options.activity is None else options.activity) * options.energy_share
@@ -183,7 +183,7 @@ class Gesticulator:
         if temperature is None:
             temperature = chosen.q_temperature if getattr(system, "gives_values", False) else chosen.temperature
         system, beta = _steered(system, options.beta, temperature)
-        return Take(self.bundle, system, name, who, Sampling(temperature, chosen.top, int(options.seed)), activity,
+        return Casting(self.bundle, system, name, who, Sampling(temperature, chosen.top, int(options.seed)), activity,
                     beta, controls)
 
     def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
@@ -217,7 +217,7 @@ class Gesticulator:
             lambda encoded: self._control_rows(take.controls, encoded),
             lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block)
 
-    def _performance(self, speech: Speech, options: InferenceOptions, take: Take, encoded: SpeechFeatures,
+    def _performance(self, speech: Speech, options: InferenceOptions, take: Casting, encoded: SpeechFeatures,
                      made: RolloutResult) -> Performance:
         shaping = None
         if options.shaped:
@@ -340,7 +340,7 @@ class Gesticulator:
 
 
 @dataclass(frozen=True)
-class Take:
+class Casting:
     """Who performs, and how: what a rollout is made of. name: what was asked for as interpreter; beta: its own, where
     it has one; controls: of the hands."""
 

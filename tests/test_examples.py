@@ -27,8 +27,8 @@ from gesticulator.plan import edited_blocks, read_plan
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
-RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_at_words", "own_engine", "samples", "score",
-       "to_blender", "to_character", "to_vrm", "train", "two_takes"}
+RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_at_words", "own_engine", "samples",
+       "score", "to_blender", "to_character", "to_vrm", "train", "two_takes"}
 NEEDS_MORE = {"make_speech"}
 """Examples that need a program that is not installed with the tests."""
 

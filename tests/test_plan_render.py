@@ -269,8 +269,8 @@ def test_named_gestures_are_poses_of_a_body(name: str, drawn: Performance) -> No
 
 def test_cues_find_their_words_and_say_what_is_said() -> None:
     words = (Word("Hello,", 0.2, 0.5), Word("you", 0.5, 0.8), Word("hello", 2.0, 2.3))
-    due = cues_at([GestureCue("wave", "HELLO"), GestureCue("nod", "hello", 2), GestureCue("stop", time=1.0)], words, 3.0,
-                  tuple)
+    cues = [GestureCue("wave", "HELLO"), GestureCue("nod", "hello", 2), GestureCue("stop", time=1.0)]
+    due = cues_at(cues, words, 3.0, tuple)
     assert [round(one.time, 3) for one in due] == [0.3, 2.1, 1.0]
     for cue, told in ((GestureCue("wave", "hello", 3), "hello, you"), (GestureCue("wave", "red"), "0 times"),
                       (GestureCue("wavy", "you"), "wave, point left"), (GestureCue("wave", time=4.0), "not in the 3")):

@@ -66,12 +66,13 @@ def plan_of(performance: Performance) -> GesturePlan:
         performance.notes)
     if rendered is None:
         return plan
-    kept = tuple(replace(
-        block, lexeme=now.lexeme if block.lexeme is None else block.lexeme, gate=now.gate,
-        name=called.get(now.lexeme if block.lexeme is None else block.lexeme), alternatives=now.alternatives,
-        chosen=now.chosen, runner_up=now.runner_up)
-        for block, now in zip(rendered.blocks, blocks, strict=True))
-    return replace(plan, drawn=rendered.drawn, blocks=kept, knobs=rendered.knobs, cues=rendered.cues,
+    kept = []
+    for block, now, played in zip(rendered.blocks, blocks, performance.lexemes.tolist(), strict=True):
+        lexeme = played if block.lexeme is None else block.lexeme
+        kept.append(replace(now, start=block.start, end=block.end, silent=block.silent, flag=block.flag,
+                            draw=block.draw, locked=block.locked, intensity=block.intensity, mirror=block.mirror,
+                            lexeme=lexeme, name=called.get(lexeme)))
+    return replace(plan, drawn=rendered.drawn, blocks=tuple(kept), knobs=rendered.knobs, cues=rendered.cues,
                    made_by=rendered.made_by, notes=rendered.notes)
 
 
