@@ -281,7 +281,7 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
     speech = load(job, asked)
     begin = time.perf_counter()
     stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
-    made = replace(_performed(job, speech, system, asked, controls, asked.legs or stands), sound_name=job.name)
+    made = replace(performed(job, speech, system, asked, controls, asked.legs or stands), sound_name=job.name)
     if retargeter is not None:
         made = replace(made, character=retargeter(made.motion))
     spent = time.perf_counter() - begin
@@ -305,8 +305,9 @@ def load(job: Job, asked: argparse.Namespace) -> Speech:
     return speech
 
 
-def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None,
-               legs: bool) -> Performance:
+def performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None,
+              legs: bool) -> Performance:
+    """What the command asks of a recording, with a bar on the terminal while it is drawn."""
     from tqdm import tqdm
 
     with closing(tqdm(desc=job.name, unit=" blocks", leave=False,

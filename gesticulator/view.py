@@ -16,11 +16,11 @@ from gesticulator.infer import (
     STDIN,
     Job,
     asked_controls,
-    asked_options,
     limited_threads,
     load,
     our_warnings,
     performance_arguments,
+    performed,
 )
 from interpreters import INTERPRETERS
 
@@ -117,26 +117,26 @@ def _character(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
 
 def _takes(system: Gesticulator, job: Job, asked: argparse.Namespace, legs: bool) -> dict[str, Performance]:
     """What each take is called -> its performance."""
-    options = asked_options(asked, asked_controls(system, asked), legs)
-    speech = load(job, asked)
-    first = replace(system(speech, text=job.text, **options), sound_name=job.name)
+    controls, speech = asked_controls(system, asked), load(job, asked)
+    first = replace(performed(job, speech, system, asked, controls, legs), sound_name=job.name)
     name = str(first.made_by["settings"]["interpreter"])
     if asked.beside is None:
         return {name: first}
-
     # Words whose times were found once are not sought again.
-    speech = replace(speech, words=first.speech.words)
-    second = replace(system(speech, **{**options, "interpreter": asked.beside}), sound_name=job.name, notes=first.notes)
+    speech, job = replace(speech, words=first.speech.words), replace(job, text=None)
+    other = argparse.Namespace(**{**vars(asked), "interpreter": asked.beside})
+    second = replace(performed(job, speech, system, other, controls, legs), sound_name=job.name, notes=first.notes)
     return {name: first, asked.beside if asked.beside != name else f"{name} again": second}
 
 
 def _serve(server: PageServer, asked: argparse.Namespace) -> None:
-    if not asked.quiet:
-        print(f"{server.url}  (Ctrl C ends it)", flush=True)
+    print(f"{server.url}  (Ctrl C ends it)", flush=True)
     if not asked.no_browser:
         webbrowser.open(server.url)
     with suppress(KeyboardInterrupt):
         server.serve_forever()
+    # What is being rendered ends first: a thread that is stopped within torch ends the process with a crash.
+    server.rendering.acquire()
 
 
 COMMAND = Command(

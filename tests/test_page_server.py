@@ -178,6 +178,15 @@ def test_an_edit_on_the_page_comes_back_as_motion(served: tuple[PageServer, Rend
         page.wait_for_function("() => preview.session.lane.rendered === preview.session.plan")
         joints_are(renderer.first)
         opened.check_quiet(server.url)
+        # A plan that comes while another one is rendered is sent again.
+        server.queue = 0.05
+        server.rendering.acquire()
+        page.keyboard.press("3")
+        page.wait_for_function("() => document.getElementById('status').textContent.startsWith('waiting')")
+        server.rendering.release()
+        joints_are(renderer.other)
+        page.keyboard.press("Control+z")
+        joints_are(renderer.first)
         # What the renderer refuses is told on the page, which goes on.
         page.evaluate("""() => {
             const { session } = preview, [first, ...rest] = session.plan.blocks;

@@ -1,6 +1,6 @@
 // Files made of what is on the stage: GLB of our own figure or of the user's character, and VRMA for any VRM.
 
-import { AnimationClip, QuaternionKeyframeTrack, VectorKeyframeTrack } from "three";
+import { AnimationClip, Matrix4, Quaternion, QuaternionKeyframeTrack, Vector3, VectorKeyframeTrack } from "three";
 import { GLTFExporter } from "three/addons/exporters/GLTFExporter.js";
 
 import { Figure } from "./figure.js";
@@ -69,18 +69,20 @@ export function characterGlb(character, take) {
     character.root.position.toArray(places, t * 3);
   });
   const glb = Glb.read(character.bytes);
-  for (const [number, node] of moved) untangle(glb.document.nodes[number], node);
+  for (const [number] of moved) untangle(glb.document.nodes[number]);
   const tracks = moved.map(([number], k) => ({ node: number, path: "rotation", values: values[k] }));
   if (hips >= 0) tracks.push({ node: moved[hips][0], path: "translation", values: places });
   glb.animate(NAME, timesOf(take), tracks);
   return glb.bytes();
 }
 
-/** A node that is animated has no matrix. */
-function untangle(told, node) {
+/** A node that is animated has no matrix, but what it is made of. */
+function untangle(told) {
   if (!told.matrix) return;
+  const translation = new Vector3(), rotation = new Quaternion(), scale = new Vector3();
+  new Matrix4().fromArray(told.matrix).decompose(translation, rotation, scale);
   delete told.matrix;
-  Object.assign(told, { translation: node.position.toArray(), rotation: node.quaternion.toArray(), scale: node.scale.toArray() });
+  for (const [name, part] of Object.entries({ translation, rotation, scale })) told[name] = part.toArray();
 }
 
 /** Our own figure with its motion: the bytes of a GLB file. */
@@ -92,6 +94,10 @@ export async function figureGlb(take) {
     figure.bones.forEach((bone, j) => write(bone.quaternion, turns[j], t));
     figure.bones[0].position.toArray(places, t * 3);
   });
+  // At rest she stands in a T-pose, as other tools expect.
+  for (const bone of figure.bones) bone.quaternion.identity();
+  figure.bones[0].position.set(0, take.skeleton.height, 0);
+  for (const [what, value] of [["position", 0], ["rotation", 0], ["scale", 1]]) figure.legs[what].set(value, value, value);
   const tracks = figure.bones.map((bone, j) => new QuaternionKeyframeTrack(`${bone.name}.quaternion`, times, turns[j]));
   tracks.push(new VectorKeyframeTrack(`${figure.bones[0].name}.position`, times, places));
   figure.group.name = "figure";

@@ -4,6 +4,9 @@ import { countChanges, planText, readJson } from "./plan.js";
 
 /** Milliseconds after the last edit before the plan is sent, so that a drag is one rendering. */
 const PAUSE = 120;
+/** Milliseconds before a plan is sent again that came while another one was rendered. */
+const LATER = 1000;
+const BUSY = 503;
 
 export class Live {
   /** told: { token } from the server, or null for a page without one. say(state, text): what the user is told. */
@@ -39,6 +42,11 @@ export class Live {
         body: JSON.stringify({ take: lane.take.name, plan: "PLAN" }).replace('"PLAN"', () => planText(asked)),
       });
       const told = readJson(await answer.text());
+      if (answer.status === BUSY) {
+        this.say("busy", "waiting for the models …");
+        this.waiting = setTimeout(() => this.send(), LATER);
+        return;
+      }
       if (!answer.ok) throw new Error(told.error ?? answer.statusText);
       lane.rendered = asked;
       this.session.replace(lane, told, asked);

@@ -30,7 +30,7 @@ function changed(plan, first, last, change) {
 export function setLexeme(plan, first, last, lexeme, name = null) {
   return changed(plan, first, last, (block) => {
     const known = block.alternatives?.find((other) => other.lexeme === lexeme);
-    return { ...block, lexeme, name: name ?? known?.name ?? null, silent: false };
+    return { ...block, lexeme, name: name || known?.name || null, silent: false };
   });
 }
 
@@ -134,7 +134,8 @@ export function fault(plan, original) {
     }
     at = end;
   }
-  const whole = original.blocks.at(-1).end;
+  const whole = original.blocks.at(-1).end, [theirs, ours] = [plan.sound?.sha256, original.sound?.sha256];
+  if (theirs && ours && theirs !== ours) return `The plan is of another recording${plan.sound.name ? `, ${plan.sound.name}` : ""}.`;
   if (Math.abs(at - whole) > 0.05) return `The plan is of another recording: ${at.toFixed(2)} s, not ${whole.toFixed(2)} s.`;
   return null;
 }

@@ -211,6 +211,23 @@ export class Timeline {
       pen.fillRect(from + 2 * u, top + tall - 2.5 * u, Math.max(wide - 4 * u, u), 2.5 * u);
     }
     pen.textAlign = "left";
+    this.drawStill(pen, top, tall);
+  }
+
+  /** Where the hands are asked to hold still, whatever the blocks say. */
+  drawStill(pen, top, tall) {
+    const u = sizes.unit;
+    for (const [from, to] of this.session.plan.knobs?.hold_still ?? []) {
+      const [left, wide] = [this.x(from), (to - from) * this.scale];
+      pen.globalAlpha = 0.72;
+      pen.fillStyle = colours.desk;
+      pen.fillRect(left, top, wide, tall);
+      pen.globalAlpha = 1;
+      pen.strokeStyle = pen.fillStyle = colours.accent;
+      pen.lineWidth = 1.5 * u;
+      pen.strokeRect(left + u, top + 2 * u, Math.max(wide - 2 * u, u), tall - 6 * u);
+      if (wide > 30 * u) pen.fillText("still", left + 6 * u, top + tall / 2 - u);
+    }
   }
 
   /** What is not played is greyed, between two handles on the ruler. */
