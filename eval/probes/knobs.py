@@ -46,7 +46,7 @@ ROWS: dict[str, Settings] = {
     "energy calm": {"energy": "calm"}, "energy lively": {"energy": "lively"},
     "handedness left": {"handedness": "left"}, "handedness right": {"handedness": "right"},
     "handedness both": {"handedness": "both"}, "mirror": {"mirror": True}, "hold still": {"hold_still": STILL},
-    "variation 1": {"variation": 1}, "another seed": {"seed": 1000},
+    "variation 1": {"variation": 1},
 }
 COLUMNS = {
     "eye_speed_50": Column("hand speed, median", "m/s"), "eye_speed_95": Column("95 %", "m/s"),
