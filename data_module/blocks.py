@@ -185,8 +185,14 @@ class KnotPath:
         self._times, self._values = np.zeros(1), np.array(first, dtype=np.float64)[None]
         self._slopes = np.zeros_like(self._values)
 
-    def push(self, times: Array, values: Array) -> Array:
-        """[T, D] the frames that are certain by more knots [K, D] at rising `times` [K], seconds."""
+    @property
+    def reach(self) -> float:
+        """Seconds after a frame in which other frames smooth it."""
+        return self._half / self.fps
+
+    def push(self, times: Array, values: Array, until: int | None = None) -> Array:
+        """[T, D] the frames that are certain by more knots [K, D] at rising `times` [K], seconds; those from number
+        `until` on are kept back for later."""
         known = len(self._times)
         self._times, self._values = np.concatenate([self._times, times]), np.concatenate([self._values, values])
         # The slope at the last knot so far was that of the line to it, for want of a knot beyond.
@@ -194,19 +200,22 @@ class KnotPath:
         near = max(keep - 1, 0)
         more = slopes(self._times[near:], self._values[near:])[keep - near:]
         self._slopes = np.concatenate([self._slopes[:keep], more])
+        if len(self._times) < 2:
+            return self._values[:0]
         limit = self._times[-1] if self.prompt else self._times[-2]
         # The first frame that is not before the limit, or that a recording that ends here would not have.
         certain = min(math.ceil(limit * self.fps - 1e-9), round(float(self._times[-1]) * self.fps))
-        return self._given(max(certain - self._half, self.next))
+        certain -= self._half
+        return self._given(max(certain if until is None else min(certain, until), self.next))
 
     def finish(self, duration: float) -> Array:
         """[T, D] the frames that are left of a recording of so many seconds."""
         count = max(1, round(duration * self.fps))
         return self._given(count, count)
 
-    def again(self, first: int) -> Array:
-        """[T, D] the frames from number `first` on that were given before, as far back as knots are kept."""
-        return self._frames(np.arange(first, self.next))
+    def frames(self, first: int, last: int) -> Array:
+        """[T, D] the frames from `first` to before `last` once more, where the knots around them are still kept."""
+        return self._frames(np.arange(first, last))
 
     def rewind(self, times: Array, values: Array, first: int) -> None:
         """Go back to a frame: knots [M, D] up to the one from which another path goes on, two at least, with the last

@@ -15,7 +15,7 @@ from data_module.errors import InputError, shown
 from data_module.types import Array, Blocks, Speech, Word
 from gesticulator.bundle import Bundle, lexicon_hash
 from gesticulator.drawing import Direction
-from gesticulator.editing import knob_directions
+from gesticulator.editing import still_frames
 from gesticulator.features import representation_of
 from gesticulator.performance import FPS, InferenceOptions
 from gesticulator.plan import GESTURES, GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks
@@ -112,13 +112,27 @@ def _names(bundle: Bundle) -> Sequence[LexemeName]:
     return lexeme_names(bundle)
 
 
+class Director:
+    """Says of each block what the options ask for, in a file and in a stream."""
+
+    def __init__(self, bundle: Bundle, options: InferenceOptions, words: Sequence[Word], duration: float) -> None:
+        """words: what is said, as far as it is known; duration: seconds, infinite in a stream."""
+        self._knobs, self._bias = knobs_of(options), bias_of(bundle, options.handedness)
+        self._due = [one for one in cues_at(options.cues, words, duration, lambda: _names(bundle))
+                     if one.lexeme is not None]
+
+    def direction(self, times: Array, start: float) -> Direction:
+        """Of the block with frames at `times` [K] seconds, which begins at `start`."""
+        end = float(times[-1])
+        lexeme = next((one.lexeme for one in self._due if start < one.time <= end or one.time == start == 0.0), None)
+        return Direction(lexeme, still=still_frames(self._knobs, times, start), bias=self._bias)
+
+
 def directions(bundle: Bundle, options: InferenceOptions, speech: Speech, blocks: Blocks) -> list[Direction]:
     """What the options say of each block of a first drawing."""
-    lexemes: list[int | None] = [None] * len(blocks)
-    for due in cues_at(options.cues, speech.words or (), speech.duration, lambda: _names(bundle)):
-        if due.lexeme is not None:
-            lexemes[min(int(np.searchsorted(blocks.edges[1:], due.time)), len(blocks) - 1)] = due.lexeme
-    return knob_directions(knobs_of(options), blocks, bias_of(bundle, options.handedness), lexemes)
+    director = Director(bundle, options, speech.words or (), float(blocks.edges[-1]))
+    times = blocks.knot_times.reshape(len(blocks), -1)
+    return [director.direction(own, float(start)) for own, start in zip(times, blocks.edges, strict=False)]
 
 
 # -------------------------------------------------------------------------------------------------------- plans
@@ -210,21 +224,23 @@ def check_plan_of(bundle: Bundle, plan: GesturePlan, speech: Speech) -> None:
 
 # ------------------------------------------------------------------------------------------------------- shaping
 
-def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, speech: Speech, blocks: Blocks) -> Shaping:
-    """What intensity, mirrored blocks and gestures by name make of drawn poses [M, D_m] at seconds [M]."""
+def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array) -> Shaping:
+    """What intensity, mirrored blocks and gestures by name make of drawn poses [M, D_m] at seconds [M].
+
+    edges: [N + 1] seconds of the blocks; without a plan from the start to the end (of a stream: infinity) is enough.
+    """
     representation = representation_of(bundle.config)
     if representation.name != "rotations":
         raise InputError("intensity, energy, handedness, cues and plans", "need a bundle of joint rotations, and this "
                          "one has places", "leave them out")
-    sizes, mirrored, kept = _levels(options, len(blocks))
-    due = [one for one in cues_at(options.cues, speech.words or (), speech.duration, lambda: _names(bundle))
-           if one.lexeme is None]
+    sizes, mirrored, kept = _levels(options, len(edges) - 1)
+    due = [one for one in cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle)) if one.lexeme is None]
+    shaper = Shaper(bundle.statistics, representation, speaker)
 
     def shape(poses: Array, times: Array) -> Array:
-        shaper = Shaper(bundle.statistics, representation, speaker)
         poses = shaper.scaled(poses, np.stack(
-            [levels_at(blocks.edges, own, times, FADE, kept) for own in sizes.T], axis=1))
-        poses = shaper.mirrored(poses, levels_at(blocks.edges, mirrored, times, MIRROR_FADE, kept))
+            [levels_at(edges, own, times, FADE, kept) for own in sizes.T], axis=1))
+        poses = shaper.mirrored(poses, levels_at(edges, mirrored, times, MIRROR_FADE, kept))
         if due:
             from gesticulator.named_gestures import laid_over
 

@@ -44,19 +44,19 @@ class Redrawer:
     fps: float
 
 
-def still_frames(knobs: PlanKnobs, blocks: Blocks, i: int) -> NDArray[np.bool_] | None:
-    """[K] the frames of block i in which the hands are told to rest; None where there are none."""
-    ranges = knobs.still_at(float(blocks.edges[i]), float(blocks.edges[i + 1]))
-    if not ranges:
-        return None
-    times = blocks.knot_times.reshape(len(blocks), -1)[i]
-    return np.any([(times > begin) & (times <= stop) for begin, stop in ranges], axis=0)
+def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:
+    """[K] the frames at `times` [K] of a block that begins at `start` in which the hands are told to rest; None where
+    there are none."""
+    ranges = knobs.still_at(start, float(times[-1]))
+    return np.any([(times > begin) & (times <= stop) for begin, stop in ranges], axis=0) if ranges else None
 
 
 def knob_directions(knobs: PlanKnobs, blocks: Blocks, bias: NDArray[np.float64] | None,
                     lexemes: Sequence[int | None]) -> list[Direction]:
     """What the knobs say of each block. bias: [S] of the handedness; lexemes: [N] what must be played."""
-    return [Direction(lexeme, still=still_frames(knobs, blocks, i), bias=bias) for i, lexeme in enumerate(lexemes)]
+    times = blocks.knot_times.reshape(len(blocks), -1)
+    return [Direction(lexeme, still=still_frames(knobs, own, float(start)), bias=bias)
+            for lexeme, own, start in zip(lexemes, times, blocks.edges, strict=False)]
 
 
 def drawn_blocks(drawn: DrawnBlocks, frames: int, fps: float) -> Blocks:
@@ -163,6 +163,7 @@ class PlanRenderer:
         """The blocks of a run, drawn from the state before it."""
         rollout, asked = state.fork(), self._redrawer.control(encoded)
         bias = self._redrawer.bias(plan.knobs.handedness)
+        times = encoded.blocks.knot_times.reshape(len(encoded), -1)
         turned = not plan.knobs.draws_as(plan.drawn.knobs)
         first = {(start, end): (lexeme, silent) for start, end, lexeme, silent in zip(
             plan.drawn.edges, plan.drawn.edges[1:], plan.drawn.lexemes, plan.drawn.silent, strict=False)}
@@ -171,7 +172,7 @@ class PlanRenderer:
             lexeme, silent = first.get((block.start, block.end), (None, False))
             # A lexeme that nobody chose is chosen anew where knobs were turned.
             chosen = None if turned and not block.locked and block.lexeme == lexeme else block.lexeme
-            still = None if block.locked else still_frames(plan.knobs, encoded.blocks, i)
+            still = None if block.locked else still_frames(plan.knobs, times[i], block.start)
             if block.silent and not silent:
                 still = np.ones(encoded.blocks.frames, bool)
             if still is not None and still.mean() >= 0.5:

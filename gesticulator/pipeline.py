@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
@@ -14,7 +14,6 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from data_module.blocks import denormalise
 from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
@@ -22,17 +21,20 @@ from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator import __version__
 from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle import load as load_bundle
+from gesticulator.cutter import BlockCutter, encode_speech
 from gesticulator.drawing import Direction
-from gesticulator.features import SpeechFeatures, control_rows, encode_speech, front_end_for, representation_of
+from gesticulator.features import SpeechFeatures, front_end_for
+from gesticulator.motion_path import MotionPath
 from gesticulator.performance import FPS as FPS
 from gesticulator.performance import HandControl, InferenceArguments, InferenceOptions, Performance
-from gesticulator.rollout import OnBlock, Rollout, RolloutResult, Sampling, rollout
+from gesticulator.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_rows
 
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.editing import PlanRenderer
     from gesticulator.plan import LexemeName
+    from gesticulator.stream import Stream
     from interpreters.base import LexemeInterpreter
 
 R = TypeVar("R", bound=SpeechInput)
@@ -154,23 +156,38 @@ class Gesticulator:
         """`perform` for speech that is at `SAMPLE_RATE` and as loud as it was asked for."""
         if options.plan is not None:
             return self.render(speech, options, on_block=on_block)
-        take = self._take(speech, options)
+        cast = self.cast(options, self._reads(speech))
         encoded = self.encode_speech(speech) if encoded is None else encoded
-        rows, said = self._control_rows(take.controls, encoded), None
+        rows, said = self._control_rows(cast.controls, encoded), None
         if options.directed:
             from gesticulator import directing
 
             said = directing.directions(self.bundle, options, speech, encoded.blocks)
-        made = take.rollout(take.activity).run(encoded, rows, on_block, said)
+        made = cast.rollout(self.bundle).run(encoded, rows, on_block, said)
         if options.variation:
-            said = said or [Direction()] * len(encoded)
-            made = replace(take, sampling=replace(take.sampling, variation=int(options.variation))).rollout(
-                take.activity).run(encoded, rows, on_block, [replace(one, lexeme=int(lexeme)) for one, lexeme
-                                                             in zip(said, made.lexemes, strict=True)])
-        return self._performance(speech, options, take, encoded, made)
+            again = [replace(one, lexeme=int(lexeme)) for one, lexeme
+                     in zip(said or [Direction()] * len(encoded), made.lexemes, strict=True)]
+            made = cast.varied(self.bundle).run(encoded, rows, on_block, again)
+        return self._performance(speech, options, cast, encoded, made)
 
-    def _take(self, speech: Speech, options: InferenceOptions) -> Casting:
-        """Who performs what, with nothing left to the bundle; `InputError` for what it cannot do."""
+    def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
+               **options: Unpack[InferenceArguments]) -> Stream:
+        """Gesture for speech while it arrives: `gesticulator.stream.Stream`, with the state of rest.
+
+        sample_rate: hertz of the sound that will be fed; latency: "full", or "low" (see there); text: words will come;
+        options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`.
+        """
+        from gesticulator.stream import Stream
+
+        asked = InferenceOptions(**options)
+        if text and not self.reads_text:
+            raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder() if text else None,
+                         latency)
+        return Stream(self.bundle, self.cast(asked, text), asked, cutter, sample_rate)
+
+    def cast(self, options: InferenceOptions, text: bool) -> Cast:
+        """Who gestures, and how, with nothing left to the bundle; text: words are read."""
         chosen = self.bundle.config.selection
         activity = (chosen.activity if options.activity is None else options.activity) * options.energy_share
         self._check_activity(activity)
@@ -178,13 +195,13 @@ class Gesticulator:
         controls = self.controls(options)
         who = self.speaker_index(options.speaker)
         name = options.interpreter or self.bundle.interpreters[0]
-        system = self.interpreter(name, self._reads(speech)) if isinstance(name, str) else name
+        system = self.interpreter(name, text) if isinstance(name, str) else name
         temperature = options.temperature
         if temperature is None:
             temperature = chosen.q_temperature if getattr(system, "gives_values", False) else chosen.temperature
         system, beta = _steered(system, options.beta, temperature)
-        return Casting(self.bundle, system, name, who, Sampling(temperature, chosen.top, int(options.seed)), activity,
-                    beta, controls)
+        sampling = Sampling(temperature, chosen.top, int(options.seed))
+        return Cast(system, who, sampling, activity, controls, int(options.variation), beta)
 
     def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
                on_block: OnBlock | None = None) -> Performance:
@@ -197,7 +214,8 @@ class Gesticulator:
         assert options.plan is not None
         directing.check_plan_of(self.bundle, options.plan, speech)
         redrawn = (renderer or self.plan_renderer(speech, options, on_block)).render(options.plan)
-        return self._performance(speech, options, self._take(speech, options), redrawn.encoded, redrawn.result)
+        cast = self.cast(options, self._reads(speech))
+        return self._performance(speech, options, cast, redrawn.encoded, redrawn.result)
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None) -> PlanRenderer:
         """What renders the plans of one first drawing of a speech (at 16 kHz), each in the time of its edits.
@@ -209,33 +227,32 @@ class Gesticulator:
 
         plan = options.plan
         assert plan is not None
-        take = self._take(speech, options)
-        take = replace(take, sampling=replace(take.sampling, variation=plan.variation))
+        cast = self.cast(options, self._reads(speech))
+        cast = replace(cast, sampling=replace(cast.sampling, variation=plan.variation))
         rhythm = self.bundle.config.rhythm
         return PlanRenderer(Redrawer(
-            take.rollout, lambda blocks: self.encode_speech(speech, blocks),
-            lambda encoded: self._control_rows(take.controls, encoded),
+            lambda activity: replace(cast, activity=activity).rollout(self.bundle),
+            lambda blocks: self.encode_speech(speech, blocks),
+            lambda encoded: self._control_rows(cast.controls, encoded),
             lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block)
 
-    def _performance(self, speech: Speech, options: InferenceOptions, take: Casting, encoded: SpeechFeatures,
+    def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, encoded: SpeechFeatures,
                      made: RolloutResult) -> Performance:
         shaping = None
         if options.shaped:
             from gesticulator import directing
 
-            shaping = directing.shaping(self.bundle, options, take.speaker, speech, encoded.blocks)
-        motion = on_legs(self.to_motion(made.motion, encoded, take.speaker, options.fps, shaping), options)
-        if options.mirrored:
-            from gesticulator.shaping import mirrored_motion
-
-            motion = mirrored_motion(motion)
-        used = replace(options, speaker=self.speakers[take.speaker], interpreter=take.name,
-                       temperature=take.sampling.temperature, beta=take.beta,
+            shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (),
+                                        encoded.blocks.edges)
+        motion = self.to_motion(made.motion, encoded, cast.speaker, options, shaping)
+        used = replace(options, speaker=self.speakers[cast.speaker],
+                       interpreter=options.interpreter or self.interpreters[0],
+                       temperature=cast.sampling.temperature, beta=cast.beta,
                        activity=self.bundle.config.selection.activity if options.activity is None else options.activity,
-                       controls=take.controls, hand_height=None, hand_speed=None, hand_radius=None)
+                       controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None)
         return Performance(motion=motion, speech=speech, blocks=encoded.blocks, lexemes=made.lexemes, best=made.best,
                            scores=made.scores, codes=made.codes, gate=made.gate, weighed=made.worth,
-                           score_is="Q value" if take.by_value else "log-probability",
+                           score_is="Q value" if cast.by_value else "log-probability",
                            made_by=self._made_by(used, self._reads(speech)), options=used,
                            names=partial(_names, self.bundle))
 
@@ -301,9 +318,8 @@ class Gesticulator:
         """[N, K, 2 F] what is asked and whether it is, or None where nothing is."""
         if self.bundle.levels is None or controls == Controls.free():
             return None
-        values, given = controls.at(encoded.blocks.knot_times)
-        rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
-        return rows.reshape(len(encoded.blocks), encoded.blocks.frames, -1)
+        times = encoded.blocks.knot_times.reshape(len(encoded), -1)
+        return np.stack([asked_rows(self.bundle.levels, controls, own) for own in times])
 
     def _made_by(self, options: InferenceOptions, words: bool) -> dict[str, Any]:
         """What made a performance, in plain values. options: with nothing left to the bundle; words: they were read."""
@@ -324,43 +340,18 @@ class Gesticulator:
         bundle = {"preset": self.bundle.config.name, "lexicon": lexicon_hash(self.bundle.vectors)}
         return {"gesticulator": __version__, "bundle": bundle, "settings": settings}
 
-    def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int, fps: float,
-                  shaping: Callable[[Array, Array], Array] | None = None) -> Motion:
-        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2).
+    def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int,
+                  options: InferenceOptions, shaping: Callable[[Array, Array], Array] | None = None) -> Motion:
+        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion (RG 4.2.2, 7.1.2).
 
-        shaping: poses [N K, D_m] at seconds [N K] -> poses, what knobs make of them.
+        shaping: poses [K, D_m] at seconds [K] -> poses, what knobs make of them.
         """
-        statistics = self.bundle.statistics
-        poses: Array = statistics.denormalise(features.astype(np.float64), speaker)
-        if shaping is not None:
-            poses = shaping(poses.reshape(-1, poses.shape[-1]), encoded.blocks.knot_times).reshape(poses.shape)
-        frames = denormalise(poses, statistics.rest_pose[speaker], encoded.blocks, fps,
-                             self.bundle.config.motion.smoothing)
-        return representation_of(self.bundle.config).motion(frames, fps)
-
-
-@dataclass(frozen=True)
-class Casting:
-    """Who performs, and how: what a rollout is made of. name: what was asked for as interpreter; beta: its own, where
-    it has one; controls: of the hands."""
-
-    bundle: Bundle
-    interpreter: LexemeInterpreter
-    name: str | LexemeInterpreter
-    speaker: int
-    sampling: Sampling
-    activity: float
-    beta: float | None
-    controls: Controls
-
-    @property
-    def by_value(self) -> bool:
-        """Whether the interpreter's scores are Q values."""
-        return bool(getattr(self.interpreter, "gives_values", False))
-
-    def rollout(self, activity: float) -> Rollout:
-        """A fresh one, with this activity."""
-        return rollout(self.bundle, self.interpreter, self.speaker, self.sampling, activity)
+        path, blocks = MotionPath(self.bundle, speaker, options, shaping=shaping), encoded.blocks
+        parts = [path.push(at, block) for at, block in zip(blocks.knot_times.reshape(len(blocks), -1), features,
+                                                           strict=True)]
+        made = [part for part in (*parts, path.finish(float(blocks.edges[-1]))) if part is not None]
+        return replace(made[0], rotations=np.concatenate([part.rotations for part in made]),
+                       root_positions=np.concatenate([part.root_positions for part in made]))
 
 
 def _names(bundle: Bundle) -> tuple[LexemeName, ...]:
@@ -407,15 +398,6 @@ def _usable(device: str | torch.device) -> torch.device:
         raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
                          'choose "cpu", or "cuda" where torch finds a GPU') from None
     return found
-
-
-def on_legs(motion: Motion, options: InferenceOptions) -> Motion:
-    """The motion with the legs that the options ask for; itself where they ask for none."""
-    if not (options.legs or options.seated):
-        return motion
-    from gesticulator import stance
-
-    return stance.seated(motion) if options.seated else stance.with_legs(motion, int(options.seed))
 
 
 def _moved(bundle: Bundle, device: torch.device) -> Bundle:

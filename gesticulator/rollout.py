@@ -13,11 +13,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from data_module.controls import Controls, Levels
+from data_module.errors import InputError
 from gesticulator.bundle import Bundle
 from gesticulator.drawing import FREE, Direction, Keys, drawer_for
-from gesticulator.features import SpeechBlock, SpeechFeatures, representation_of
+from gesticulator.features import SpeechBlock, SpeechFeatures, control_rows, representation_of
 from gesticulator.performance import BEST, LexemeWorth
-from gesticulator.rest import Rest, span_of
+from gesticulator.rest import Rest, RestKnots, Span, span_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 
 if TYPE_CHECKING:
@@ -112,6 +114,40 @@ def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampli
     return kind(bundle, interpreter, speaker, sampling, activity)
 
 
+@dataclass(frozen=True)
+class Cast:
+    """Who gestures, and how: an interpreter, a speaker's index, how lexemes are chosen, how readily to gesture (0 to
+    1), what is asked of the hands, which variation of the drawing; beta: the interpreter's, where it has one."""
+
+    interpreter: LexemeInterpreter
+    speaker: int
+    sampling: Sampling
+    activity: float
+    controls: Controls
+    variation: int
+    beta: float | None = None
+
+    @property
+    def by_value(self) -> bool:
+        """Scores are Q values."""
+        return bool(getattr(self.interpreter, "gives_values", False))
+
+    def rollout(self, bundle: Bundle) -> Rollout | CodecRollout:
+        """The loop that chooses lexemes and, without a variation, draws them."""
+        return rollout(bundle, self.interpreter, self.speaker, self.sampling, self.activity)
+
+    def varied(self, bundle: Bundle) -> Rollout | CodecRollout:
+        """The loop that draws the same lexemes in another manner."""
+        sampling = replace(self.sampling, variation=self.variation)
+        return rollout(bundle, self.interpreter, self.speaker, sampling, self.activity)
+
+
+def asked_rows(levels: Levels, controls: Controls, times: NDArray[np.float64]) -> NDArray[np.float32]:
+    """[K, 2 F] what is asked at `times` [K] seconds, and whether it is."""
+    values, given = controls.at(times)
+    return control_rows(levels, values, np.broadcast_to(given, values.shape))
+
+
 def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
     """A block of rest [B, K, D_m]: evenly from the last pose [B, 1, D_m] a share of the way to the block's mean pose.
 
@@ -177,6 +213,34 @@ class Rollout:
             block = approach_rest(self._past[:, -1:], block, rest_decay)
         shown = self._go_on(block)
         return DrawnBlock.of(shown, self._previous, scores, self._inner, code[0].cpu().numpy(), probability)
+
+    @torch.inference_mode()
+    def idle(self, start: float, seconds: float, knots: int) -> NDArray[np.float32]:
+        """[k, D_m] so many frames of rest that follow each other by `seconds`, the first so long after `start`.
+
+        `InputError` where the bundle knows no rest by phrases (silence.rest=decay).
+        """
+        if self.life is None:
+            raise InputError("the bundle", "does not know how to rest without speech",
+                             "use one whose phrases rest (silence.rest=life)")
+        past = self._past
+        self.life.rest(Span(start, seconds * knots, np.ones(knots, bool)))
+        shown = self._go_on(past[:, -1:].expand(1, knots, -1))
+        self._past = torch.cat([past, self._past], 1)[:, -past.shape[1]:]
+        return shown
+
+    def break_off(self, shown: RestKnots) -> None:
+        """Go back to what was shown last (K frames or more), and to rest from there at once."""
+        assert self.life is not None
+        frames = self.bundle.frames
+        before = np.repeat(shown.poses[:1], max(frames - len(shown.poses), 0), axis=0)
+        self._past = self._tensor(np.concatenate([before, shown.poses[-frames:]]))[None]
+        self.life.break_off(shown)
+
+    @property
+    def past(self) -> NDArray[np.float32]:
+        """[K, D_m] the last frames that were drawn, without the life on them."""
+        return np.asarray(self._past[0].cpu().numpy())
 
     def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
             directions: Sequence[Direction] | None = None) -> RolloutResult:

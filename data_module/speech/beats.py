@@ -87,9 +87,10 @@ class BeatTracker:
     The rule "paper" needs the whole recording, so there all beats come at the end.
     """
 
-    def __init__(self, settings: BeatSettings) -> None:
+    def __init__(self, settings: BeatSettings, start: float = 0.0) -> None:
+        """start: seconds of the first beat (0 for the rules "even" and "paper")."""
         self.settings = settings
-        self.last = 0.0
+        self.last = start
         self._onsets, self._strengths = list[float](), list[float]()
         self._loud: list[float] = []
         self._kept = -np.inf  # the last onset that is no merged one

@@ -7,8 +7,10 @@ file gets.
 from __future__ import annotations
 
 from collections import deque
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.speech.silence import FRAME, QUIETEST, LoudnessStep, frame_levels, loudness
 from data_module.types import Array, Samples
@@ -89,11 +91,9 @@ class RiseTracker:
     that a value comes out alike to the last bit whatever the pieces of sound."""
 
     def __init__(self, sample_rate: int) -> None:
-        import librosa
-
         self._rate = sample_rate
         self._hop, self._window = round(_HOP * sample_rate), 2 * round(_WINDOW * sample_rate / 2)
-        self._bands = librosa.filters.mel(sr=sample_rate, n_fft=self._window, n_mels=_BANDS, fmax=sample_rate / 2)
+        self._bands = _mel_bands(sample_rate, self._window)
         self._covered = _covered(self._window, self._hop)
         # Sound from the start of the next tile's first window on; silence lies before the recording.
         self._sound = np.zeros(self._window // 2, np.float32)
@@ -176,7 +176,7 @@ class OnsetTracker:
     @property
     def known_until(self) -> float:
         """Seconds before which all onsets are told."""
-        return ((self._peaks[0][0] if self._peaks else self._next) + _LATE) * _HOP
+        return (self._peaks[0][0] if self._peaks else self._next) * _HOP + _LATE * _HOP
 
     def _add(self, strengths: Array) -> None:
         for one in strengths.tolist():
@@ -202,7 +202,7 @@ class OnsetTracker:
         out = []
         while self._peaks:
             frame, strength = self._peaks[0]
-            time = (frame + _LATE) * _HOP
+            time = frame * _HOP + _LATE * _HOP
             first, last = (max(round((time + shift) / FRAME), 0) for shift in _AUDIBLE)
             if not ended and last > self._audible_from + len(self._audible):
                 break
@@ -214,6 +214,15 @@ class OnsetTracker:
             del self._audible[:old]
             self._audible_from += old
         return out
+
+
+@lru_cache(maxsize=4)
+def _mel_bands(sample_rate: int, window: int) -> NDArray[np.float32]:
+    """[bands, window / 2 + 1] power of a spectrum to that of each mel band."""
+    import librosa
+
+    bands: NDArray[np.float32] = librosa.filters.mel(sr=sample_rate, n_fft=window, n_mels=_BANDS, fmax=sample_rate / 2)
+    return bands
 
 
 def _covered(window: int, hop: int) -> Array:
