@@ -51,6 +51,8 @@ def plan_of(performance: Performance) -> GesturePlan:
         seed, variation = rendered.seed, rendered.variation
     blocks = _blocks(performance, called, BlockDraw(seed, variation, 0))
     speech = performance.speech
+    # A file's name may hold bytes that are no text.
+    sound_name = performance.sound_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     drawn = DrawnBlocks(
         tuple(performance.blocks.edges.tolist()), tuple(block.flag for block in blocks),
         tuple(block.silent for block in blocks), tuple(performance.lexemes.tolist()),
@@ -58,7 +60,7 @@ def plan_of(performance: Performance) -> GesturePlan:
     plan = GesturePlan(
         FORMAT, VERSION, {**{key: value for key, value in performance.made_by.items() if key != "settings"},
                           "settings": {key: value for key, value in settings.items() if key not in _ABOVE}},
-        PlanSound(performance.sound_name, speech.duration, speech.sample_rate, sound_hash(speech)),
+        PlanSound(sound_name, speech.duration, speech.sample_rate, sound_hash(speech)),
         seed, variation, str(settings.get("speaker", "")), str(settings.get("interpreter", "")), drawn, blocks,
         drawn.knobs, () if options is None else tuple(cue for cue in options.cues),
         tuple(PlanWord(word.text, word.start, word.end) for word in speech.words or () if word.text.strip()),
