@@ -135,4 +135,4 @@ def test_the_committed_script_is_the_build_of_its_sources(tmp_path: Path) -> Non
     subprocess.run([node, str(viewer / "build_live.mjs")], check=True, env={**os.environ, "LIVE_OUT": str(tmp_path)})
     for name in ("live.min.js", "licences.txt"):
         committed = ROOT / "gesticulator" / "assets" / "live" / name
-        assert (tmp_path / name).read_bytes() == committed.read_bytes(), f"{name}: run npm run build:live --prefix viewer"
+        assert (tmp_path / name).read_bytes() == committed.read_bytes(), f"{name}: npm run build:live"
