@@ -207,7 +207,7 @@ def test_sound_faster_than_real_time_bears_media_times_and_loses_nothing() -> No
 
 
 def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
-    voice = np.concatenate([example()[:2 * SAMPLE_RATE], np.zeros(SAMPLE_RATE, np.float32)])
+    voice = np.concatenate([example()[2 * SAMPLE_RATE:5 * SAMPLE_RATE], np.zeros(SAMPLE_RATE, np.float32)])
     heard, alone = system().stream(), system().stream()
     step = SAMPLE_RATE // 10
     nods = joined([heard.listen(voice[at:at + step]) for at in range(0, len(voice), step)])
