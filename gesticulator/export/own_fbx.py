@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from data_module.files import write_bytes
 from data_module.motion import rotation
-from data_module.types import Array
 from gesticulator.export.blender import run_in_blender
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ def write_animated(path: Path, moved: CharacterMotion) -> Path:
     return path
 
 
-def pose(moved: CharacterMotion) -> dict[str, Array]:
+def pose(moved: CharacterMotion) -> dict[str, Any]:
     """What Blender calls the pose of bones, against their rest and in their own axes.
 
     names: [n] bones; turns: [T, n, 4] w first; hips: [1] the bone that is shifted; shifts: [T, 3], empty for none.
