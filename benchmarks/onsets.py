@@ -20,7 +20,8 @@ import numpy as np
 
 from data_module.files import write_text
 from data_module.speech.audio import SAMPLE_RATE, load_speech
-from data_module.speech.beats import detect_onsets, find_beats, merged
+from data_module.speech.beats import find_beats
+from data_module.speech.onsets import detect_onsets, merged
 from data_module.types import Array, Samples, Speech
 
 TOLERANCE = 0.05

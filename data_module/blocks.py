@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.motion.representation import ROTATIONS, Representation
@@ -22,8 +23,10 @@ METHODS = ("wsola", "phase_vocoder")
 SMOOTHING = 0.05
 """Seconds: the standard deviation of the final Gaussian (one frame at 20 fps, RG 7.1.2)."""
 
+CONTEXT = 0.032
+"""Seconds of sound before and after a block that it is stretched with."""
+
 _WINDOW, _HOP, _TOLERANCE = 0.032, 0.016, 0.008  # seconds: 512, 256 and 128 samples at 16 kHz
-_CONTEXT = 0.032
 _LONGEST_STRETCH = 3.0
 _REACH = 2.0
 
@@ -68,16 +71,20 @@ def stretch_speech(speech: Speech, blocks: Blocks, method: str = "wsola") -> Sam
         raise InputError("method", f"is {method!r}", f"choose from {', '.join(METHODS)}")
     rate = speech.sample_rate
     length = blocks.frames * samples_per_frame(rate, blocks.fps)
-    context = round(_CONTEXT * rate)
+    context = round(CONTEXT * rate)
     padded = np.pad(speech.samples, (context, context + 1))
     edges = np.minimum(np.round(blocks.edges * rate).astype(int), len(speech.samples))
-    out = np.zeros((len(blocks), length), np.float32)
-    for block, (start, stop) in enumerate(itertools.pairwise(edges)):
-        piece = padded[start:max(stop, start + 1) + 2 * context]
-        inside = piece[context:-context]
-        if inside.any():
-            out[block] = _stretched(piece.astype(np.float64), context, length, rate, method)
-            _keep_zeros(inside, out[block], round(_WINDOW * rate))
+    return np.stack([stretch_piece(padded[start:max(stop, start + 1) + 2 * context], length, rate, method)
+                     for start, stop in itertools.pairwise(edges)])
+
+
+def stretch_piece(piece: Samples, length: int, rate: int, method: str = "wsola") -> Samples:
+    """One block's sound, with `CONTEXT` seconds on both sides, brought to [length] samples; see `stretch_speech`."""
+    context = round(CONTEXT * rate)
+    out, inside = np.zeros(length, np.float32), piece[context:-context]
+    if inside.any():
+        out[:] = _stretched(piece.astype(np.float64), context, length, rate, method)
+        _keep_zeros(inside, out, round(_WINDOW * rate))
     return out
 
 
@@ -153,32 +160,109 @@ def denormalise(knots: Array, first: Array, blocks: Blocks, fps: float, smooth_o
     velocity, and needs two knots on either side only, so a stream can follow. smooth_over: seconds, see `smooth`;
     0 leaves the cubic as it is.
     """
-    values = np.concatenate([np.asarray(first)[None], np.asarray(knots).reshape(-1, len(first))])
-    times = np.concatenate([[blocks.edges[0]], blocks.knot_times])
-    if len(values) != len(times):
-        raise ValueError(f"{len(values) - 1} knots for {len(blocks)} blocks of {blocks.frames} frames")
-    count = max(1, round((blocks.edges[-1] - blocks.edges[0]) * fps))
-    frames = hermite(times, values, blocks.edges[0] + np.arange(count) / fps)
-    return smooth(frames, fps, smooth_over) if smooth_over > 0 else frames
+    if np.size(knots) != len(blocks) * blocks.frames * len(first):
+        raise ValueError(f"{np.size(knots) // len(first)} knots for {len(blocks)} blocks of {blocks.frames} frames")
+    values = np.asarray(knots).reshape(len(blocks), blocks.frames, -1)
+    path = KnotPath(first, fps, smooth_over)
+    times = blocks.knot_times.reshape(len(blocks), -1) - blocks.edges[0]
+    parts = [path.push(at, block) for at, block in zip(times, values, strict=True)]
+    return np.concatenate([*parts, path.finish(float(blocks.edges[-1] - blocks.edges[0]))])
 
 
-def hermite(times: Array, values: Array, at: Array) -> Array:
-    """Cubic Hermite interpolation of values [M, D] at rising times [M], at the times `at` [T] (clamped): [T, D].
+class KnotPath:
+    """Normalised frames, as they are drawn, on the recording's clock: `denormalise` block by block.
 
-    The slope at a knot is that of the parabola through it and its two neighbours (at the ends, of the line): local,
-    exact for parabolas, right for uneven knots.
+    A frame is given when no knot to come can move it: two knots beyond it are known, and half the kernel that smooths.
+    With `prompt` the slope at the newest knot is that of the line to it, and stays so: one knot is enough.
     """
+
+    def __init__(self, first: Array, fps: float, smooth_over: float = SMOOTHING, prompt: bool = False) -> None:
+        """first: [D] the pose at time 0; fps, smooth_over: see `denormalise`."""
+        self.fps, self.prompt = fps, prompt
+        self.next = 0
+        """The number of the next frame that is given."""
+        self._sigma, self._half = smooth_over, _half(fps, smooth_over)
+        self._times, self._values = np.zeros(1), np.array(first, dtype=np.float64)[None]
+        self._slopes = np.zeros_like(self._values)
+
+    @property
+    def reach(self) -> float:
+        """Seconds after a frame in which other frames smooth it."""
+        return self._half / self.fps
+
+    def push(self, times: Array, values: Array) -> Array:
+        """[T, D] the frames that are certain by more knots [K, D] at rising `times` [K], seconds."""
+        known = len(self._times)
+        self._times, self._values = np.concatenate([self._times, times]), np.concatenate([self._values, values])
+        # The slope at the last knot so far was that of the line to it, for want of a knot beyond.
+        keep = known if self.prompt and known > 1 else known - 1
+        near = max(keep - 1, 0)
+        more = slopes(self._times[near:], self._values[near:])[keep - near:]
+        self._slopes = np.concatenate([self._slopes[:keep], more])
+        limit = self._times[-1] if self.prompt else self._times[-2]
+        # The first frame that is not before the limit, or that a recording that ends here would not have.
+        certain = min(math.ceil(limit * self.fps - 1e-9), round(float(self._times[-1]) * self.fps))
+        return self._given(max(certain - self._half, self.next))
+
+    def finish(self, duration: float) -> Array:
+        """[T, D] the frames that are left of a recording of so many seconds."""
+        count = max(1, round(duration * self.fps))
+        return self._given(count, count)
+
+    def frames(self, first: int, last: int) -> Array:
+        """[T, D] the frames from `first` to before `last` once more, where the knots around them are still kept."""
+        return self._frames(np.arange(first, last))
+
+    def rewind(self, times: Array, values: Array, first: int) -> None:
+        """Go back to a frame: knots [M, D] up to the one from which another path goes on, two at least, with the last
+        of them standing where it stood; the next frame is `first`."""
+        self._times, self._values, self.next = times, np.array(values, dtype=np.float64), first
+        self._slopes = slopes(self._times, self._values)
+
+    def _given(self, until: int, count: int | None = None) -> Array:
+        out = self._frames(np.arange(self.next, until), count)
+        self.next = max(until, self.next)
+        # Two knots before the first that the next frame's kernel reaches are enough.
+        old = int(np.searchsorted(self._times, (self.next - self._half) / self.fps, side="right")) - 3
+        if old > 0:
+            self._times, self._values, self._slopes = self._times[old:], self._values[old:], self._slopes[old:]
+        return out
+
+    def _frames(self, numbers: NDArray[np.int64], count: int | None = None) -> Array:
+        if len(numbers) == 0:
+            return self._values[:0]
+        half = 0 if count == 1 else self._half
+        at = np.arange(numbers[0] - half, numbers[-1] + half + 1)
+        # About the first and the last frame the motion is mirrored.
+        at = np.abs(at) if count is None or count == 1 else np.abs((at + count - 1) % (2 * (count - 1)) - (count - 1))
+        frames = hermite(self._times, self._values, at / self.fps, self._slopes)
+        return _kernel(frames, self.fps, self._sigma)[half:len(at) - half] if half else frames
+
+
+def slopes(times: Array, values: Array) -> Array:
+    """[M, D] slopes at knots [M, D]: of the parabola through a knot and its two neighbours (at the ends, of the line);
+    zero for a single knot."""
+    if len(times) < 2:
+        return np.zeros_like(values)
     steps = np.diff(times)[:, None]
     lines = np.diff(values, axis=0) / steps
-    slopes = np.concatenate([
+    return np.concatenate([
         lines[:1], (lines[:-1] * steps[1:] + lines[1:] * steps[:-1]) / (steps[1:] + steps[:-1]), lines[-1:]])
+
+
+def hermite(times: Array, values: Array, at: Array, slope: Array | None = None) -> Array:
+    """Cubic Hermite interpolation of values [M, D] at rising times [M], at the times `at` [T] (clamped): [T, D].
+
+    slope: [M, D] at the knots; without it those of `slopes`: local, exact for parabolas, right for uneven knots.
+    """
+    slope = slopes(times, values) if slope is None else slope
     x = np.clip(at, times[0], times[-1])
     left = np.clip(np.searchsorted(times, x, side="right") - 1, 0, len(times) - 2)
-    width = steps[left]
+    width = np.diff(times)[left][:, None]
     u = (x[:, None] - times[left][:, None]) / width
     rest = 1.0 - u
     return (rest * rest * (1.0 + 2.0 * u) * values[left] + u * u * (3.0 - 2.0 * u) * values[left + 1]
-            + width * u * rest * (rest * slopes[left] - u * slopes[left + 1]))
+            + width * u * rest * (rest * slope[left] - u * slope[left + 1]))
 
 
 def smooth(frames: Array, fps: float, sigma: float = SMOOTHING) -> Array:
@@ -187,10 +271,18 @@ def smooth(frames: Array, fps: float, sigma: float = SMOOTHING) -> Array:
     sigma: seconds; the kernel ends at two sigma on both sides, whatever the rate. At the ends the motion is mirrored
     about its first and last frame.
     """
+    half = _half(fps, sigma)
+    return np.array(frames) if half < 1 or len(frames) < 2 else _kernel(frames, fps, sigma)
+
+
+def _half(fps: float, sigma: float) -> int:
+    """Frames of the kernel on either side."""
+    return int(_REACH * sigma * fps + 1e-9)
+
+
+def _kernel(frames: Array, fps: float, sigma: float) -> Array:
     from scipy.ndimage import correlate1d
 
-    half = int(_REACH * sigma * fps + 1e-9)
-    if half < 1 or len(frames) < 2:
-        return np.array(frames)
+    half = _half(fps, sigma)
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / (sigma * fps)) ** 2)
     return correlate1d(frames, weights / weights.sum(), axis=0, mode="mirror")

@@ -15,7 +15,7 @@ import numpy as np
 
 from data_module.blocks import BlockSettings, cut
 from data_module.errors import InputError
-from data_module.speech.beats import detect_onsets
+from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
 
 if TYPE_CHECKING:

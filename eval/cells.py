@@ -123,6 +123,14 @@ def interval_of(cells: Sequence[Cell], key: str, column: RowColumn) -> stats.Int
     return stats.crossed(values, weights_of(cells, key, column)) if values.size else stats.Interval.undefined()
 
 
+def latest(cells: Sequence[Cell]) -> dict[str, float]:
+    """By stage how much of its validation figure was still gained in the last quarter of the training, the most of
+    all seeds; where it was not validated before then, NaN."""
+    stages = dict.fromkeys(stage for cell in cells for stage in cell.get("late_gains", {}))
+    return {stage: max((cell["late_gains"][stage] for cell in cells if stage in cell.get("late_gains", {})),
+                       key=lambda gain: np.inf if np.isnan(gain) else gain) for stage in stages}
+
+
 def summaries(cells: Cells) -> dict[str, dict[str, Any]]:
     """Every row's figures with their intervals over seeds and clips, as plain values but for the intervals."""
     rows: dict[str, dict[str, Any]] = {}
@@ -135,7 +143,7 @@ def summaries(cells: Cells) -> dict[str, dict[str, Any]]:
             "run_as": first.get("run_as", name), "seeds": sorted(by_seed),
             "decided": set(by_seed) == {0} or len(by_seed) >= DECIDED,
             "seconds": [cell["seconds"]["training"] for cell in every if "seconds" in cell],
-            "pmb_curve": np.mean(curves, axis=0).tolist() if curves else [],
+            "late_gains": latest(every), "pmb_curve": np.mean(curves, axis=0).tolist() if curves else [],
             "fgd": [cell["sets"]["fgd"] for cell in every if "fgd" in cell["sets"]],
             "figures": {key: interval_of(every, key, column) for key, column in columns_of(name).items()}}
     return rows

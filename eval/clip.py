@@ -18,7 +18,7 @@ from data_module.motion import bvh, skeletons
 from data_module.motion.kinematics import positions_of, resample
 from data_module.motion.motion_beats import motion_beats
 from data_module.speech.audio import load_speech
-from data_module.speech.beats import detect_onsets
+from data_module.speech.onsets import detect_onsets
 from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Array, Motion, Speech
 from eval.baselines import to_common_length

@@ -18,7 +18,8 @@ from data_module.motion.movement import Pasts, pasts_of
 from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator.bundle import Bundle
 from gesticulator.config import Config
-from gesticulator.features import Statistics, encode_speech, front_end_for, representation_of
+from gesticulator.cutter import encode_speech
+from gesticulator.features import Statistics, front_end_for, representation_of
 from gesticulator.stages.lexicon import BlockLexicon
 from lexicon.movement import MovementLexicon
 

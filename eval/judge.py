@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from data_module.blocks import BlockSettings, cut
-from data_module.speech.beats import detect_onsets
+from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Blocks, Motion, Speech
 from eval import stats
 from eval.clip import measure, motion_values

@@ -50,6 +50,7 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator.config import Config
 from gesticulator.features import SpeechFeatures
+from gesticulator.fit import late_gain
 from gesticulator.pipeline import FPS, Gesticulator
 from gesticulator.stages import (
     BLOCKS,
@@ -91,6 +92,8 @@ class RowRun(Run):
     taken: Mapping[str, Run] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     """What each stage took; 0 where it was there."""
+    late_gains: dict[str, float] = field(default_factory=dict)
+    """By how much each stage's validation still became better in the last quarter of its training, as a share."""
 
     def get(self, node: Node[T]) -> T:
         """See `Run.get`."""
@@ -105,6 +108,9 @@ class RowRun(Run):
         began, there = time.monotonic(), self.finished(stage)
         figures = super().train_stage(stage, model)
         self.seconds[stage.name] = 0.0 if there else round(time.monotonic() - began, 1)
+        log = self.folder(stage) / f"{stage.name}.jsonl"
+        if log.is_file():
+            self.late_gains[stage.name] = late_gain(log)
         return figures
 
 
@@ -352,7 +358,7 @@ def row_figures(context: AblationContext, name: str, seed: int, place: PlayedSto
     clips = played(context, name, bundle, seed, place)
     place.write(clips)
     trained = sum(seconds for stage, seconds in run.seconds.items() if stage != "lexicon")
-    return {"stages": run.seconds, "seconds": {"training": round(trained, 1),
+    return {"stages": run.seconds, "late_gains": run.late_gains, "seconds": {"training": round(trained, 1),
                                                "in_all": round(time.monotonic() - began, 1)},
             **context.judge.summary(clips, context.real(row.split))}
 

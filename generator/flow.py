@@ -21,9 +21,10 @@ what keeps a long performance on course.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -43,19 +44,31 @@ _TEMPO = 0.3
 """Seconds of a usual block."""
 
 
-def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
-    """[N, 8] of the blocks of a recording, durations [N] s and silent [N]: the logarithms of the durations of the block
-    before, the block and the next over 0.3 s; whether each is silent; how many blocks the silence, and the speech, have
-    lasted (log(1 + n))."""
-    def three(values: Tensor) -> list[Tensor]:
-        return [torch.cat([values[:1], values[:-1]]), values, torch.cat([values[1:], values[-1:]])]
+class Circumstances:
+    """Block by block the numbers that tell its place in speech; what it remembers is how long speech or silence has
+    lasted."""
 
-    quiet, lasted, counts = silent.tolist(), [0, 0], []
-    for one in quiet:
-        lasted = [lasted[0] + 1, 0] if one else [0, lasted[1] + 1]
-        counts.append([math.log1p(lasted[0]), math.log1p(lasted[1]) / 3])
-    columns = [*three(torch.log(durations / _TEMPO)), *three(silent.to(durations.dtype))]
-    return torch.cat([torch.stack(columns, 1), torch.tensor(counts, dtype=durations.dtype).reshape(-1, 2)], 1).float()
+    def __init__(self) -> None:
+        self._lasted = [0, 0]
+
+    def step(self, durations: Sequence[float], silent: Sequence[bool]) -> Tensor:
+        """[8] from the block before, the block and the next, durations in s and whether they are silent: the logarithms
+        of the durations over 0.3 s; whether each is silent; how many blocks the silence, and the speech, have lasted
+        (log(1 + n))."""
+        quiet, speech = self._lasted
+        self._lasted = quiet, speech = [quiet + 1, 0] if silent[1] else [0, speech + 1]
+        # In single precision, as durations are kept beside the blocks that are learned from.
+        logs = [math.log(np.float32(np.float32(one) / np.float32(_TEMPO))) for one in durations]
+        return torch.tensor([*logs, *map(float, silent), math.log1p(quiet), math.log1p(speech) / 3],
+                            dtype=torch.float32)
+
+
+def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
+    """[N, 8] of the blocks of a recording, durations [N] s and silent [N]: `Circumstances.step` of each; beyond the
+    ends stands the first or the last block again."""
+    seconds, quiet, place = durations.tolist(), silent.tolist(), Circumstances()
+    three = [(max(i - 1, 0), i, min(i + 1, len(quiet) - 1)) for i in range(len(quiet))]
+    return torch.stack([place.step([seconds[n] for n in near], [quiet[n] for n in near]) for near in three])
 
 
 @dataclass(frozen=True)

@@ -175,6 +175,10 @@ class Schedules:
     """The critics of the advantage interpreter."""
 
 
+UNTOLD = -1.0
+"""Guidance on the lexeme at which it is left out."""
+
+
 @dataclass(frozen=True)
 class SelectionConfig:
     """How a lexeme is chosen from an interpreter's scores when the command does not say."""
@@ -198,8 +202,8 @@ class SelectionConfig:
     interpreter_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
     """How far the scores of lexemes go beyond those without sound, s + g (s - s without sound), where the interpreter
     was taught with sound left out (`interpreter.audio_dropout`)."""
-    lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
-    """The same for the lexeme."""
+    lexeme_guidance: Annotated[float, SettingRange(UNTOLD, 20.0)] = 0.5
+    """The same for the lexeme; at -1 (`UNTOLD`) nothing of it is told."""
     history: Share = 1.0
     """Of the flow head: how far it goes by how the body moved before, from v without it (0) to v (1), where it was
     taught without (`generator.history_dropout`)."""

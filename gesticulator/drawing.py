@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from data_module.motion.movement import PAST, Pasts
-from generator.flow import FlowGenerator, FlowInputs, circumstances
+from generator.flow import Circumstances, FlowGenerator, FlowInputs
 from gesticulator.bundle import Bundle
-from gesticulator.features import SpeechFeatures
+from gesticulator.config import UNTOLD
+from gesticulator.features import SpeechBlock
 from interpreters.base import BlockFeatures
 
 if TYPE_CHECKING:
@@ -36,29 +37,32 @@ class Keys:
 class Drawer(Protocol):
     """Draws one block after the other; it keeps what it must remember between them."""
 
-    def block(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
-        """Block i [1, K, D_m] with its style code [1, d_z], after what was shown before it, past [1, K, D_m]."""
+    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
+        """The next block [1, K, D_m] with its style code [1, d_z], after what was shown before it, past [1, K, D_m].
+
+        speech: what is known of its sound; features: the same as the models hear it.
+        """
 
 
-def drawer_for(bundle: Bundle, encoded: SpeechFeatures, speaker: int, lexeme: int, keys: Keys) -> Drawer:
-    """The drawer that the bundle's generator asks for; lexeme: the one before the first block."""
+def drawer_for(bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool = False) -> Drawer:
+    """The drawer that the bundle's generator asks for; lexeme: the one before the first block; text: words are read."""
     if isinstance(bundle.generator, FlowGenerator):
-        return FlowDrawer(bundle, encoded, speaker, keys)
-    return RegressionDrawer(bundle, encoded, speaker, lexeme)
+        return FlowDrawer(bundle, speaker, keys)
+    return RegressionDrawer(bundle, speaker, lexeme, text)
 
 
 class RegressionDrawer:
     """The generator of RG 5.2, its decoder's state and the style interpreter's."""
 
-    def __init__(self, bundle: Bundle, encoded: SpeechFeatures, speaker: int, lexeme: int) -> None:
+    def __init__(self, bundle: Bundle, speaker: int, lexeme: int, text: bool) -> None:
         self.bundle = bundle
         self.generator = cast("Generator", bundle.generator)
-        self.style = (bundle.style_text if encoded.text is not None else None) or bundle.style
+        self.style = (bundle.style_text if text else None) or bundle.style
         self.style_state = None if self.style is None else self.style.start(speaker)
         rest = bundle.rest_feature(speaker)
         self.state = self.free = self.generator.first_state(rest[None], bundle.vectors[[lexeme]])
 
-    def block(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
+    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
         """See `Drawer.block`."""
         code = past.new_zeros(1, self.bundle.config.generator.style_width)
         if self.style is not None:
@@ -77,14 +81,11 @@ class RegressionDrawer:
 class FlowDrawer:
     """The flow head: guidance by audio, lexeme and what is asked, and several candidates a block."""
 
-    def __init__(self, bundle: Bundle, encoded: SpeechFeatures, speaker: int, keys: Keys) -> None:
+    def __init__(self, bundle: Bundle, speaker: int, keys: Keys) -> None:
         self.generator = cast(FlowGenerator, bundle.generator)
         self.lexicon = cast("MovementLexicon", bundle.lexicon)
         self.chosen, self.keys, self.device = bundle.config.selection, keys, bundle.vectors.device
-        seconds = torch.as_tensor(encoded.blocks.durations, dtype=torch.float32)
-        before = torch.cat([seconds[:1], seconds[:-1]])
-        self.ratios = (seconds / before).to(self.device)
-        self.circumstances = circumstances(seconds, torch.as_tensor(encoded.blocks.silent)).to(self.device)
+        self.place = Circumstances()
         self.speaker = torch.nn.functional.one_hot(torch.tensor([speaker], device=self.device),
                                                    len(bundle.speakers)).float()
         self.share = self._of_trunk(self.chosen.trunk_guidance)
@@ -92,15 +93,18 @@ class FlowDrawer:
         self.state: tuple[Tensor, Tensor] | None = None
         self.told: Pasts | None = None
 
-    def block(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
+    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
         """See `Drawer.block`; the code is empty."""
         added = past.new_zeros(1, self.generator.basis.width)
         if self.told is not None:  # what was shown may be other than what was drawn
             added = self.generator.squeeze(self.generator.basis.coefficients(past, self.told))
-        self.told = Pasts(past[:, -PAST:], self.ratios[i:i + 1])
-        given, gains = self._given(i, features, lexeme, past)
+        before, own, _ = torch.tensor(speech.durations, dtype=torch.float32, device=self.device)
+        self.told = Pasts(past[:, -PAST:], (own / before)[None])
+        place = self.place.step(speech.durations, speech.silent).to(self.device)
+        given, gains = self._given(place, features, lexeme, past)
         context, self.state = self.generator.contexts(given, added.expand(len(given.audio), 1, -1), self.state)
-        noise = self.keys.noise(i, (self.chosen.candidates, self.generator.basis.width)).to(self.device) * self.noise
+        noise = self.keys.noise(speech.number, (self.chosen.candidates, self.generator.basis.width))
+        noise = noise.to(self.device) * self.noise
         pull = torch.tensor(gains, device=self.device)[:, None] * self.share
         drawn = self.generator.draw(context[:, 0], pull, noise, self.chosen.flow_steps)
         best = self._showing(lexeme, drawn)
@@ -112,11 +116,15 @@ class FlowDrawer:
         return torch.cat([torch.full((width,), trunk if name in ("torso", "head") else 1.0)
                           for name, width in zip(basis.parts, basis.widths, strict=True)]).to(self.device)
 
-    def _given(self, i: int, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[FlowInputs, list[float]]:
-        """The block as it is, and once more for each thing that guides with this left out; and the guidance."""
+    def _given(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor
+               ) -> tuple[FlowInputs, list[float]]:
+        """The block as it is, and once more for each thing that guides with this left out; and the guidance. place:
+        [8] its circumstances."""
         chosen, none = self.chosen, self.generator.lexemes
         control = features.control
-        gained = {"audio": chosen.audio_guidance, "lexeme": chosen.lexeme_guidance, "history": chosen.history - 1.0}
+        untold = chosen.lexeme_guidance == UNTOLD
+        gained = {"audio": chosen.audio_guidance, "lexeme": 0.0 if untold else chosen.lexeme_guidance,
+                  "history": chosen.history - 1.0}
         if control is not None:
             gained["control"] = chosen.guidance - 1.0
         gained = {what: gain for what, gain in gained.items() if gain}
@@ -127,10 +135,10 @@ class FlowDrawer:
             asked = control.expand(count, 1, -1, -1).clone()
             if left[-1] == "control":
                 asked[-1] = 0.0
-        names = torch.tensor([[none if what == "lexeme" else lexeme] for what in left], device=self.device)
+        names = torch.tensor([[none if untold or what == "lexeme" else lexeme] for what in left], device=self.device)
         return FlowInputs(
             features.low.expand(count, 1, -1, -1), names, past.expand(count, -1, -1)[:, None],
-            self.ratios[i].expand(count, 1), self.circumstances[i].expand(count, 1, -1),
+            cast(Pasts, self.told).ratio.expand(count, 1), place.expand(count, 1, -1),
             self.speaker.expand(count, -1), asked,
             torch.tensor([what == "audio" for what in left], device=self.device),
             torch.tensor([what == "history" for what in left], device=self.device)), list(gained.values())

@@ -21,13 +21,11 @@ from data_module.errors import InputError
 from data_module.motion.representation import REPRESENTATIONS, Representation, representation
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.front_ends import FrontEnd, front_end
-from data_module.speech.silence import quiet_at, reference_level
-from data_module.types import Array, Blocks, Samples, Speech
+from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.config import Config
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
-    from data_module.text.word_vectors import WordEncoder
 
 CONTROL_WIDTH = 2 * len(controls.FEATURES)
 """2 F: what is asked of each feature, and whether it is asked."""
@@ -152,6 +150,42 @@ class SpeechFeatures:
     text: Features | None = None
     quiet: NDArray[np.bool_] | None = None
 
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    def block(self, i: int) -> SpeechBlock:
+        """What is known when block i is drawn."""
+        blocks, count = self.blocks, len(self.blocks)
+        three = (max(i - 1, 0), i, min(i + 1, count - 1))
+        before, own, after = (float(blocks.edges[n + 1] - blocks.edges[n]) for n in three)
+        was, now, then = (bool(blocks.silent[n]) for n in three)
+        quiet = [np.full(blocks.frames, blocks.silent[n]) if self.quiet is None else self.quiet[n] for n in three[1:]]
+        return SpeechBlock(i, float(blocks.edges[i]), float(blocks.edges[i + 1]), (before, own, after),
+                           (was, now, then), self.low[i], self.high[i], None if self.text is None else self.text[i],
+                           quiet[0], quiet[1] if i + 1 < count else None, BeatFlag(int(blocks.flags[i])))
+
+
+@dataclass(frozen=True)
+class SpeechBlock:
+    """What is known of the speech of a block when it is drawn; all that a performance needs of it.
+
+    number: from 0. start, end: seconds; flag: of the beat at its end. durations, silent: of the block before, the block
+    and the block after (its own where there is none). low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K]
+    whether each frame lies in a pause; ahead: [K] the same of the block after, None where the speech ends.
+    """
+
+    number: int
+    start: float
+    end: float
+    durations: tuple[float, float, float]
+    silent: tuple[bool, bool, bool]
+    low: Features
+    high: Features
+    text: Features | None
+    quiet: NDArray[np.bool_]
+    ahead: NDArray[np.bool_] | None = None
+    flag: BeatFlag = BeatFlag.EVEN_PSEUDO
+
 
 def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:
     """The audio front end that the settings name; encoder: the bundle's own, for "vqwav2vec"."""
@@ -199,33 +233,6 @@ def _with_tempo(low: Features, high: Features, durations: Array, config: Config)
     tempo = tempo_column(durations, config.rhythm.beats.d_max, config.rhythm.frames)
     first = np.concatenate([low, tempo], axis=-1)
     return first, first if high is low else np.concatenate([high, tempo], axis=-1)
-
-
-def _stretched(speech: Speech, blocks: Blocks) -> Iterator[tuple[slice, Samples]]:
-    for start in range(0, len(blocks), _CHUNK):
-        stop = min(start + _CHUNK, len(blocks))
-        first, last = max(start - 1, 0), min(stop + 1, len(blocks))
-        part = Blocks(blocks.edges[first:last + 1], blocks.flags[first:last], blocks.silent[first:last],
-                      blocks.frames, blocks.fps)
-        stretched = block_module.stretch_speech(speech, part)
-        yield slice(start, stop), block_module.windows_of(stretched)[start - first:stop - first]
-
-
-def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None
-                  ) -> SpeechFeatures:
-    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too."""
-    front = front or front_end_for(config)
-    blocks = block_module.cut(speech, config.rhythm)
-    reference = reference_level(speech.samples, speech.sample_rate, blocks.edges)
-    low, high = _with_tempo(*_encoded(_stretched(speech, blocks), reference, front), blocks.durations, config)
-    text = None
-    if words is not None and speech.words is not None:
-        from data_module.text.word_vectors import word_frames  # only where words are read
-
-        table = word_table(words.encode(speech.words), words.width)
-        text = table[three_blocks(word_frames(speech.words, blocks, config.text.bridge) + 1, np.zeros(()))]
-    quiet = quiet_at(speech, blocks.knot_times).reshape(len(blocks), -1)
-    return SpeechFeatures(blocks, low, high, text, quiet)
 
 
 def word_table(vectors: NDArray[np.floating], width: int) -> Features:

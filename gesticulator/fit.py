@@ -231,6 +231,25 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     return figures
 
 
+def late_gain(log: Path) -> float:
+    """How much less the first validation figure became in the last quarter of a run, as a share of what it was, by its
+    log `STAGE.jsonl`: (b(3/4) - b(1)) / |b(3/4)|, b the least so far (the weights of which a run with patience keeps).
+    0 where it went up; NaN where it was not validated before the last quarter."""
+    seen: list[tuple[int, float]] = []
+    steps = 0
+    for line in log.read_text().splitlines():
+        row = json.loads(line)
+        steps = int(row["step"]) + 1
+        figure = next((value for key, value in row.items() if key.startswith("val_")), None)
+        if figure is not None:
+            seen.append((steps, float(figure)))
+    before = [value for step, value in seen if step <= 0.75 * steps]
+    if not before:
+        return math.nan
+    least = min(before)
+    return (least - min(value for _, value in seen)) / abs(least) if least else 0.0
+
+
 def _validated(model: nn.Module, validate: Validate) -> dict[str, float]:
     model.eval()
     figures = validate()

@@ -164,7 +164,7 @@ _WEIGHT = ShiftStyle(every=6.5, jitter=0.35, tau=0.45, spread=(1.0, 0.7, 1.0), l
 
 _SHIFTED = {"Neck": 1.3, "Neck1": 0.6, "Spine3": 0.2, "Spine2": 0.25, "Spine1": 0.25}
 """Degrees of a unit of the head's small shifts: the upper back goes with it."""
-_LOOKED = {"Neck": 0.35, "Neck1": 0.2, "Head": 0.45}
+LOOKED = {"Neck": 0.35, "Neck1": 0.2, "Head": 0.45}
 """Shares of a gaze shift."""
 _INHALED = {("Spine1", 0): -0.2, ("Spine2", 0): -0.4, ("Neck", 0): 0.35, ("LeftShoulder", 2): 1.0,
             ("RightShoulder", 2): -1.0}
@@ -233,7 +233,7 @@ def _mixing(joints: list[str], rest: Array) -> Array:
     curl = drift + len(_DRIFTS)
     rows = [(dimension, name, axis, degrees) for name, degrees in _SHIFTED.items()
             for dimension, axis in ((0, 0), (1, 2))]
-    rows += [(gaze + dimension, name, axis, share) for name, share in _LOOKED.items()
+    rows += [(gaze + dimension, name, axis, share) for name, share in LOOKED.items()
              for dimension, axis in ((0, 1), (1, 0))]
     rows += [(breath, name, axis, degrees) for (name, axis), degrees in _INHALED.items()]
     rows += [(sway + dimension, name, axis, share) for (name, axis), (share, dimension) in _SWAYED.items()]

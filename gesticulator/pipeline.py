@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
@@ -13,22 +14,24 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from data_module.blocks import denormalise
 from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
-from data_module.types import Array, Motion, Speech
+from data_module.types import Motion, Speech
 from gesticulator import __version__
 from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle import load as load_bundle
-from gesticulator.features import SpeechFeatures, control_rows, encode_speech, front_end_for, representation_of
+from gesticulator.cutter import BlockCutter, encode_speech
+from gesticulator.features import SpeechFeatures, front_end_for
+from gesticulator.motion_path import MotionPath
 from gesticulator.performance import FPS as FPS
 from gesticulator.performance import HandControl, InferenceArguments, InferenceOptions, Performance
-from gesticulator.rollout import OnBlock, Sampling, rollout
+from gesticulator.rollout import Cast, OnBlock, Sampling, asked_rows
 
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
+    from gesticulator.stream import Stream
     from interpreters.base import LexemeInterpreter
 
 R = TypeVar("R", bound=SpeechInput)
@@ -148,35 +151,57 @@ class Gesticulator:
     def _perform(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
                  on_block: OnBlock | None) -> Performance:
         """`perform` for speech that is at `SAMPLE_RATE` and as loud as it was asked for."""
+        cast = self.cast(options, self._reads(speech))
+        encoded = self.encode_speech(speech) if encoded is None else encoded
+        rows = self._control_rows(cast.controls, encoded)
+        made = cast.rollout(self.bundle).run(encoded, rows, on_block)
+        if options.variation:
+            made = cast.varied(self.bundle).run(encoded, rows, on_block, made.lexemes)
+        motion = self.to_motion(made.motion, encoded, cast.speaker, options)
+        return Performance(motion=motion, speech=speech,
+                           blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
+                           codes=made.codes, gate=made.gate, weighed=made.worth,
+                           score_is="Q value" if cast.by_value else "log-probability",
+                           made_by=self._made_by(replace(
+                               options, speaker=self.speakers[cast.speaker],
+                               interpreter=options.interpreter or self.bundle.interpreters[0],
+                               temperature=cast.sampling.temperature, beta=cast.beta, activity=cast.activity,
+                               controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None),
+                               self._reads(speech)))
+
+    def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
+               **options: Unpack[InferenceArguments]) -> Stream:
+        """Gesture for speech while it arrives: `gesticulator.stream.Stream`, with the state of rest.
+
+        sample_rate: hertz of the sound that will be fed; latency: "full", or "low" (see there); text: words will come;
+        options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`.
+        """
+        from gesticulator.stream import Stream
+
+        asked = InferenceOptions(**options)
+        if text and not self.reads_text:
+            raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder() if text else None,
+                         latency)
+        return Stream(self.bundle, self.cast(asked, text), asked, cutter, sample_rate)
+
+    def cast(self, options: InferenceOptions, text: bool) -> Cast:
+        """Who gestures, and how, with nothing left to the bundle; text: words are read."""
         chosen = self.bundle.config.selection
         activity = chosen.activity if options.activity is None else options.activity
         self._check_activity(activity)
         self._check_variation(int(options.variation))
         controls = self.controls(options)
         who = self.speaker_index(options.speaker)
-        encoded = self.encode_speech(speech) if encoded is None else encoded
         name = options.interpreter or self.bundle.interpreters[0]
-        system = self.interpreter(name, self._reads(speech)) if isinstance(name, str) else name
+        system = self.interpreter(name, text) if isinstance(name, str) else name
         by_value = getattr(system, "gives_values", False)
         temperature = options.temperature
         if temperature is None:
             temperature = chosen.q_temperature if by_value else chosen.temperature
         system, beta = _steered(system, options.beta, temperature)
         sampling = Sampling(temperature, chosen.top, int(options.seed))
-        rows = self._control_rows(controls, encoded)
-        made = rollout(self.bundle, system, who, sampling, activity).run(encoded, rows, on_block)
-        if options.variation:
-            sampling = replace(sampling, variation=int(options.variation))
-            made = rollout(self.bundle, system, who, sampling, activity).run(encoded, rows, on_block, made.lexemes)
-        motion = on_legs(self.to_motion(made.motion, encoded, who, options.fps), options)
-        return Performance(motion=motion, speech=speech,
-                           blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
-                           codes=made.codes, gate=made.gate, weighed=made.worth,
-                           score_is="Q value" if by_value else "log-probability",
-                           made_by=self._made_by(replace(
-                               options, speaker=self.speakers[who], interpreter=name, temperature=temperature,
-                               beta=beta, activity=activity, controls=controls, hand_height=None, hand_speed=None,
-                               hand_radius=None), self._reads(speech)))
+        return Cast(system, who, sampling, activity, controls, int(options.variation), beta)
 
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
@@ -230,9 +255,8 @@ class Gesticulator:
         """[N, K, 2 F] what is asked and whether it is, or None where nothing is."""
         if self.bundle.levels is None or controls == Controls.free():
             return None
-        values, given = controls.at(encoded.blocks.knot_times)
-        rows = control_rows(self.bundle.levels, values, np.broadcast_to(given, values.shape))
-        return rows.reshape(len(encoded.blocks), encoded.blocks.frames, -1)
+        times = encoded.blocks.knot_times.reshape(len(encoded), -1)
+        return np.stack([asked_rows(self.bundle.levels, controls, own) for own in times])
 
     def _made_by(self, options: InferenceOptions, words: bool) -> dict[str, Any]:
         """What made a performance, in plain values. options: with nothing left to the bundle; words: they were read."""
@@ -253,13 +277,15 @@ class Gesticulator:
         bundle = {"preset": self.bundle.config.name, "lexicon": lexicon_hash(self.bundle.vectors)}
         return {"gesticulator": __version__, "bundle": bundle, "settings": settings}
 
-    def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int, fps: float) -> Motion:
-        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion at `fps` (RG 4.2.2, 7.1.2)."""
-        statistics = self.bundle.statistics
-        poses: Array = statistics.denormalise(features.astype(np.float64), speaker)
-        frames = denormalise(poses, statistics.rest_pose[speaker], encoded.blocks, fps,
-                             self.bundle.config.motion.smoothing)
-        return representation_of(self.bundle.config).motion(frames, fps)
+    def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int,
+                  options: InferenceOptions) -> Motion:
+        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion (RG 4.2.2, 7.1.2)."""
+        path, blocks = MotionPath(self.bundle, speaker, options), encoded.blocks
+        parts = [path.push(at, block) for at, block in zip(blocks.knot_times.reshape(len(blocks), -1), features,
+                                                           strict=True)]
+        made = [part for part in (*parts, path.finish(float(blocks.edges[-1]))) if part is not None]
+        return replace(made[0], rotations=np.concatenate([part.rotations for part in made]),
+                       root_positions=np.concatenate([part.root_positions for part in made]))
 
 
 def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequence[Text | None]:
@@ -300,15 +326,6 @@ def _usable(device: str | torch.device) -> torch.device:
         raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
                          'choose "cpu", or "cuda" where torch finds a GPU') from None
     return found
-
-
-def on_legs(motion: Motion, options: InferenceOptions) -> Motion:
-    """The motion with the legs that the options ask for; itself where they ask for none."""
-    if not (options.legs or options.seated):
-        return motion
-    from gesticulator import stance
-
-    return stance.seated(motion) if options.seated else stance.with_legs(motion, int(options.seed))
 
 
 def _moved(bundle: Bundle, device: torch.device) -> Bundle:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import Representation
 from data_module.types import Array
-from gesticulator.features import SpeechFeatures, Statistics
+from gesticulator.features import SpeechBlock, Statistics
 from gesticulator.life import HEAD, SIDES, Idle, uniform
 
 Flags = NDArray[np.bool_]
@@ -45,6 +45,10 @@ HOLD = 1.6
 SINKING = 0.065
 """m/s, the greatest speed of a hand that sinks into rest (0.043 in the mean): with the life on it less than a quarter
 of a hand's mean speed in speech (0.34 to 0.45 m/s)."""
+BREAKS_OFF = 0.18
+"""Seconds in which whoever is interrupted stops: within 0.3 s of the word, what was drawn already included."""
+RETREATS = 0.95
+"""Seconds in which her hands then hang: a person who falls silent lets them down in about one."""
 LONGEST_PHRASE = 3.0
 """Seconds of speech without a pause after which a new phrase begins (talks: 2.6 s in the mean)."""
 
@@ -95,14 +99,12 @@ class Span:
         return self.start + self.duration * np.arange(1, count + 1) / count
 
 
-def span_of(encoded: SpeechFeatures, i: int) -> Span:
-    """What is known of the sound when block i is drawn."""
-    blocks = encoded.blocks
-    quiet = encoded.quiet if encoded.quiet is not None else np.repeat(blocks.silent[:, None], blocks.frames, axis=1)
-    start, end = float(blocks.edges[i]), float(blocks.edges[i + 1])
-    if i + 1 == len(blocks):
-        return Span(start, end - start, quiet[i])
-    return Span(start, end - start, quiet[i], quiet[i + 1], float(blocks.edges[i + 2]) - end)
+def span_of(block: SpeechBlock) -> Span:
+    """What is known of the sound when a block is drawn."""
+    _, own, after = block.durations
+    if block.ahead is None:
+        return Span(block.start, own, block.quiet)
+    return Span(block.start, own, block.quiet, block.ahead, after)
 
 
 # ---------------------------------------------------------------------------------------------------- pauses
@@ -207,7 +209,7 @@ class Phrases:
 class _Stop:
     """A way into rest: from a pose with a velocity at `begin` seconds to a stop, and from there to the resting pose.
 
-    stops_in: [D] seconds, for each dimension; sinks_in: seconds.
+    stops_in: [D] seconds, for each dimension; hold: seconds before it sinks; sinks_in: seconds.
     """
 
     begin: float
@@ -217,11 +219,12 @@ class _Stop:
     stops_in: Array
     rest: Array
     sinks_in: float
+    hold: float = HOLD
 
     def at(self, time: float) -> Array:
         s = np.minimum((time - self.begin) / self.stops_in, 1.0)
         stopped = _hermite(s, self.pose, self.velocity * self.stops_in, self.stopped)
-        u = min(max((time - self.begin - HOLD) / self.sinks_in, 0.0), 1.0)
+        u = min(max((time - self.begin - self.hold) / self.sinks_in, 0.0), 1.0)
         way: Array = stopped + u * u * (3.0 - 2.0 * u) * (self.rest - stopped)
         return way
 
@@ -275,6 +278,14 @@ class RestingPart:
             self._last = [self._last[1], (float(time), out[k])]
         self._join = None
         return out
+
+    def break_off(self, last: list[tuple[float, Array]]) -> None:
+        """Stop and go to rest at once, from the last two times and poses (the way since then did not happen)."""
+        self._last, self._join = last, None
+        now, pose = last[1]
+        stopped = np.clip(pose + self._velocity() * BREAKS_OFF / 3.0, *self.bounds)
+        self._stop = _Stop(now, pose, self._velocity(), stopped, np.full(len(pose), BREAKS_OFF), self.rest,
+                           RETREATS - BREAKS_OFF, BREAKS_OFF)
 
     def _velocity(self) -> Array:
         (before, one), (now, two) = self._last
@@ -352,6 +363,16 @@ class _Hands:
         return positions_of(motion)[:, self._joints]
 
 
+@dataclass(frozen=True)
+class RestKnots:
+    """The last frames that were shown, as `Rest` must know them to go on from there: times [M] seconds, poses [M, D_m]
+    without the life, and gains [M, 2, 2], how much of the life there was of head and body, and its slope."""
+
+    times: Array
+    poses: NDArray[np.float32]
+    gains: Array
+
+
 @dataclass
 class _Gain:
     """A number that follows 0 to 1 without a jump in itself or its slope (critically damped)."""
@@ -392,6 +413,8 @@ class Rest:
         self._head_moves = _head_moves(statistics, representation, speaker)
         self._shown = rest
         self._gains = [_Gain(), _Gain()]
+        self.gains = np.zeros((0, len(self._parts), 2))
+        """[K, 2, 2] how much of the life there was in each frame of the last block, see `RestKnots`."""
         self._pauses, self._phrases = Pauses(), Phrases(activity, seed)
         self._rests: list[Flags] = []
         self._span: Span | None = None
@@ -403,6 +426,19 @@ class Rest:
         self._span = span
         self._rests = [pause, pause if gestured else np.ones_like(pause)]
         return bool(self._rests[1].mean() >= 0.5)
+
+    def rest(self, span: Span) -> None:
+        """Instead of `hear`: nothing is to be heard, and nothing to be done."""
+        self._pauses, self._span = Pauses(), span
+        self._rests = [np.ones(len(span.quiet), bool)] * 2
+
+    def break_off(self, shown: RestKnots) -> None:
+        """Go back to what was shown last, and to rest from there at once."""
+        for columns, part in self._parts:
+            part.break_off([(float(time), pose[columns].astype(np.float64))
+                            for time, pose in zip(shown.times[-2:], shown.poses[-2:], strict=True)])
+        self._gains = [_Gain(*gain) for gain in shown.gains[-1].tolist()]
+        self._shown = shown.poses[-1].astype(np.float64)
 
     def step(self, generated: Array) -> Array:
         """[K, D_m] the block as it goes on, for one that was generated [K, D_m], both normalised, without the life."""
@@ -421,9 +457,13 @@ class Rest:
         steps = np.diff(block, axis=0, prepend=self._shown[None])
         speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
         stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
-        for (columns, _), rests, gain in zip(self._parts, self._rests, self._gains, strict=True):
+        self.gains = np.empty((len(times), len(self._parts), 2))
+        for part, ((columns, _), rests, gain) in enumerate(zip(self._parts, self._rests, self._gains, strict=True)):
             wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, rests)
-            life[:, columns] *= np.array([[gain.follow(float(one), seconds)] for one in wanted])
+            for k, one in enumerate(wanted):
+                gain.follow(float(one), seconds)
+                self.gains[k, part] = gain.value, gain.slope
+            life[:, columns] *= self.gains[:, part, :1]
         self._shown = block[-1].astype(np.float64)
         return block + life
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
@@ -11,11 +12,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from data_module.controls import Controls, Levels
+from data_module.errors import InputError
 from gesticulator.bundle import Bundle
 from gesticulator.drawing import Keys, drawer_for
-from gesticulator.features import SpeechFeatures, representation_of
+from gesticulator.features import SpeechBlock, SpeechFeatures, control_rows, representation_of
 from gesticulator.performance import BEST, LexemeWorth
-from gesticulator.rest import Rest, span_of
+from gesticulator.rest import Rest, RestKnots, Span, span_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 
 if TYPE_CHECKING:
@@ -45,6 +48,35 @@ class Sampling:
 
 
 @dataclass(frozen=True)
+class DrawnBlock:
+    """One block of a rollout. motion: [K, D_m] features as the audience is shown them; lexeme: what was played; best:
+    [M] the best lexemes and their scores [M], falling; code: [d_z]; gate: its probability, NaN where it was not asked;
+    prior, advantage: [M + 1] of the best lexemes and, last, the one that was played, NaN where nobody weighed them."""
+
+    motion: NDArray[np.float32]
+    lexeme: int
+    best: NDArray[np.int64]
+    scores: NDArray[np.float64]
+    code: NDArray[np.float32]
+    gate: float
+    prior: NDArray[np.float64]
+    advantage: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, motion: NDArray[np.float32], lexeme: int, scores: NDArray[np.float64], state: object,
+           code: NDArray[np.float32], gate: float = math.nan) -> DrawnBlock:
+        """With the best of all scores [S], of equals the lower number first; state: the interpreter's, which may say
+        what these lexemes are worth."""
+        best = np.argsort(-scores, kind="stable")[:BEST]
+        log_prior, advantage = getattr(state, "log_prior", None), getattr(state, "advantage", None)
+        weighed = [np.full(len(best) + 1, np.nan)] * 2
+        if log_prior is not None and advantage is not None:
+            at = [*best, lexeme]
+            weighed = [np.exp(log_prior[at]), advantage[at]]
+        return cls(motion, lexeme, best, scores[best], code, gate, *weighed)
+
+
+@dataclass(frozen=True)
 class RolloutResult:
     """What a rollout gives: motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M],
     style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked. prior, advantage: [N, M + 1] of
@@ -60,26 +92,13 @@ class RolloutResult:
     advantage: NDArray[np.float64]
 
     @classmethod
-    def empty(cls, blocks: int, lexemes: int, motion: tuple[int, ...], code_width: int) -> RolloutResult:
-        """Arrays to be filled, for N blocks of a lexicon of S lexemes; motion: [K, D_m]."""
-        best = min(BEST, lexemes)
-        return cls(np.empty((blocks, *motion), np.float32), np.empty(blocks, np.int64),
-                   np.empty((blocks, best), np.int64), np.empty((blocks, best)),
-                   np.empty((blocks, code_width), np.float32), np.full(blocks, np.nan),
-                   np.full((blocks, best + 1), np.nan), np.full((blocks, best + 1), np.nan))
-
-    def keep_best(self, i: int, scores: NDArray[np.float64]) -> None:
-        """Note the best lexemes of block i among scores [S]; of equals the lower number comes first."""
-        self.best[i] = np.argsort(-scores, kind="stable")[:self.best.shape[1]]
-        self.scores[i] = scores[self.best[i]]
-
-    def keep_worth(self, i: int, state: object) -> None:
-        """Note what the interpreter's state says of block i's best lexemes and of the one that was played, where it
-        weighs them; after `keep_best`."""
-        log_prior, advantage = getattr(state, "log_prior", None), getattr(state, "advantage", None)
-        if log_prior is not None and advantage is not None:
-            at = [*self.best[i], self.lexemes[i]]
-            self.prior[i], self.advantage[i] = np.exp(log_prior[at]), advantage[at]
+    def of(cls, drawn: Sequence[DrawnBlock], motion: NDArray[np.float32] | None = None) -> RolloutResult:
+        """Of N blocks one after the other; motion: [N, K, D_m] instead of their own."""
+        own = np.stack([block.motion for block in drawn]) if motion is None else motion
+        return cls(own, np.array([block.lexeme for block in drawn], np.int64),
+                   np.stack([block.best for block in drawn]), np.stack([block.scores for block in drawn]),
+                   np.stack([block.code for block in drawn]), np.array([block.gate for block in drawn]),
+                   np.stack([block.prior for block in drawn]), np.stack([block.advantage for block in drawn]))
 
     @property
     def worth(self) -> LexemeWorth | None:
@@ -94,6 +113,40 @@ def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampli
     return kind(bundle, interpreter, speaker, sampling, activity)
 
 
+@dataclass(frozen=True)
+class Cast:
+    """Who gestures, and how: an interpreter, a speaker's index, how lexemes are chosen, how readily to gesture (0 to
+    1), what is asked of the hands, which variation of the drawing; beta: the interpreter's, where it has one."""
+
+    interpreter: LexemeInterpreter
+    speaker: int
+    sampling: Sampling
+    activity: float
+    controls: Controls
+    variation: int
+    beta: float | None = None
+
+    @property
+    def by_value(self) -> bool:
+        """Scores are Q values."""
+        return bool(getattr(self.interpreter, "gives_values", False))
+
+    def rollout(self, bundle: Bundle) -> Rollout | CodecRollout:
+        """The loop that chooses lexemes and, without a variation, draws them."""
+        return rollout(bundle, self.interpreter, self.speaker, self.sampling, self.activity)
+
+    def varied(self, bundle: Bundle) -> Rollout | CodecRollout:
+        """The loop that draws the same lexemes in another manner."""
+        sampling = replace(self.sampling, variation=self.variation)
+        return rollout(bundle, self.interpreter, self.speaker, sampling, self.activity)
+
+
+def asked_rows(levels: Levels, controls: Controls, times: NDArray[np.float64]) -> NDArray[np.float32]:
+    """[K, 2 F] what is asked at `times` [K] seconds, and whether it is."""
+    values, given = controls.at(times)
+    return control_rows(levels, values, np.broadcast_to(given, values.shape))
+
+
 def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
     """A block of rest [B, K, D_m]: evenly from the last pose [B, 1, D_m] a share of the way to the block's mean pose.
 
@@ -105,69 +158,130 @@ def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
 
 
 class Rollout:
-    """One performance over a lexicon of blocks: the states of interpreter, gate, style and generator."""
+    """One performance over a lexicon of blocks: the states of interpreter, gate, style and generator.
+
+    It is stepped block by block, `step`; a stream and a file go through it alike. It begins at rest.
+    """
 
     def __init__(self, bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling,
                  activity: float) -> None:
         self.bundle, self.interpreter, self.speaker = bundle, interpreter, speaker
         self.sampling, self.activity = sampling, activity
-        self.rng = np.random.default_rng(sampling.seed)
-        self.device = bundle.vectors.device
-        self.quiet_low = None if bundle.statistics.quiet_low is None else self._tensor(bundle.statistics.quiet_low)
+        self.begin()
 
     @torch.inference_mode()
+    def begin(self, text: bool = False) -> None:
+        """Go back to the start. text: the blocks that follow come with words."""
+        b, speaker = self.bundle, self.speaker
+        self.device = b.vectors.device
+        self.rng = np.random.default_rng(self.sampling.seed)
+        self._quiet_low = None if b.statistics.quiet_low is None else self._tensor(b.statistics.quiet_low)
+        self._low, self._high = self._tensor(b.statistics.bounds)
+        self._previous = b.rest_lexeme(speaker)
+        self._inner = self._free = self.interpreter.start(speaker, self._previous)
+        if b.config.tokens == "lexicon":
+            self._gate = b.gate if self.activity < 1 else None
+            self._past = b.rest_feature(speaker).expand(1, b.frames, -1)
+            self._drawer = drawer_for(b, speaker, self._previous, self.sampling.keys, text)
+            self._gate_state = None if self._gate is None else self._gate.start(speaker)
+            self.life = None if b.config.silence.rest == "decay" else Rest(
+                b.statistics, representation_of(b.config), speaker, self.activity, self.sampling.seed)
+            self._resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
+
+    @torch.inference_mode()
+    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, lexeme: int | None = None
+             ) -> DrawnBlock:
+        """The next block. asked: [K, 2 F] rows of the control, or None; lexeme: to play, whatever the interpreter
+        says, or None."""
+        b = self.bundle
+        features = self._features(speech, asked, self._past[0])
+        closed, probability = self._closed(speech, features)
+        scores = self._scores(features)
+        quiet = closed or (features.silent and b.config.silence.mask)
+        self._previous = self._select(scores, b.silent if quiet else None) if lexeme is None else lexeme
+        if closed and self.life is None and self._quiet_low is not None:
+            # A block on which nothing is to be done is one on which nothing is said.
+            features = replace(features, low=self._quiet_low, silent=True)
+        block, code = self._drawer.block(speech, features, self._previous, self._past)
+        self._resting = self._resting + 1 if quiet else 0
+        rest_decay = b.config.silence.rest_decay
+        if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
+            block = approach_rest(self._past[:, -1:], block, rest_decay)
+        shown = self._go_on(block)
+        return DrawnBlock.of(shown, self._previous, scores, self._inner, code[0].cpu().numpy(), probability)
+
+    @torch.inference_mode()
+    def idle(self, start: float, seconds: float, knots: int) -> NDArray[np.float32]:
+        """[k, D_m] so many frames of rest that follow each other by `seconds`, the first so long after `start`.
+
+        `InputError` where the bundle knows no rest by phrases (silence.rest=decay).
+        """
+        if self.life is None:
+            raise InputError("the bundle", "does not know how to rest without speech",
+                             "use one whose phrases rest (silence.rest=life)")
+        past = self._past
+        self.life.rest(Span(start, seconds * knots, np.ones(knots, bool)))
+        shown = self._go_on(past[:, -1:].expand(1, knots, -1))
+        self._past = torch.cat([past, self._past], 1)[:, -past.shape[1]:]
+        return shown
+
+    def break_off(self, shown: RestKnots) -> None:
+        """Go back to what was shown last (K frames or more), and to rest from there at once."""
+        assert self.life is not None
+        frames = self.bundle.frames
+        before = np.repeat(shown.poses[:1], max(frames - len(shown.poses), 0), axis=0)
+        self._past = self._tensor(np.concatenate([before, shown.poses[-frames:]]))[None]
+        self.life.break_off(shown)
+
+    @property
+    def past(self) -> NDArray[np.float32]:
+        """[K, D_m] the last frames that were drawn, without the life on them."""
+        return np.asarray(self._past[0].cpu().numpy())
+
     def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
             lexemes: NDArray[np.int64] | None = None) -> RolloutResult:
-        """Every block in turn. asked: [N, K, 2 F] rows of the control, or None; lexemes: [N] to play, whatever the
-        interpreter says, or None."""
-        b, count = self.bundle, len(encoded.blocks)
-        gate = b.gate if self.activity < 1 else None
-        previous = b.rest_lexeme(self.speaker)
-        rest = b.rest_feature(self.speaker)
-        past = rest.expand(1, b.frames, -1)
-        drawer = drawer_for(b, encoded, self.speaker, previous, self.sampling.keys)
-        inner = free = self.interpreter.start(self.speaker, previous)
-        gate_state = None if gate is None else gate.start(self.speaker)
-        guidance, rest_decay = b.config.selection.guidance, b.config.silence.rest_decay
-        low, high = self._tensor(b.statistics.bounds)
-        made = RolloutResult.empty(count, len(b.vectors), past.shape[1:], b.code_width)
-        life = None if b.config.silence.rest == "decay" else Rest(
-            b.statistics, representation_of(b.config), self.speaker, self.activity, self.sampling.seed)
-        resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
+        """Every block of a speech from the start. asked: [N, K, 2 F] rows of the control, or None; lexemes: [N] to
+        play, whatever the interpreter says, or None."""
+        self.begin(encoded.text is not None)
+        drawn, count = [], len(encoded)
         for i in range(count):
-            features = self._features(encoded, i, asked, past[0])
-            closed = self.activity == 0
-            if gate is not None and gate_state is not None:
-                made.gate[i], gate_state = gate.step(gate_state, features)
-                closed = not gate.opened(float(made.gate[i]), self.activity)
-            if life is not None:
-                closed = life.hear(span_of(encoded, i), float(made.gate[i]))
-            # Style guidance: beyond what the models do when asked, away from what they do unasked.
-            scores, inner = self.interpreter.step(inner, features, previous)
-            if asked is not None:
-                unasked, free = self.interpreter.step(free, replace(features, control=None), previous)
-                scores = unasked + guidance * (scores - unasked)
-            quiet = closed or (features.silent and b.config.silence.mask)
-            previous = int(lexemes[i]) if lexemes is not None else self._select(scores, b.silent if quiet else None)
-            if closed and life is None and self.quiet_low is not None:
-                # A block on which nothing is to be done is one on which nothing is said.
-                features = replace(features, low=self.quiet_low, silent=True)
-            block, code = drawer.block(i, features, previous, past)
-            resting = resting + 1 if quiet else 0
-            if life is None and resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
-                block = approach_rest(past[:, -1:], block, rest_decay)
-            # What it was never shown it must not feed itself: one odd pose would lead to the next.
-            past = torch.clamp(block, low, high)
-            if life is not None:
-                past = self._tensor(life.step(past[0].cpu().numpy()))[None]
-            drawn = past[0].cpu().numpy()
-            made.motion[i] = drawn if life is None else life.alive(drawn)
-            made.lexemes[i], made.codes[i] = previous, code[0].cpu().numpy()
-            made.keep_best(i, scores)
-            made.keep_worth(i, inner)
+            drawn.append(self.step(encoded.block(i), None if asked is None else asked[i],
+                                   None if lexemes is None else int(lexemes[i])))
             if on_block is not None:
                 on_block(i + 1, count)
-        return made
+        return self.result(drawn)
+
+    def result(self, drawn: Sequence[DrawnBlock]) -> RolloutResult:
+        """All blocks of a performance together."""
+        return RolloutResult.of(drawn)
+
+    def _closed(self, speech: SpeechBlock, features: BlockFeatures) -> tuple[bool, float]:
+        """Whether nothing is to be done on the block, and the gate's probability."""
+        closed, probability = self.activity == 0, math.nan
+        if self._gate is not None and self._gate_state is not None:
+            probability, self._gate_state = self._gate.step(self._gate_state, features)
+            closed = not self._gate.opened(probability, self.activity)
+        if self.life is not None:
+            closed = self.life.hear(span_of(speech), probability)
+        return closed, probability
+
+    def _scores(self, features: BlockFeatures) -> NDArray[np.float64]:
+        """[S] of the interpreter, with style guidance: beyond what it does when asked, away from what it does
+        unasked."""
+        scores, self._inner = self.interpreter.step(self._inner, features, self._previous)
+        if features.control is None:
+            return scores
+        unasked, self._free = self.interpreter.step(self._free, replace(features, control=None), self._previous)
+        return unasked + self.bundle.config.selection.guidance * (scores - unasked)
+
+    def _go_on(self, block: Tensor) -> NDArray[np.float32]:
+        """[K, D_m] what is shown of a drawn block [1, K, D_m], which becomes the past of the next."""
+        # What it was never shown it must not feed itself: one odd pose would lead to the next.
+        self._past = torch.clamp(block, self._low, self._high)
+        if self.life is None:
+            return np.asarray(self._past[0].cpu().numpy())
+        self._past = self._tensor(self.life.step(self._past[0].cpu().numpy()))[None]
+        return self.life.alive(self._past[0].cpu().numpy()).astype(np.float32)
 
     def _select(self, scores: NDArray[np.float64], allowed: NDArray[np.int64] | None = None) -> int:
         return select(scores, allowed=allowed, temperature=self.sampling.temperature, top=self.sampling.top or None,
@@ -176,14 +290,12 @@ class Rollout:
     def _tensor(self, values: NDArray) -> Tensor:
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
 
-    def _features(self, encoded: SpeechFeatures, i: int, asked: NDArray[np.float32] | None,
-                  past: Tensor | None = None) -> BlockFeatures:
-        s, seconds = self.bundle.statistics, encoded.blocks.durations
-        return BlockFeatures(self._tensor(s.low.apply(encoded.low[i])), self._tensor(s.high.apply(encoded.high[i])),
-                             bool(encoded.blocks.silent[i]),
-                             None if encoded.text is None else self._tensor(encoded.text[i]),
-                             None if asked is None else self._tensor(asked[i]), past,
-                             (float(seconds[max(i - 1, 0)]), float(seconds[i])))
+    def _features(self, speech: SpeechBlock, asked: NDArray[np.float32] | None, past: Tensor | None = None
+                  ) -> BlockFeatures:
+        s = self.bundle.statistics
+        return BlockFeatures(self._tensor(s.low.apply(speech.low)), self._tensor(s.high.apply(speech.high)),
+                             speech.silent[1], None if speech.text is None else self._tensor(speech.text),
+                             None if asked is None else self._tensor(asked), past, speech.durations[:2])
 
 
 class CodecRollout(Rollout):
@@ -193,21 +305,19 @@ class CodecRollout(Rollout):
     """
 
     @torch.inference_mode()
-    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
-            lexemes: NDArray[np.int64] | None = None) -> RolloutResult:
-        """Every code in turn; nothing can be asked of the style. lexemes: see `Rollout.run`."""
+    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, lexeme: int | None = None
+             ) -> DrawnBlock:
+        """The next code, without motion; see `Rollout.step`. Nothing can be asked of the style."""
+        scores, self._inner = self.interpreter.step(self._inner, self._features(speech, asked), self._previous)
+        chosen = self._select(scores) if lexeme is None else lexeme
+        self._previous = self.bundle.rest_lexeme(self.speaker) if self.activity == 0 else chosen
+        return DrawnBlock.of(np.empty((0, 0), np.float32), self._previous, scores, self._inner, np.empty(0, np.float32))
+
+    @torch.inference_mode()
+    def result(self, drawn: Sequence[DrawnBlock]) -> RolloutResult:
+        """All codes decoded together, the resting code before the first: the codec then begins where the figure
+        stands."""
+        codes = [self.bundle.rest_lexeme(self.speaker), *(block.lexeme for block in drawn)]
         codec = cast("RacerCodec", self.bundle.lexicon)
-        count = len(encoded.blocks)
-        rest = previous = self.bundle.rest_lexeme(self.speaker)
-        made = RolloutResult.empty(count, len(self.bundle.vectors), (0, 0), 0)
-        state = self.interpreter.start(self.speaker, previous)
-        for i in range(count):
-            scores, state = self.interpreter.step(state, self._features(encoded, i, asked), previous)
-            previous = self._select(scores) if lexemes is None else int(lexemes[i])
-            made.lexemes[i] = previous = rest if self.activity == 0 else previous
-            made.keep_best(i, scores)
-            if on_block is not None:
-                on_block(i + 1, count)
-        # The resting code before the first: the codec then begins where the figure stands.
-        codes = torch.as_tensor(np.concatenate([[rest], made.lexemes]), device=self.device)[None]
-        return replace(made, motion=codec.decode_tokens(codes)[0, 1:].cpu().numpy())
+        motion = codec.decode_tokens(torch.tensor(codes, device=self.device)[None])[0, 1:].cpu().numpy()
+        return RolloutResult.of(drawn, motion)

@@ -11,18 +11,17 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.speech.audio import load_speech
-from data_module.speech.beats import (
+from data_module.speech.beats import RULES, BeatSettings, BeatTracker, find_beats, next_beat, place_beats
+from data_module.speech.onsets import (
     LOOK_AHEAD,
-    RULES,
-    BeatSettings,
+    OnsetTracker,
+    RiseTracker,
     detect_onsets,
-    find_beats,
     merged,
-    next_beat,
     onset_strength,
-    place_beats,
     strength_at,
 )
+from data_module.speech.silence import LoudnessTracker, frame_levels, quietest
 from data_module.types import Array, BeatFlag, Samples, Speech
 
 RATE = 16000
@@ -266,11 +265,37 @@ def test_onsets_do_not_depend_on_gain_nor_on_what_comes_later() -> None:
         assert np.allclose(again[again < sure], whole[whole < sure], atol=1e-9)
 
 
-def test_long_recordings_are_done_in_pieces_that_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
-    sound = babble(20.0)
-    whole = onset_strength(sound, RATE)
-    monkeypatch.setattr("data_module.speech.beats._PIECE", 130)
-    assert np.allclose(onset_strength(sound, RATE), whole, atol=2e-3)
+def test_sound_that_arrives_in_pieces_rises_alike_to_the_last_bit() -> None:
+    sound = babble(4.03)
+    whole, limit = onset_strength(sound, RATE), quietest(frame_levels(sound, RATE))
+    for size in (37, 800, 16123):
+        tracker, told = RiseTracker(RATE), 0
+        parts = []
+        for start in range(0, len(sound), size):
+            heard = min(start + size, len(sound)) // (RATE // 100)
+            parts.append(tracker.step(sound[start:start + size], limit[told:heard]))
+            told = max(heard, told)
+        assert np.array_equal(np.concatenate([*parts, tracker.step(sound[:0], limit[told:]), tracker.finish()]), whole)
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("seconds", [0.31, 3.0, 7.77])
+def test_beats_of_sound_that_arrives_are_those_of_the_recording(rule: str, seconds: float) -> None:
+    sound, settings = babble(seconds, 3), BeatSettings(rule=rule)
+    loudness_of, onsets, beats = LoudnessTracker(), OnsetTracker(RATE), BeatTracker(settings)
+    found, step = [(0.0, BeatFlag.BOUNDARY)], RATE // 10
+    for start in range(0, len(sound) - step, step):
+        heard = loudness_of.step(frame_levels(sound[start:start + step], RATE))
+        more = onsets.step(sound[start:start + step], heard)
+        new = beats.step(more, heard.silent.tolist(), onsets.known_until, (start + step) / RATE)
+        assert all((start + step) / RATE - time <= settings.d_max + settings.d_min + LOOK_AHEAD for time, _ in new)
+        found += new
+    left = sound[len(range(0, len(sound) - step, step)) * step:]
+    heard = loudness_of.step(frame_levels(left, RATE))
+    found += beats.finish(onsets.step(left, heard) + onsets.finish(), heard.silent.tolist(), len(sound) / RATE)
+    whole = find_beats(Speech(sound, RATE), settings)
+    assert [time for time, _ in found] == whole.times.tolist()
+    assert [int(flag) for _, flag in found] == whole.flags.tolist()
 
 
 def test_settings_that_cannot_hold_are_refused() -> None:

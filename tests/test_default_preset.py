@@ -26,6 +26,7 @@ from gesticulator import bundle as bundles
 from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
+from gesticulator.rollout import Rollout, Sampling
 from gesticulator.stages.lexicon import token_labels
 from lexicon.movement import MovementLexicon
 
@@ -199,3 +200,28 @@ def test_guidance_by_ear_changes_scores_and_keeps_them_probabilities(system: Ges
     assert (np.exp(guided.scores).sum(axis=1) <= 1.0 + 1e-6).all()
     np.testing.assert_array_equal(chosen(3.0, "advantage", beta=0.0).scores, guided.scores)
     np.testing.assert_array_equal(chosen(3.0, "statistical").scores, chosen(0.0, "statistical").scores)
+
+
+def test_untold_it_draws_the_same_whatever_is_asked_and_more_guidance_is_obeyed_more(
+        context: EvalContext, system: Gesticulator, recording: Recording, tiny_movement_bundle: Path, tmp_path: Path
+        ) -> None:
+    encoded = system.encode_speech(recording.speech)
+
+    def drawn(lexeme: int, guidance: float) -> np.ndarray:
+        config = dataclasses.replace(system.bundle.config, selection=dataclasses.replace(
+            system.bundle.config.selection, lexeme_guidance=guidance, candidates=1))
+        bundle = dataclasses.replace(system.bundle, config=config)
+        loop = Rollout(bundle, system.interpreter("lstm"), 0, Sampling(1.0, 0, 0), 1.0)
+        return loop.run(encoded, None, lexemes=np.full(len(encoded.blocks), lexeme)).motion
+
+    np.testing.assert_array_equal(drawn(0, -1.0), drawn(7, -1.0))
+    assert np.abs(drawn(0, 0.0) - drawn(7, 0.0)).max() > 0.1
+    out = tmp_path / "guidance.json"
+    assert PROBE.main("gesticulator probe", [
+        "guidance", "--store", str(context.store.path), "--bundle", str(tiny_movement_bundle), "--audio", "0",
+        "--lexeme", "-1", "6", "--split", "test", "--limit", "1", "--work", str(tmp_path), "--out", str(out)]) == 0
+    rows = load(out)[0].rows
+    untold, told = (rows[f"sound 0, lexeme {guidance}"]["obeyed"].mean for guidance in (-1, 6))  # type: ignore[union-attr]
+    assert untold != told, "sixty steps of training obey by chance; test_flow has who learned to"
+    assert next(iter(rows)) == "corpus"
+    assert sum("as frozen" in name for name in rows) == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -13,7 +14,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from gesticulator.fit import Batch, Checkpoint, FitOptions, FitSettings, Task, fit, rate_factor
+from gesticulator.fit import Batch, Checkpoint, FitOptions, FitSettings, Task, fit, late_gain, rate_factor
 
 
 class Model(nn.Module):
@@ -185,3 +186,14 @@ def test_a_checkpoint_without_the_best_weights_begins_anew(tmp_path: Path) -> No
     model, figures = watched(tmp_path / "a", 4)
     clean, wanted = watched(tmp_path / "b", 4)
     assert figures == wanted and torch.equal(model.net[0].weight, clean.net[0].weight)
+
+
+@pytest.mark.parametrize(("figures", "gain"), [
+    ([4.0, 2.0, 2.0, 1.0], 0.5), ([4.0, 2.0, 2.0, 3.0], 0.0), ([4.0, 2.0, 2.5, 1.98], 0.01)])
+def test_what_the_last_quarter_gained_is_read_from_the_log(tmp_path: Path, figures: list[float], gain: float) -> None:
+    rows = [{"step": 10 * n + k, "loss": 1.0, **({"val_nll": figure, "val_other": 9.0} if k == 9 else {})}
+            for n, figure in enumerate(figures) for k in range(10)]
+    (tmp_path / "a.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    assert late_gain(tmp_path / "a.jsonl") == pytest.approx(gain)
+    (tmp_path / "b.jsonl").write_text(json.dumps(rows[0]) + "\n" + json.dumps({**rows[9], "step": 1}) + "\n")
+    assert math.isnan(late_gain(tmp_path / "b.jsonl"))

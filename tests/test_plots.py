@@ -11,7 +11,7 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.motion.motion_beats import beats_of_speed
-from data_module.speech.beats import merged
+from data_module.speech.onsets import merged
 from data_module.types import BeatFlag, Beats, Speech, Word
 from eval.draw import embedding, plots
 from eval.draw.embedding import colours

@@ -242,6 +242,10 @@ def test_figures_are_means_over_seeds_and_clips_by_their_weights() -> None:
     figures = rows["racer-cql"]["figures"]
     assert figures["return"].mean == 1.5 and figures["cosine"].mean == 1.75, "clips of 1 and of 3 decisions"
     assert not rows["racer-cql"]["decided"]
+    late = {seed: {**cell("ours", seed, 1.0), "late_gains": {"generator": gain, "style": 0.0}}
+            for seed, gain in ((1, 0.002), (2, 0.03))}
+    settling = tables.training_table(summaries({"ours": late, **cells_of(no_style=[1.0])})).rows
+    assert settling["ours"]["late"] == pytest.approx(3.0) and settling["no-style"]["late"] is None
     half = cell("racer-cql", 1, 1.0)
     del half["clips"][1]["maje"]  # it was not played
     assert summaries({"racer-cql": {1: half}})["racer-cql"]["figures"]["maje"] == Interval(1.0, 1.0, 1.0, 1)

@@ -113,7 +113,7 @@ def test_the_limit_of_an_ordinary_recording_does_not_move() -> None:
     breaths = np.concatenate([np.zeros(RATE // 2), voice(0.4, -66), np.zeros(RATE // 2), voice(0.5, -64)])
     sound = np.concatenate([breaths, voice(8.0, -24), np.zeros(RATE), breaths, breaths, np.zeros(5 * RATE)])
     levels = frame_levels(sound.astype(np.float32), RATE)
-    assert (quietest(levels, noise_floor(levels)) == QUIETEST).all()
+    assert (quietest(levels) == QUIETEST).all()
 
 
 def test_the_last_bits_of_a_sound_card_are_silent() -> None:
@@ -126,7 +126,7 @@ def test_real_recordings_keep_the_limit(outside_data: Path) -> None:
     """What has its usual level is cut as it always was, to the bit."""
     for file in sorted((outside_data / "speech").glob("*.flac")):
         levels = frame_levels(load_speech(file).samples, RATE)
-        assert (quietest(levels, noise_floor(levels)) == QUIETEST).all(), file
+        assert (quietest(levels) == QUIETEST).all(), file
 
 
 def test_a_voice_that_starts_at_once_is_heard() -> None:

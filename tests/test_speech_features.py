@@ -18,7 +18,8 @@ from gesticulator import bundle as bundles
 from gesticulator import config as configs
 from gesticulator import features as hearing
 from gesticulator import presets
-from gesticulator.features import encode, encode_speech, front_end_for, tempo_column, three_blocks, word_table
+from gesticulator.cutter import encode_speech
+from gesticulator.features import encode, front_end_for, tempo_column, three_blocks, word_table
 from gesticulator.stages.corpus import Corpus, prepare
 
 WORDS = (Word("one", 0.5, 1.0), Word("two", 1.1, 1.5), Word("", 1.5, 2.2), Word("three", 2.2, 2.9))

@@ -109,14 +109,57 @@ def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
         return given if isinstance(given, Speech) else load_speech(cast("str | BinaryIO", given))
     if sample_rate is None:
         raise InputError("sample_rate", "is lacking", "give it with the samples: g(samples, 16000)")
-    if not _LOWEST_RATE <= sample_rate <= _HIGHEST_RATE or sample_rate != round(sample_rate):
-        raise InputError(f"sample_rate {sample_rate:g}", "is out of range",
-                         f"give {_LOWEST_RATE} to {_HIGHEST_RATE} samples per second")
+    _check_rate(sample_rate)
     samples = _as_mono(np.asarray(given))
     if len(samples) < SHORTEST * sample_rate:
         raise InputError("speech", f"lasts {len(samples) / sample_rate:.2f} s, too short for a gesture",
                          f"give {SHORTEST} s or more")
     return Speech(samples, round(sample_rate))
+
+
+def _check_rate(rate: float) -> None:
+    if not _LOWEST_RATE <= rate <= _HIGHEST_RATE or rate != round(rate):
+        raise InputError(f"sample_rate {rate:g}", "is out of range",
+                         f"give {_LOWEST_RATE} to {_HIGHEST_RATE} samples per second")
+
+
+class SampleFeed:
+    """Samples as they arrive, to mono at `SAMPLE_RATE`: the same as `as_speech`, `amplified` and `resample` make of all
+    of them, whatever the pieces."""
+
+    def __init__(self, sample_rate: float, gain: float = 0.0) -> None:
+        """sample_rate: hertz of what arrives; gain: decibels. `InputError` for a rate that is none."""
+        _check_rate(sample_rate)
+        self.rate, self._gain = round(sample_rate), gain
+        self._taken = 0
+        self._resampler = None
+        if self.rate != SAMPLE_RATE:
+            import soxr
+
+            self._resampler = soxr.ResampleStream(self.rate, SAMPLE_RATE, 1, dtype="float32")
+
+    @property
+    def seconds(self) -> float:
+        """That were taken."""
+        return self._taken / self.rate
+
+    def take(self, samples: NDArray[Any]) -> Samples:
+        """What is ready at `SAMPLE_RATE` by some more samples [n] or [n, channels]; `InputError`, and nothing taken,
+        where they are no sound."""
+        mono = _as_mono(np.asarray(samples))
+        self._taken += len(mono)
+        if self._gain:
+            mono = np.clip(mono * 10.0 ** (self._gain / 20), -1.0, 1.0).astype(np.float32)
+        return self._resampled(mono)
+
+    def finish(self) -> Samples:
+        """The rest; nothing follows."""
+        return self._resampled(np.zeros(0, np.float32), last=True)
+
+    def _resampled(self, mono: Samples, last: bool = False) -> Samples:
+        if self._resampler is None:
+            return mono
+        return np.clip(self._resampler.resample_chunk(mono, last=last), -1.0, 1.0).astype(np.float32)
 
 
 def check_file(name: Path, any_length: bool = False) -> None:

@@ -1,45 +1,23 @@
-"""Onsets of the sound, and the beats that speech and motion are cut at (RG 4.2.1).
+"""The beats that speech and motion are cut at (RG 4.2.1).
 
-Onsets are found with a look-ahead of `LOOK_AHEAD` seconds and beats with one of d_max + d_min more; nothing needs the
-loudest moment of the recording, so a stream gets what a file gets. The rule that the paper prints, which needs the
-whole recording, is kept as the option "paper"; "even" hears nothing and gives blocks of one fixed length.
+A beat is certain when sound has been heard up to d_max + d_min after the beat before it and `onsets.LOOK_AHEAD` more,
+and often earlier, so a stream gets what a file gets. The rule that the paper prints, which needs the whole recording,
+is kept as the option "paper"; "even" hears nothing and gives blocks of one fixed length.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.speech.silence import FRAME, QUIETEST, frame_levels, noise_floor, quietest, silent_frames
-from data_module.types import Array, BeatFlag, Beats, Samples, Speech
+from data_module.speech.onsets import merged, onsets_of
+from data_module.speech.silence import FRAME, silent_frames
+from data_module.types import Array, BeatFlag, Beats, Speech
 
 RULES = ("bounded", "strongest", "paper", "even")
-LOOK_AHEAD = 0.25
-"""Seconds of sound after an onset that `detect_onsets` needs to be sure of it."""
-
-_HOP = 0.01
-"""Seconds between spectra."""
-_WINDOW = 0.128
-"""Seconds of a spectrum, librosa's usual 2048 samples at 16 kHz."""
-_BANDS = 128
-"""Mel bands, librosa's usual number."""
-_LAG = 3
-"""Spectra (30 ms) over which the rise is taken."""
-_FAINTEST = 1e-6
-"""Mel power that counts as nothing: what white noise of -80 dBFS has."""
-_AROUND = 0.1
-"""Seconds on both sides of a peak that make its surroundings."""
-_PEAK = 0.03
-"""Seconds on both sides in which a peak is the highest."""
-_RISE = 1.2
-"""Decibels that a peak stands above its surroundings."""
-_AUDIBLE = (-0.02, 0.08)
-"""Seconds about an onset in which a frame must be louder than the noise."""
-_PIECE = 4000
-"""Spectra (40 s) that are computed at a time: an hour's would not fit."""
 _EPS = 1e-9
 """Seconds: what is closer is the same time."""
 
@@ -72,95 +50,6 @@ class BeatSettings:
             raise InputError("rule", f"is {self.rule!r}", f"choose from {', '.join(RULES)}")
 
 
-def detect_onsets(samples: Samples, sample_rate: int, merge: float = 0.05) -> Array:
-    """Onsets of the sound in seconds, rising, [n].
-
-    A peak of librosa's onset strength (the mean rise of the log-mel bands over 30 ms) that stands 1.2 dB above its
-    surroundings of 0.1 s on both sides and is louder than the running noise floor. Decibels make the threshold
-    independent of the gain, so nothing is scaled by the file's maximum. Of onsets closer than `merge` seconds the
-    first stays.
-    """
-    strength = onset_strength(samples, sample_rate)
-    peaks = _peaks(strength, round(_PEAK / _HOP), round(_AROUND / _HOP))
-    # A window of the spectrum sees a rise half a window early; of the plateau that `_LAG` makes, the first is the peak.
-    times = peaks * _HOP + (_WINDOW / 2 // _HOP - (_LAG - 1)) * _HOP
-    audible = ~silent_frames(samples, sample_rate)
-    before = np.concatenate([[0], np.cumsum(audible)])
-    first, last = (np.clip(np.round((times + shift) / FRAME).astype(int), 0, len(audible)) for shift in _AUDIBLE)
-    return merged(times[before[last] > before[first]], merge)
-
-
-def strength_at(samples: Samples, sample_rate: int, onsets: Array) -> Array:
-    """How much the sound rises at onsets of `detect_onsets` [n] seconds: dB, [n]."""
-    strength = onset_strength(samples, sample_rate)
-    frames = np.round(onsets / _HOP - (_WINDOW / 2 // _HOP - (_LAG - 1))).astype(int)
-    return np.asarray(strength[np.clip(frames, 0, len(strength) - 1)])
-
-
-def merged(times: Array, closest: float) -> Array:
-    """Rising times with every one dropped that is closer than `closest` to the last one kept."""
-    kept: list[float] = []
-    for time in np.asarray(times, dtype=np.float64):
-        if not kept or time - kept[-1] >= closest - _EPS:
-            kept.append(float(time))
-    return np.array(kept)
-
-
-def onset_strength(samples: Samples, sample_rate: int) -> Array:
-    """librosa's onset strength in dB every 10 ms, [F]; value f belongs to the spectrum centred on f / 100 s."""
-    import librosa
-
-    hop = round(_HOP * sample_rate)
-    window = 2 * round(_WINDOW * sample_rate / 2)
-    bands = librosa.filters.mel(sr=sample_rate, n_fft=window, n_mels=_BANDS, fmax=sample_rate / 2)
-    frames = len(samples) // hop + 1
-    padded = np.concatenate([np.zeros(window // 2 + _LAG * hop, np.float32), samples,
-                             np.zeros(window // 2 + hop, np.float32)])
-    covered = _covered(window, hop)
-    faintest = _faintest(samples, sample_rate, frames)
-    strength = np.empty(frames)
-    for start in range(0, frames, _PIECE):  # an hour's spectrogram would not fit
-        stop = min(start + _PIECE, frames)
-        piece = padded[start * hop:(stop + _LAG - 1) * hop + window]
-        spectrum = librosa.stft(piece, n_fft=window, hop_length=hop, center=False)
-        power = bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
-        power /= covered[np.minimum(np.arange(start - _LAG, stop), len(covered) - 1).clip(0)]
-        decibels = 10.0 * np.log10(np.maximum(power, faintest[np.arange(start - _LAG, stop).clip(0)]))
-        rise = librosa.onset.onset_strength(S=decibels, sr=sample_rate, lag=_LAG, center=False)
-        strength[start:stop] = rise[_LAG:_LAG + stop - start]
-    strength[:_LAG] = 0.0  # nothing but padding lies before them
-    # Single precision leaves ties open; rounding closes them the same way in every piece.
-    return np.round(strength, 3)
-
-
-def _faintest(samples: Samples, sample_rate: int, frames: int) -> NDArray[np.float32]:
-    """The mel power [F] that counts as nothing: `_FAINTEST`, and as much less as silence begins lower."""
-    levels = frame_levels(samples, sample_rate)
-    lower = quietest(levels, noise_floor(levels)) - QUIETEST
-    lower = np.concatenate([lower, np.repeat(lower[-1:], max(0, frames - len(lower)))])[:frames]
-    return np.float32(_FAINTEST) * (10.0 ** (lower / 10.0)).astype(np.float32)
-
-
-def _covered(window: int, hop: int) -> Array:
-    """Share of the power of the first spectra's windows that lies in the recording, until it is 1: a recording that
-    begins in steady sound rises only because the windows fill, and that is no onset."""
-    power = np.hanning(window + 1)[:-1] ** 2
-    inside = np.cumsum(power[::-1])[::-1] / power.sum()
-    return np.concatenate([inside[window // 2::-hop], [1.0]])
-
-
-def _peaks(strength: Array, reach: int, around: int) -> NDArray[np.int64]:
-    """Frames that are the highest within `reach` frames and `_RISE` above the mean within `around` frames."""
-    count = len(strength)
-    padded = np.pad(strength, reach, constant_values=-np.inf)
-    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
-    total = np.concatenate([[0.0], np.cumsum(strength)])
-    low = np.maximum(np.arange(count) - around, 0)
-    high = np.minimum(np.arange(count) + around + 1, count)
-    mean = (total[high] - total[low]) / (high - low)
-    return np.flatnonzero((strength >= highest) & (strength >= mean + _RISE))
-
-
 def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
               settings: BeatSettings, strengths: Array | None = None) -> tuple[float, BeatFlag]:
     """The beat that follows `beat` by the bounded rule (or, with strengths, the strongest), and why it stands there.
@@ -190,6 +79,93 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
     if first < len(loud) and loud[first] <= latest + _EPS:
         return float(np.clip(loud[first], low, latest)), BeatFlag.LOUD_PSEUDO
     return latest, BeatFlag.EVEN_PSEUDO
+
+
+class BeatTracker:
+    """Beats of sound as it arrives: `place_beats`, one after the other as each becomes certain.
+
+    The rule "paper" needs the whole recording, so there all beats come at the end.
+    """
+
+    def __init__(self, settings: BeatSettings, start: float = 0.0) -> None:
+        """start: seconds of the first beat (0 for the rules "even" and "paper")."""
+        self.settings = settings
+        self.last = start
+        self._onsets, self._strengths = list[float](), list[float]()
+        self._loud: list[float] = []
+        self._kept = -np.inf  # the last onset that is no merged one
+        self._frames = self._beats = 0
+
+    def step(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool], certain: float, heard: float
+             ) -> list[tuple[float, BeatFlag]]:
+        """The beats that are certain. onsets: more of them (seconds, dB), complete before `certain` seconds; silent:
+        more frames; heard: seconds of sound so far."""
+        self._take(onsets, silent)
+        out = []
+        while self._certain(certain, heard):
+            out.append(self._next(None))
+        return out
+
+    def finish(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool], duration: float
+               ) -> list[tuple[float, BeatFlag]]:
+        """The beats that are left, the last at the end of a recording of `duration` seconds."""
+        self._take(onsets, silent)
+        if self.settings.rule == "paper":
+            return _paper_beats(np.array(self._onsets), np.array(self._loud), duration, self.settings)[1:]
+        out = []
+        while self.last < duration:
+            out.append(self._next(duration))
+        return out
+
+    def _take(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool]) -> None:
+        for time, strength in onsets:
+            if time - self._kept >= self.settings.merge - _EPS:
+                self._onsets.append(time)
+                self._strengths.append(strength)
+                self._kept = time
+        self._loud += [(self._frames + n) * FRAME for n, quiet in enumerate(silent) if not quiet]
+        self._frames += len(silent)
+
+    def _certain(self, onsets_until: float, heard: float) -> bool:
+        """Whether nothing that is still to come can move the next beat."""
+        s, low, high = self.settings, self.last + self.settings.d_min, self.last + self.settings.d_max
+        if s.rule == "even":
+            return heard >= (self._beats + 1) * s.d_max + min(s.d_min, s.d_max / 2)
+        if s.rule == "paper":
+            return False
+        if self._frames * FRAME >= high + FRAME and min(onsets_until, heard) >= high + s.d_min:
+            return True
+        near = next((time for time in self._onsets if time >= low - _EPS), None)
+        if near is None or near >= onsets_until or s.rule != "bounded":
+            return False
+        if near <= high + _EPS:  # the first in reach, and the end is too far to forbid it
+            return heard >= near + s.d_min
+        # Room must be left for an onset beyond, and nothing lies before it.
+        return near < high + s.d_min and self._frames * FRAME >= high + FRAME
+
+    def _next(self, end: float | None) -> tuple[float, BeatFlag]:
+        s = self.settings
+        if s.rule == "even":
+            beat = _even_beat(self._beats + 1, s, end)
+        else:
+            strengths = np.array(self._strengths) if s.rule == "strongest" else None
+            beat = next_beat(self.last, np.array(self._onsets), np.array(self._loud), end, s, strengths)
+        self.last = beat[0]
+        self._beats += 1
+        old = sum(time < self.last for time in self._onsets)
+        del self._onsets[:old], self._strengths[:old]
+        del self._loud[:sum(time < self.last for time in self._loud)]
+        return beat
+
+
+def _even_beat(number: int, settings: BeatSettings, end: float | None) -> tuple[float, BeatFlag]:
+    """Beat `number` (from 1) of `_even_beats`; end: the end of the recording, None while it is far."""
+    time = number * settings.d_max  # a multiple, not a running sum: an hour of steps must not drift
+    if end is None:
+        return time, BeatFlag.EVEN_PSEUDO
+    if number >= np.ceil(end / settings.d_max - _EPS):
+        return end, BeatFlag.BOUNDARY
+    return min(time, end - min(settings.d_min, settings.d_max / 2)), BeatFlag.EVEN_PSEUDO
 
 
 def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings | None = None,
@@ -271,8 +247,6 @@ def find_beats(speech: Speech, settings: BeatSettings | None = None) -> Beats:
     settings = settings or BeatSettings()
     if settings.rule == "even":
         return _even_beats(speech.duration, settings)
-    onsets = detect_onsets(speech.samples, speech.sample_rate, settings.merge)
-    audible = ~silent_frames(speech.samples, speech.sample_rate)
-    loud = np.flatnonzero(audible).astype(np.float64) * FRAME
-    strengths = (strength_at(speech.samples, speech.sample_rate, onsets) if settings.rule == "strongest" else None)
+    onsets, strengths = onsets_of(speech.samples, speech.sample_rate)
+    loud = np.flatnonzero(~silent_frames(speech.samples, speech.sample_rate)).astype(np.float64) * FRAME
     return place_beats(onsets, loud, speech.duration, settings, strengths)

@@ -25,7 +25,7 @@ from data_module.files import write_bytes
 from data_module.motion import kinematics
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.audio import load_speech, resample
-from data_module.speech.beats import detect_onsets, onset_strength
+from data_module.speech.onsets import detect_onsets, onset_strength
 from data_module.types import Array, BeatFlag, Motion, Samples, Speech
 from gesticulator import Gesticulator, Performance
 from gesticulator.features import representation_of

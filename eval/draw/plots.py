@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.speech.beats import merged
+from data_module.speech.onsets import merged
 from data_module.types import Array, Beats, Speech, Word
 from eval.draw.canvas import COLUMNS, TEXT, WIDE, bare, canvas
 from eval.draw.embedding import Labels, colours

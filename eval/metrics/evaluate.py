@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data_module.motion.motion_beats import MODES, motion_beats
-from data_module.speech.beats import detect_onsets
+from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Motion, Speech
 from eval.encode import EncodedMotion
 from eval.metrics import CLIP_METRICS, EYE_METRICS, eye, pmb

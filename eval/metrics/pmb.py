@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.speech.beats import merged
+from data_module.speech.onsets import merged
 from data_module.types import Array
 
 DELTA = 0.1

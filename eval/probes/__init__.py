@@ -12,6 +12,7 @@ PROBES: dict[str, Plugin] = {
     "eye": Plugin("eval.probes.eye", "does motion read as a person, beside a real take, the corpus, unit selection?"),
     "stance": Plugin("eval.probes.stance", "do legs stand? Sliding feet, knees, weight shifts, stillness"),
     "motion": Plugin("eval.probes.motion", "is the motion of a bundle accepted? Every clause with bound and verdict"),
+    "guidance": Plugin("eval.probes.guidance", "what do obedience and timing cost each other?"),
     "quality": Plugin("eval.probes.quality", "how good is a bundle on the test split, beside baselines?"),
     "policies": Plugin("eval.probes.policies", "which interpreter chooses best, judged as policies?"),
     "parts": Plugin("eval.probes.parts", "what did words and the learned speech levels buy?"),

@@ -34,7 +34,8 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.motion.motion_beats import MODES, motion_beats
 from data_module.speech.audio import load_speech
-from data_module.speech.beats import detect_onsets, find_beats
+from data_module.speech.beats import find_beats
+from data_module.speech.onsets import detect_onsets
 from data_module.store import Store
 from data_module.types import Array, BeatFlag, Motion, Speech
 from eval import label_files

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from data_module.blocks import cut, denormalise
 from data_module.motion.motion_beats import motion_beats
 from data_module.motion.skeletons import from_vector
-from data_module.speech.beats import detect_onsets
+from data_module.speech.onsets import detect_onsets
 from data_module.store import Store
 from data_module.types import Array
 from eval.clip import rhythm

@@ -102,11 +102,19 @@ def curve_table(rows: Rows) -> Table:
         "row")
 
 
+SETTLED = 0.01
+"""Share of its validation figure that a stage gains in the last quarter of its training where it is as good as done."""
+
+
 def training_table(rows: Rows) -> Table:
-    """What each row changes, and what its training took."""
-    return Table("What rows change", {"settings": Column("settings"), "seconds": Column("training by seed", "s")}, {
-        name: {"settings": " ".join(row["settings"]), "seconds": ", ".join(f"{s:.0f}" for s in row["seconds"])}
-        for name, row in rows.items() if row["kind"] == "row"}, "row")
+    """What each row changes, what its training took, and how far it was from done."""
+    columns = {"settings": Column("settings"), "seconds": Column("training by seed", "s"),
+               "late": Column("most that a stage's validation gained in its last quarter", "%", 1, "low")}
+    return Table("What rows change", columns, {
+        name: {"settings": " ".join(row["settings"]), "seconds": ", ".join(f"{s:.0f}" for s in row["seconds"]),
+               "late": 100.0 * max(row["late_gains"].values()) if row.get("late_gains") else None}
+        for name, row in rows.items() if row["kind"] == "row"}, "row", [
+            f"A training is done where that is at most {100 * SETTLED:g} %."])
 
 
 def racer_fgd(rows: Rows) -> Table:

@@ -29,7 +29,7 @@ from data_module.files import write_bytes
 from data_module.motion import rotation
 from data_module.motion.kinematics import resample
 from data_module.speech import audio
-from data_module.store import Store
+from data_module.store import Split, Store
 from data_module.types import Array, Motion, Skeleton, Speech
 from eval import baselines
 from eval.foreign import find_motions, read_motion
@@ -78,12 +78,12 @@ class AcceptanceVoice:
         return told.hexdigest()
 
 
-def held_out_voices(store: Store, limit: int | None, joints: int) -> list[AcceptanceVoice]:
-    """The middle minute of every recording of the test split that lasts long enough, with its performer's motion in
-    so many joints."""
-    chosen = [info for info in store.of_split("test") if info.seconds >= SHORTEST][:limit]
+def held_out_voices(store: Store, limit: int | None, joints: int, split: Split = "test") -> list[AcceptanceVoice]:
+    """The middle minute of every recording of a split that lasts long enough, with its performer's motion in so many
+    joints."""
+    chosen = [info for info in store.of_split(split) if info.seconds >= SHORTEST][:limit]
     if not chosen:
-        raise InputError(store.path, f"has no test recording of {SHORTEST:g} s or more", "build a larger store")
+        raise InputError(store.path, f"has no {split} recording of {SHORTEST:g} s or more", "build a larger store")
     out = []
     for info in chosen:
         piece = excerpt(store.load(info.name, joints), SECONDS)

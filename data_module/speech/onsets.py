@@ -1,0 +1,233 @@
+"""Onsets of the sound: where it suddenly rises (RG 4.2.1), found as it arrives.
+
+They are certain `LOOK_AHEAD` seconds later; nothing needs the loudest moment of the recording, so a stream gets what a
+file gets.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.speech.silence import FRAME, QUIETEST, LoudnessStep, frame_levels, loudness
+from data_module.types import Array, Samples
+
+LOOK_AHEAD = 0.25
+"""Seconds of sound after an onset that `detect_onsets` needs to be sure of it."""
+
+_HOP = 0.01
+"""Seconds between spectra."""
+_WINDOW = 0.128
+"""Seconds of a spectrum, librosa's usual 2048 samples at 16 kHz."""
+_BANDS = 128
+"""Mel bands, librosa's usual number."""
+_LAG = 3
+"""Spectra (30 ms) over which the rise is taken."""
+_FAINTEST = 1e-6
+"""Mel power that counts as nothing: what white noise of -80 dBFS has."""
+_AROUND = 0.1
+"""Seconds on both sides of a peak that make its surroundings."""
+_PEAK = 0.03
+"""Seconds on both sides in which a peak is the highest."""
+_RISE = 1.2
+"""Decibels that a peak stands above its surroundings."""
+_AUDIBLE = (-0.02, 0.08)
+"""Seconds about an onset in which a frame must be louder than the noise."""
+_LATE = int(_WINDOW / 2 // _HOP) - (_LAG - 1)
+"""Spectra by which an onset is later than its peak: a window sees a rise half a window early, and of the plateau that
+`_LAG` makes, the first is the peak."""
+_TILE = 5
+"""Spectra (50 ms) that are computed at a time."""
+_EPS = 1e-9
+"""Seconds: what is closer is the same time."""
+
+
+def detect_onsets(samples: Samples, sample_rate: int, merge: float = 0.05) -> Array:
+    """Onsets of the sound in seconds, rising, [n].
+
+    A peak of librosa's onset strength (the mean rise of the log-mel bands over 30 ms) that stands 1.2 dB above its
+    surroundings of 0.1 s on both sides and is louder than the running noise floor. Decibels make the threshold
+    independent of the gain, so nothing is scaled by the file's maximum. Of onsets closer than `merge` seconds the
+    first stays.
+    """
+    return merged(onsets_of(samples, sample_rate)[0], merge)
+
+
+def onsets_of(samples: Samples, sample_rate: int) -> tuple[Array, Array]:
+    """The onsets of a recording [n], before those are merged that are close, and their strengths [n] in dB."""
+    tracker, heard = OnsetTracker(sample_rate), loudness(frame_levels(samples, sample_rate))
+    found = tracker.step(samples, heard)
+    found += tracker.finish()
+    return np.array([time for time, _ in found]), np.array([strength for _, strength in found])
+
+
+def strength_at(samples: Samples, sample_rate: int, onsets: Array) -> Array:
+    """How much the sound rises at onsets of `detect_onsets` [n] seconds: dB, [n]."""
+    strength = onset_strength(samples, sample_rate)
+    return np.asarray(strength[np.clip(np.round(onsets / _HOP - _LATE).astype(int), 0, len(strength) - 1)])
+
+
+def merged(times: Array, closest: float) -> Array:
+    """Rising times with every one dropped that is closer than `closest` to the last one kept."""
+    kept: list[float] = []
+    for time in np.asarray(times, dtype=np.float64):
+        if not kept or time - kept[-1] >= closest - _EPS:
+            kept.append(float(time))
+    return np.array(kept)
+
+
+def onset_strength(samples: Samples, sample_rate: int) -> Array:
+    """librosa's onset strength in dB every 10 ms, [F]; value f belongs to the spectrum centred on f / 100 s."""
+    tracker = RiseTracker(sample_rate)
+    parts = tracker.step(samples, loudness(frame_levels(samples, sample_rate)).limit)
+    return np.concatenate([parts, tracker.finish()])
+
+
+class RiseTracker:
+    """Onset strength of sound as it arrives, `_TILE` spectra at a time. All arithmetic is done in tiles of one size, so
+    that a value comes out alike to the last bit whatever the pieces of sound."""
+
+    def __init__(self, sample_rate: int) -> None:
+        self._rate = sample_rate
+        self._hop, self._window = round(_HOP * sample_rate), 2 * round(_WINDOW * sample_rate / 2)
+        self._bands = _mel_bands(sample_rate, self._window)
+        self._covered = _covered(self._window, self._hop)
+        # Sound from the start of the next tile's first window on; silence lies before the recording.
+        self._sound = np.zeros(self._window // 2, np.float32)
+        self._limit = np.zeros(0)
+        self._samples = self._frames = 0
+        # Nothing lies before the start: the first rises are not counted.
+        self._before = np.zeros((_BANDS, _LAG), np.float32)
+        self._last_limit = QUIETEST
+
+    def step(self, samples: Samples, limit: Array) -> Array:
+        """The strengths that are certain by some more sound [n], and some more of `silence.quietest` [F]."""
+        self._take(samples, limit)
+        self._samples += len(samples)
+        out = [np.zeros(0)]
+        while len(self._sound) >= (_TILE - 1) * self._hop + self._window and len(self._limit) >= _TILE:
+            out.append(self._tile())
+        return np.concatenate(out)
+
+    def finish(self) -> Array:
+        """The strengths at the end; silence follows."""
+        left = self._samples // self._hop + 1 - self._frames
+        out = [np.zeros(0)]
+        for start in range(0, left, _TILE):
+            short = (_TILE - 1) * self._hop + self._window - len(self._sound)
+            self._take(np.zeros(max(short, 0), np.float32), np.full(_TILE, self._last_limit))
+            out.append(self._tile()[:left - start])
+        return np.concatenate(out)
+
+    def _take(self, samples: Samples, limit: Array) -> None:
+        self._sound, self._limit = np.concatenate([self._sound, samples]), np.concatenate([self._limit, limit])
+        if len(limit):
+            self._last_limit = float(limit[-1])
+
+    def _tile(self) -> Array:
+        import librosa
+
+        piece = self._sound[:(_TILE - 1) * self._hop + self._window]
+        spectrum = librosa.stft(piece, n_fft=self._window, hop_length=self._hop, center=False)
+        power = self._bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
+        numbers = np.arange(self._frames, self._frames + _TILE)
+        power /= self._covered[np.minimum(numbers, len(self._covered) - 1)]
+        # What counts as nothing: `_FAINTEST`, and as much less as silence begins lower.
+        faintest = np.float32(_FAINTEST) * (10.0 ** ((self._limit[:_TILE] - QUIETEST) / 10.0)).astype(np.float32)
+        decibels = np.concatenate([self._before, 10.0 * np.log10(np.maximum(power, faintest))], axis=1)
+        rise = librosa.onset.onset_strength(S=decibels, sr=self._rate, lag=_LAG, center=False)[_LAG:].astype(np.float64)
+        rise[numbers < _LAG] = 0.0  # nothing but padding lies before them
+        self._before = decibels[:, -_LAG:]
+        self._sound, self._limit = self._sound[_TILE * self._hop:], self._limit[_TILE:]
+        self._frames += _TILE
+        # Single precision leaves ties open; rounding closes them the same way everywhere.
+        return np.asarray(np.round(rise, 3))
+
+
+class OnsetTracker:
+    """Onsets of sound as it arrives, see `detect_onsets`; each with its strength in dB. Those that are close to each
+    other are not merged yet."""
+
+    def __init__(self, sample_rate: int) -> None:
+        self._rise = RiseTracker(sample_rate)
+        self._around, self._reach = round(_AROUND / _HOP), round(_PEAK / _HOP)
+        self._first = self._next = 0  # the frames of the first strength that is kept, and of the next peak to judge
+        self._strengths: list[float] = []
+        self._totals = [0.0]  # of the strengths before each
+        self._peaks: deque[tuple[int, float]] = deque()  # that wait to be known for audible
+        self._audible, self._audible_from = list[bool](), 0
+
+    def step(self, samples: Samples, heard: LoudnessStep) -> list[tuple[float, float]]:
+        """The onsets (seconds, dB) that are certain by some more sound [n] and some more frames of its loudness."""
+        self._add(self._rise.step(samples, heard.limit))
+        self._audible += (~heard.silent).tolist()
+        self._judge(self._first + len(self._strengths) - self._around)
+        return self._told(ended=False)
+
+    def finish(self) -> list[tuple[float, float]]:
+        """The onsets at the end."""
+        self._add(self._rise.finish())
+        self._judge(self._first + len(self._strengths))
+        return self._told(ended=True)
+
+    @property
+    def known_until(self) -> float:
+        """Seconds before which all onsets are told."""
+        return (self._peaks[0][0] if self._peaks else self._next) * _HOP + _LATE * _HOP
+
+    def _add(self, strengths: Array) -> None:
+        for one in strengths.tolist():
+            self._strengths.append(one)
+            self._totals.append(self._totals[-1] + one)
+
+    def _judge(self, until: int) -> None:
+        """Find the peaks before a frame: the highest within `_PEAK`, and `_RISE` above the mean within `_AROUND`."""
+        while self._next < until:
+            at = self._next - self._first
+            low, high = max(at - self._around, 0), min(at + self._around + 1, len(self._strengths))
+            one = self._strengths[at]
+            highest = max(self._strengths[max(at - self._reach, 0):at + self._reach + 1])
+            if one >= highest and one >= (self._totals[high] - self._totals[low]) / (high - low) + _RISE:
+                self._peaks.append((self._next, one))
+            self._next += 1
+        old = self._next - self._around - self._first
+        if old > 0:
+            del self._strengths[:old], self._totals[:old]
+            self._first += old
+
+    def _told(self, ended: bool) -> list[tuple[float, float]]:
+        out = []
+        while self._peaks:
+            frame, strength = self._peaks[0]
+            time = frame * _HOP + _LATE * _HOP
+            first, last = (max(round((time + shift) / FRAME), 0) for shift in _AUDIBLE)
+            if not ended and last > self._audible_from + len(self._audible):
+                break
+            self._peaks.popleft()
+            if any(self._audible[max(first - self._audible_from, 0):last - self._audible_from]):
+                out.append((time, strength))
+        old = (self._peaks[0][0] if self._peaks else self._next) - self._around - self._audible_from
+        if old > 0:
+            del self._audible[:old]
+            self._audible_from += old
+        return out
+
+
+@lru_cache(maxsize=4)
+def _mel_bands(sample_rate: int, window: int) -> NDArray[np.float32]:
+    """[bands, window / 2 + 1] power of a spectrum to that of each mel band."""
+    import librosa
+
+    bands: NDArray[np.float32] = librosa.filters.mel(sr=sample_rate, n_fft=window, n_mels=_BANDS, fmax=sample_rate / 2)
+    return bands
+
+
+def _covered(window: int, hop: int) -> Array:
+    """Share of the power of the first spectra's windows that lies in the recording, until it is 1: a recording that
+    begins in steady sound rises only because the windows fill, and that is no onset."""
+    power = np.hanning(window + 1)[:-1] ** 2
+    inside = np.cumsum(power[::-1])[::-1] / power.sum()
+    return np.concatenate([inside[window // 2::-hop], [1.0]])
