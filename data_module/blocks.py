@@ -190,8 +190,9 @@ class KnotPath:
         """Seconds after a frame in which other frames smooth it."""
         return self._half / self.fps
 
-    def push(self, times: Array, values: Array) -> Array:
-        """[T, D] the frames that are certain by more knots [K, D] at rising `times` [K], seconds."""
+    def push(self, times: Array, values: Array, until: int | None = None) -> Array:
+        """[T, D] the frames that are certain by more knots [K, D] at rising `times` [K], seconds; those from number
+        `until` on are kept back for later."""
         known = len(self._times)
         self._times, self._values = np.concatenate([self._times, times]), np.concatenate([self._values, values])
         # The slope at the last knot so far was that of the line to it, for want of a knot beyond.
@@ -199,10 +200,13 @@ class KnotPath:
         near = max(keep - 1, 0)
         more = slopes(self._times[near:], self._values[near:])[keep - near:]
         self._slopes = np.concatenate([self._slopes[:keep], more])
+        if len(self._times) < 2:
+            return self._values[:0]
         limit = self._times[-1] if self.prompt else self._times[-2]
         # The first frame that is not before the limit, or that a recording that ends here would not have.
         certain = min(math.ceil(limit * self.fps - 1e-9), round(float(self._times[-1]) * self.fps))
-        return self._given(max(certain - self._half, self.next))
+        certain -= self._half
+        return self._given(max(certain if until is None else min(certain, until), self.next))
 
     def finish(self, duration: float) -> Array:
         """[T, D] the frames that are left of a recording of so many seconds."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 LATENCIES = ("full", "low")
 """What is waited for, see `BlockCutter`."""
-_TICK = 800
+TICK = 800
 """Samples (50 ms) that are taken at a time: half a step of the noise floor, five spectra."""
 _STEP_SAMPLES = round(STEP * FRAME * SAMPLE_RATE)
 _WORDS_NEAR = 30.0
@@ -137,7 +137,12 @@ class BlockCutter:
         self._heard = self._levels = self._frames = self._count = 0
         self._edges: list[tuple[float, BeatFlag]] = [(start, BeatFlag.BOUNDARY)]  # of blocks that are not cut yet
         self._cut: list[_CutBlock] = []  # the block before, and those that are not given yet
-        self._ended = False
+        self._ended = self._told = False
+
+    def cut_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
+        """Cut at these beats, rising seconds with why they stand there, and look for none; before anything is fed."""
+        self._edges += beats
+        self._told = True
 
     @property
     def reads(self) -> bool:
@@ -159,11 +164,11 @@ class BlockCutter:
         self._pending.append(samples)
         self._waiting += len(samples)
         out: list[SpeechBlock] = []
-        if self._waiting >= _TICK:
+        if self._waiting >= TICK:
             sound = np.concatenate(self._pending)
-            whole = len(sound) - len(sound) % _TICK
-            for start in range(0, whole, _TICK):
-                out += self._tick(sound[start:start + _TICK])
+            whole = len(sound) - len(sound) % TICK
+            for start in range(0, whole, TICK):
+                out += self._tick(sound[start:start + TICK])
             self._pending, self._waiting = [sound[whole:]], len(sound) - whole
         return out
 
@@ -176,13 +181,15 @@ class BlockCutter:
         self._quiet.add(self._start.finish().tolist())
         self._pauses.close()
         self._quiet.close()
-        self._edges += self._beats.finish(onsets, heard.silent.tolist(), self._heard / SAMPLE_RATE)
+        if not self._told:
+            self._edges += self._beats.finish(onsets, heard.silent.tolist(), self._heard / SAMPLE_RATE)
         return list(self._given())
 
     def _tick(self, samples: Samples) -> list[SpeechBlock]:
         heard, onsets = self._hear(samples)
-        self._edges += self._beats.step(onsets, heard.silent.tolist(), self._onsets.known_until,
-                                        self._heard / SAMPLE_RATE)
+        if not self._told:
+            self._edges += self._beats.step(onsets, heard.silent.tolist(), self._onsets.known_until,
+                                            self._heard / SAMPLE_RATE)
         return list(self._given())
 
     def _hear(self, samples: Samples) -> tuple[LoudnessStep, list[tuple[float, float]]]:
@@ -212,7 +219,8 @@ class BlockCutter:
             if last and not self._ended and not self._low:
                 return
             after = self._cut[at + 1] if not last else None if self._ended else self._foreseen(own.end)
-            yield self._encoded(self._cut[0] if at else None, own, after)
+            block = self._encoded(self._cut[0] if at else None, own, after)
+            yield replace(block, foreseen=last and not self._ended)
             self._count += 1
             del self._cut[:at]
             self._forget(own.start)
@@ -322,13 +330,20 @@ class WordTrack:
         del self._words[:old]
 
 
-def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None
-                  ) -> SpeechFeatures:
-    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too."""
+def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
+                  blocks: Blocks | None = None) -> SpeechFeatures:
+    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too.
+
+    blocks: to cut it into, where they are decided already.
+    """
     read = words if speech.words is not None else None
     cutter = BlockCutter(config, front, read)
     cutter.add_words(speech.words or ())
-    return gathered([*cutter.feed(speech.samples), *cutter.finish()], config)
+    if blocks is not None:
+        cutter.cut_at([(float(edge), BeatFlag(int(flag)))
+                       for edge, flag in zip(blocks.edges[1:], blocks.flags, strict=True)])
+    found = gathered([*cutter.feed(speech.samples), *cutter.finish()], config)
+    return found if blocks is None else replace(found, blocks=blocks)
 
 
 def gathered(found: Sequence[SpeechBlock], config: Config) -> SpeechFeatures:

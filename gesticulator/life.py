@@ -39,6 +39,8 @@ _SPLINE_SPREAD = math.sqrt(151.0 / 315.0)
 _SETTLED = 16.0
 """Time constants after which a shift is over: exp(-16) of it is a hundred thousandth of a degree."""
 _TRIES = 8
+_REMEMBERED = 128
+"""Postures before the one that is asked for that are kept, so that hours take no more memory than minutes."""
 
 _ALL_BITS = 0xFFFFFFFFFFFFFFFF
 _STEP_OF_BITS = np.uint64(0x9E3779B97F4A7C15)
@@ -110,19 +112,21 @@ class Shifts:
     channel: int
     style: ShiftStyle
     _postures: list[Array] = field(default_factory=list)
+    _first: int = 0
+    """The number of the first posture that is remembered."""
 
     def at(self, times: Array) -> Array:
         """[T, D] for times [T] in seconds, which may not be negative."""
         s = self.style
         times = np.asarray(times, dtype=np.float64)
         last = max(0, math.floor(times.max() / s.every + s.jitter)) + 1
-        self._extend(last)
         reach = math.ceil(_SETTLED * s.tau / s.every + 1)
         first = max(0, math.floor(times.min() / s.every) - reach)
+        self._extend(max(first - 1, 0), last)
         a = np.maximum(times[:, None] - self.begins(np.arange(first, last + 1)), 0.0) / s.tau
         done = 1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a)
-        postures = np.array(self._postures[first:last + 1])
-        before = self._postures[first - 1] if first > 0 else np.zeros(len(s.spread))
+        postures = np.array(self._postures[first - self._first:last + 1 - self._first])
+        before = self._postures[first - 1 - self._first] if first > 0 else np.zeros(len(s.spread))
         steps = np.diff(postures, axis=0, prepend=before[None])
         moved: Array = before + done @ steps
         return moved
@@ -135,15 +139,21 @@ class Shifts:
 
     def posture(self, number: int) -> Array:
         """[D] where shift `number` ends."""
-        self._extend(number)
-        return self._postures[number]
+        self._extend(number, number)
+        return self._postures[number - self._first]
 
-    def _extend(self, last: int) -> None:
-        """The chain of postures, to number `last`: each is drawn from the same spread, neither too near the one before
-        nor too far."""
+    def _extend(self, first: int, last: int) -> None:
+        """The chain of postures, from number `first` to number `last`: each is drawn from the same spread, neither too
+        near the one before nor too far."""
         s, width = self.style, len(self.style.spread)
-        while len(self._postures) <= last:
-            n = len(self._postures)
+        if first < self._first:  # long ago: the chain is made once more
+            self._postures, self._first = [], 0
+        old = min(first, last) - _REMEMBERED - self._first
+        if old > _REMEMBERED:
+            del self._postures[:old]
+            self._first += old
+        while self._first + len(self._postures) <= last:
+            n = self._first + len(self._postures)
             before = self._postures[-1] if n else np.zeros(width)
             tries = normal(self.seed, self.channel + 1, (n * _TRIES + np.arange(_TRIES))[:, None] * width
                            + np.arange(width)) * s.spread

@@ -193,6 +193,12 @@ class Steps:
         return FootPath(flat - rotation.rotate(turn, self.foot), yaw, heel,
                         slow[:, :2] - rotation.rotate(_abouts(_UP, np.radians(slow[:, 2])), self.foot)[:, [0, 2]])
 
+    def forget(self, before: float) -> None:
+        """Let go of the steps that were over so many seconds from the start, so that hours take no more memory."""
+        for made in self._made:
+            while len(made) > 1 and self.begins(made[1][0]) + _STEP_LASTS + _OVER_OUT < before:
+                del made[0]
+
     def _look(self, until: float) -> None:
         """Make the steps that begin by `until` seconds."""
         style = self._weight.style
@@ -278,6 +284,7 @@ class Stance:
         body = resized(motion, WHOLE_BODY)
         times = (self._frames + np.arange(len(body))) / self.fps
         self._frames += len(body)
+        self.steps.forget(float(times[0]) - 1.0)
         rotations = body.rotations.copy()
         left = rotation.rotate(body.rotations[:, 0], np.array([1.0, 0.0, 0.0]))
         roll = np.degrees(np.arcsin(np.clip(left[:, 1], -1.0, 1.0)))

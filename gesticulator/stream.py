@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,18 @@ from data_module.errors import InputError
 from data_module.speech import onsets, silence
 from data_module.speech.audio import SAMPLE_RATE, SampleFeed
 from data_module.types import Array, Blocks, Motion, Samples, Skeleton, Word
-from gesticulator.attention import Attention
 from gesticulator.bundle import Bundle
-from gesticulator.cutter import BlockCutter
+from gesticulator.cutter import TICK, BlockCutter
+from gesticulator.drawing import FREE
 from gesticulator.features import SpeechBlock
+from gesticulator.head_turns import HeadTurns
 from gesticulator.motion_path import HISTORY, MotionPath
 from gesticulator.performance import InferenceOptions
 from gesticulator.rest import RestKnots
 from gesticulator.rollout import Cast, asked_rows
+
+if TYPE_CHECKING:
+    from gesticulator.directing import Director
 
 _KNOT = 0.04
 """Seconds between the poses of idling."""
@@ -118,9 +122,18 @@ class Stream:
         self._rollouts = [cast.rollout(bundle), *([cast.varied(bundle)] if cast.variation else [])]
         for one in self._rollouts:
             one.begin(self._text)
-        self._path = MotionPath(bundle, cast.speaker, options, prompt=self._cutter.latency == "low")
+        if options.plan is not None:
+            raise InputError("plan", "is of a whole recording", "render it without a stream")
+        self._director: Director | None = None
+        shaping = None
+        if options.shaped or options.directed:
+            from gesticulator import directing
+
+            self._director = directing.Director(bundle, options, (), math.inf)
+            shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))
+        self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
-        self._attention = Attention(int(options.seed), joints)
+        self._turns = HeadTurns(int(options.seed), joints)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
         self._state, self._finished = StreamState.IDLE, False
         self._begun = self._committed = 0.0  # media time where the utterance begins, and of the last knot
@@ -159,12 +172,13 @@ class Stream:
     def look_ahead(self) -> float:
         """Seconds of sound after a frame's own that may be needed before it is final, at most."""
         beats = self._bundle.config.rhythm.beats
-        # From the start of a block to where its end is certain; and one block further where the next one is awaited.
+        # From a beat to where the next one is certain, and from the next to where the pauses of the block after it are.
         certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD
         if not self._path.prompt:
-            certain = 2 * beats.d_max + max(beats.d_max + beats.d_min + onsets.LOOK_AHEAD - beats.d_min,
-                                            silence.LOOK_AHEAD + 0.1)
-        return certain + beats.d_max + self._path.reach
+            known = beats.d_max + silence.LOOK_AHEAD + silence.STEP * silence.FRAME
+            # A block is drawn when the next is known, and its last knot is certain with the one after that.
+            certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
+        return certain + self._path.reach + TICK / SAMPLE_RATE
 
     # -------------------------------------------------------------------------------------------------- what is done
 
@@ -174,7 +188,7 @@ class Stream:
         self._check_open()
         first, sound = self._path.next, self._feed.take(samples)
         if len(samples) and self._state != StreamState.SPEAKING:
-            self._attention.release(self._committed)
+            self._turns.release(self._committed)
             self._state = StreamState.SPEAKING
         return self._given(first, self._draw(self._utterance().feed(sound)) if len(sound) else [])
 
@@ -228,7 +242,7 @@ class Stream:
             self._path.rewind(kept.times, shown[:last], min(math.ceil(at * self.fps - 1e-6), self._path.next))
         self._shown = deque([(kept, shown[:last])])
         self._committed = float(kept.times[-1])
-        self._attention.release(self._committed)
+        self._turns.release(self._committed)
         self._begin(at)
         self._state = StreamState.IDLE
         return self._given(self._path.next, self._advance(at))
@@ -275,26 +289,26 @@ class Stream:
             raise InputError(f"seconds {seconds:g}", "is out of range", f"give 0 to {_LONGEST:g}")
         first, made = self._path.next, self._end_utterance()
         if state != self._state:
-            self._attention.release(self._committed)
+            self._turns.release(self._committed)
             if state == StreamState.THINKING:
-                self._attention.look_away(self._committed)
+                self._turns.look_away(self._committed)
             self._state = state
         if heard is not None:
-            self._attention.listen(heard, max(self._committed, self._begun))
+            self._turns.listen(heard, max(self._committed, self._begun))
         self._begin(self._begun + seconds)
         return self._given(first, made + self._advance(self._begun))
 
     def _advance(self, until: float) -> _Made:
         """Idle until all frames before `until` seconds are made."""
-        made: _Made = []
-        count = math.ceil(until * self.fps - 1e-6)
+        count, frames = math.ceil(until * self.fps - 1e-6), self._bundle.frames
+        none = np.zeros((0, self._shown[-1][1].shape[1]), np.float32)
+        made: _Made = [(self._path.push(np.zeros(0), none, count), None)]
         while self._path.next < count:
             away = until + self._path.reach - self._committed
-            knots = min(max(math.ceil(away / _KNOT), 1), self._bundle.frames)
-            start = self._committed
+            knots, start = min(max(math.ceil(away / _KNOT), 1), frames), self._committed
             features = [one.idle(start, _KNOT, knots) for one in self._rollouts][-1]
-            times: Array = start + _KNOT * np.arange(1, knots + 1)
-            made.append((self._show(times, features), None))
+            times = start + _KNOT * np.arange(1, knots + 1, dtype=np.float64)
+            made.append((self._show(times, features, count), None))
         return made
 
     def _draw(self, blocks: Sequence[SpeechBlock]) -> _Made:
@@ -307,17 +321,18 @@ class Stream:
             levels, controls = self._bundle.levels, self._cast.controls
             asked = None if levels is None or controls == Controls.free() else asked_rows(levels, controls, times)
             drawn, *varied = self._rollouts
-            last = drawn.step(speech, asked)
+            said = FREE if self._director is None else self._director.direction(times, speech.start)
+            last = drawn.step(speech, asked, said)
             for one in varied:
-                last = one.step(speech, asked, last.lexeme)
+                last = one.step(speech, asked, replace(said, lexeme=last.lexeme))
             self._past_blocks += 1
             made.append((self._show(times, last.motion),
                          StreamBlock(speech.start, speech.end, last.lexeme, speech.silent[1])))
         return made
 
-    def _show(self, times: Array, features: NDArray[np.float32]) -> Motion | None:
-        """The frames that are certain by more knots, [K, D_m] at times [K]."""
-        turned = self._attention(times)
+    def _show(self, times: Array, features: NDArray[np.float32], until: int | None = None) -> Motion | None:
+        """The frames that are certain by more knots, [K, D_m] at times [K], up to the one before `until`."""
+        turned = self._turns(times)
         if turned is not None:
             features = (features + turned * self._scale).astype(np.float32)
         shown = self._rollouts[-1]
@@ -326,7 +341,7 @@ class Stream:
         while self._shown[0][0].times[-1] < times[-1] - HISTORY:
             self._shown.popleft()
         self._committed = float(times[-1])
-        return self._path.push(times, features)
+        return self._path.push(times, features, until)
 
     def _history(self) -> tuple[RestKnots, NDArray[np.float32]]:
         """All knots that are remembered, and the features [M, D_m] that were shown."""

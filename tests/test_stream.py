@@ -1,0 +1,327 @@
+"""A stream: the same frames as a file for any pieces, no jump at any seam, memory that stays, and an end to a word."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from data_module.errors import InputError
+from data_module.motion.kinematics import positions_of
+from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
+from data_module.types import Array, Motion, Samples, Speech, Word
+from gesticulator import stream as stream_module
+from gesticulator.cutter import BlockCutter
+from gesticulator.features import representation_of
+from gesticulator.pipeline import Gesticulator
+from gesticulator.stream import Stream, StreamFrames, StreamState
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
+FPS = 60.0
+SHORT = 2.83
+"""Seconds of the pieces that are fed again and again: nine blocks, and no whole number of frames."""
+FASTEST, HARDEST = 3.5, 60.0
+"""m/s and m/s^2 that no hand passes at a seam; the same hands do up to 2.2 and 31 within a stroke."""
+HEAD_FASTEST, HEAD_HARDEST = 0.5, 8.0
+
+
+@lru_cache(maxsize=1)
+def system() -> Gesticulator:
+    return Gesticulator.from_pretrained()
+
+
+@lru_cache(maxsize=1)
+def example() -> Samples:
+    return load_speech(EXAMPLE).samples
+
+
+@lru_cache(maxsize=4)
+def from_file(seconds: float) -> Motion:
+    return system()(Speech(example()[:round(seconds * SAMPLE_RATE)], SAMPLE_RATE)).motion
+
+
+def fed(stream: Stream, samples: NDArray, sizes: Sequence[int]) -> list[StreamFrames]:
+    """Sound in pieces of these sizes, again and again, without the end."""
+    out, at, turn = [], 0, 0
+    while at < len(samples):
+        size = sizes[turn % len(sizes)]
+        out.append(stream.feed(samples[at:at + size]))
+        at, turn = at + size, turn + 1
+    return out
+
+
+def joined(parts: Sequence[StreamFrames]) -> Array:
+    """[T, J, 4] of parts that follow each other without a gap."""
+    first = parts[0].first
+    for part in parts:
+        assert part.first == first
+        first += len(part)
+    return np.concatenate([part.rotations for part in parts])
+
+
+# ---------------------------------------------------------------------------------------------------- as a file
+
+def test_fifteen_seconds_of_speech_in_pieces_are_the_file_to_the_last_bit() -> None:
+    sound = example()[:15 * SAMPLE_RATE]
+    stream = system().stream()
+    parts = [*fed(stream, sound, (320,)), stream.finish()]
+    assert np.array_equal(joined(parts), from_file(15.0).rotations)
+    made = system()(Speech(sound, SAMPLE_RATE))
+    blocks = [block for part in parts for block in part.blocks]
+    assert [block.lexeme for block in blocks] == made.lexemes.tolist()
+    assert [0.0, *(block.end for block in blocks)] == made.blocks.edges.tolist()
+
+
+@given(st.lists(st.integers(1, 10 * SAMPLE_RATE), min_size=1, max_size=12))
+@settings(max_examples=6, deadline=None)
+def test_any_pieces_give_the_same_bytes(sizes: list[int]) -> None:
+    # No piece is so small that all are: that is tried below.
+    sizes = [*sizes, 4000]
+    stream = system().stream()
+    parts = [*fed(stream, example()[:round(SHORT * SAMPLE_RATE)], sizes), stream.finish()]
+    assert np.array_equal(joined(parts), from_file(SHORT).rotations)
+
+
+def test_pieces_of_one_sample_and_of_none_give_the_same_bytes() -> None:
+    sound = example()[:round(SHORT * SAMPLE_RATE)]
+    stream = system().stream()
+    parts = [*fed(stream, sound[:9000], (1,)), stream.feed(sound[:0]), *fed(stream, sound[9000:], (777,)),
+             stream.finish()]
+    assert np.array_equal(joined(parts), from_file(SHORT).rotations)
+
+
+@pytest.mark.parametrize("asked", [{"legs": True, "fps": 25.0}, {"variation": 2, "hand_height": "low"},
+                                   {"interpreter": "statistical", "gain": -6.0}], ids=["legs", "variation", "gain"])
+def test_what_is_asked_of_a_file_is_asked_of_a_stream(asked: dict) -> None:
+    speech = Speech(example()[:round(SHORT * SAMPLE_RATE)], SAMPLE_RATE)
+    stream = system().stream(**asked)
+    parts = [*fed(stream, speech.samples, (1234,)), stream.finish()]
+    made = system()(speech, **asked).motion
+    assert np.array_equal(joined(parts), made.rotations)
+    assert np.array_equal(np.concatenate([part.root_positions for part in parts]), made.root_positions)
+
+
+def test_sound_at_another_rate_and_in_whole_numbers_is_that_of_the_file() -> None:
+    faster = resample(Speech(example()[:round(SHORT * SAMPLE_RATE)], SAMPLE_RATE), 44100).samples
+    sound = (faster * 32767).astype(np.int16)
+    stream = system().stream(44100)
+    parts = [*fed(stream, sound, (441, 10000)), stream.finish()]
+    assert np.array_equal(joined(parts), system()(sound, 44100).rotations)
+
+
+def test_words_that_are_known_before_are_those_of_the_file_and_late_ones_do_no_harm() -> None:
+    sound = example()[:round(SHORT * SAMPLE_RATE)]
+    words = (Word("hello", 0.2, 0.6), Word("there", 0.6, 1.1), Word("friend", 1.4, 2.0))
+    whole = system()(Speech(sound, SAMPLE_RATE, words)).rotations
+    stream, late = (system().stream(text=True) for _ in range(2))
+    stream.add_words(words)
+    assert np.array_equal(joined([*fed(stream, sound, (1600,)), stream.finish()]), whole)
+    parts = fed(late, sound, (1600,))
+    late.add_words(words)
+    made = joined([*parts, late.finish()])
+    assert made.shape == whole.shape and np.isfinite(made).all()
+
+
+def test_a_block_hears_the_words_that_are_known_when_it_is_drawn() -> None:
+    g, sound = system(), example()[:round(SHORT * SAMPLE_RATE)]
+    cutter = BlockCutter(g.bundle.config, words=g.word_encoder())
+    before = cutter.feed(sound)
+    cutter.add_words([Word("now", before[-1].start, 60.0)])
+    after = cutter.finish()
+    frames = g.bundle.frames
+    assert all((block.text[:, -1] == 1).all() for block in before if block.text is not None), "nothing was known"
+    for block in after:
+        assert block.text is not None and (block.text[frames:2 * frames, -1] == 0).all()
+        assert np.abs(block.text[frames:2 * frames, :-1]).max() > 0.1
+
+
+@pytest.mark.parametrize("latency", ["full", "low"])
+def test_no_frame_comes_later_than_is_told(latency: str) -> None:
+    stream, sound, late = system().stream(latency=latency), example()[:8 * SAMPLE_RATE], []
+    for at in range(0, len(sound), 320):
+        part = stream.feed(sound[at:at + 320])
+        late += ((at + 320) / SAMPLE_RATE - part.times).tolist()
+    assert max(late) <= stream.look_ahead
+    assert stream.look_ahead < (1.8 if latency == "full" else 1.1)
+    assert np.median(late) < (1.2 if latency == "full" else 0.75)
+    assert len(joined([stream.finish()])) > 0 and stream.made == 8 * FPS
+
+
+def test_low_latency_gives_the_same_bytes_for_any_pieces() -> None:
+    sound = example()[:round(SHORT * SAMPLE_RATE)]
+    one, other = system().stream(latency="low"), system().stream(latency="low")
+    assert np.array_equal(joined([*fed(one, sound, (160,)), one.finish()]),
+                          joined([*fed(other, sound, (20000, 3)), other.finish()]))
+
+
+# ---------------------------------------------------------------------------------------------------- seams
+
+def moves(rotations: Array, stream: Stream) -> dict[str, tuple[Array, Array]]:
+    """Speed [T - 1] and acceleration [T - 2] of the hands (the greater) and of the head."""
+    motion = Motion(stream.skeleton, rotations, np.zeros((len(rotations), 3)), FPS)
+    places, out = positions_of(motion), {}
+    for name, joints in (("hands", ("RightHand", "LeftHand")), ("head", ("Head",))):
+        at = places[:, [stream.skeleton.index(joint) for joint in joints]]
+        speed = np.diff(at, axis=0) * FPS
+        harder = np.diff(speed, axis=0) * FPS
+        out[name] = (np.linalg.norm(speed, axis=-1).max(-1), np.linalg.norm(harder, axis=-1).max(-1))
+    return out
+
+
+@pytest.mark.parametrize("latency", ["full", "low"])
+def test_no_seam_jumps(latency: str) -> None:
+    """Speech, a pause in the feed, speech again, thought, another's voice, an answer."""
+    sound, step = example(), SAMPLE_RATE // 20
+    stream = system().stream(latency=latency)
+    parts = fed(stream, sound[:4 * SAMPLE_RATE], (step,))
+    assert stream.state == StreamState.SPEAKING
+    for wait, state in ((stream.idle, StreamState.IDLE), (stream.think, StreamState.THINKING)):
+        for _ in range(24):
+            parts.append(wait(0.05))
+            assert stream.made == np.ceil(stream.time * FPS - 1e-6), "who idles waits for nothing"
+        assert stream.state == state
+        parts += fed(stream, sound[4 * SAMPLE_RATE:6 * SAMPLE_RATE], (step,))
+    parts += [stream.listen(sound[at:at + step]) for at in range(0, 4 * SAMPLE_RATE, step)]
+    assert stream.state == StreamState.LISTENING
+    parts += [*fed(stream, sound[8 * SAMPLE_RATE:10 * SAMPLE_RATE], (step,)), stream.finish()]
+    made = joined(parts)
+    assert len(made) == round((4 + 1.2 + 2 + 1.2 + 2 + 4 + 2) * FPS)
+    found = moves(made, stream)
+    assert found["hands"][0].max() < FASTEST and found["hands"][1].max() < HARDEST
+    assert found["head"][0].max() < HEAD_FASTEST and found["head"][1].max() < HEAD_HARDEST
+
+
+def test_sound_faster_than_real_time_bears_media_times_and_loses_nothing() -> None:
+    stream, sound = system().stream(), example()[:6 * SAMPLE_RATE]
+    parts = [stream.feed(sound), stream.idle(0.0)]
+    assert np.array_equal(np.concatenate([part.times for part in parts]), np.arange(6 * FPS) / FPS)
+    assert stream.time == 6.0
+
+
+def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
+    voice = np.concatenate([example()[:2 * SAMPLE_RATE], np.zeros(SAMPLE_RATE, np.float32)])
+    heard, alone = system().stream(), system().stream()
+    step = SAMPLE_RATE // 10
+    nods = joined([heard.listen(voice[at:at + step]) for at in range(0, len(voice), step)])
+    still = joined([alone.idle(0.1) for _ in range(0, len(voice), step)])
+    head = heard.skeleton.index("Head")
+    apart = 2 * np.degrees(np.arccos(np.clip(np.abs((nods[:, head] * still[:, head]).sum(-1)), 0, 1)))
+    assert apart[:int(1.2 * FPS)].max() < 1e-3, "nothing is done to a voice that has not said anything"
+    assert apart.max() > 1.5
+
+
+# ---------------------------------------------------------------------------------------------------- interrupt
+
+@pytest.mark.parametrize("latency", ["full", "low"])
+def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
+    """At many moments of a gesture, with and without frames that are taken back."""
+    rest = resting()
+    for at in (2.0, 3.1, 4.4, 5.3):
+        stream = system().stream(latency=latency)
+        parts = fed(stream, example()[:7 * SAMPLE_RATE], (1600,))
+        stopped = stream.interrupt(at)
+        assert stream.state == StreamState.IDLE and stopped.first == np.ceil(at * FPS - 1e-6)
+        after = joined([stopped, *(stream.idle(0.1) for _ in range(20))])
+        made = np.concatenate([joined(parts)[:stopped.first], after])
+        found, frame = moves(made, stream)["hands"], stopped.first
+        assert found[0][frame + round(0.3 * FPS) - 1] < 0.3, at
+        assert found[0].max() < FASTEST and found[1].max() < HARDEST
+        motion = Motion(stream.skeleton, made, np.zeros((len(made), 3)), FPS)
+        hands = [stream.skeleton.index(side + "Hand") for side in ("Right", "Left")]
+        hung = np.linalg.norm((positions_of(motion)[:, hands] - rest[hands]), axis=-1).max(-1)
+        assert hung[frame + round(1.2 * FPS)] < 0.06, "what is left is the life of hands that hang"
+
+
+def resting() -> Array:
+    """[J, 3] metres of the joints of who rests."""
+    bundle = system().bundle
+    pose = bundle.statistics.rest_pose[system().speaker_index(None)]
+    places: Array = positions_of(representation_of(bundle.config).motion(pose[None], FPS))[0]
+    return places
+
+
+def test_what_was_played_stays_and_speech_goes_on_after_an_interruption() -> None:
+    stream, sound = system().stream(legs=True), example()
+    before = joined(fed(stream, sound[:5 * SAMPLE_RATE], (8000,)))
+    cut = stream.interrupt(2.5)
+    again = joined([cut, stream.idle(0.4), *fed(stream, sound[5 * SAMPLE_RATE:8 * SAMPLE_RATE], (8000,)),
+                    stream.finish()])
+    assert cut.first == 150 and len(again) == round(3.4 * FPS)
+    found = moves(np.concatenate([before[:150], again]), stream)["hands"]
+    assert found[0].max() < FASTEST and found[1].max() < HARDEST
+
+
+def test_only_what_was_made_can_be_interrupted() -> None:
+    stream = system().stream()
+    stream.feed(example()[:2 * SAMPLE_RATE])
+    for at in (-1.0, 9.0, float("nan")):
+        with pytest.raises(InputError, match="interrupt"):
+            stream.interrupt(at)
+
+
+# ---------------------------------------------------------------------------------------------------- for ever
+
+@pytest.mark.parametrize("what", ["speech", "silence", "idling"])
+def test_memory_does_not_grow(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_module, "HISTORY", 2.0)
+    sound = np.zeros(SAMPLE_RATE, np.float32) if what == "silence" else example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]
+    stream, sizes = system().stream(), []
+    tracemalloc.start()
+    try:
+        for second in range(36):
+            if what == "idling":
+                stream.idle(1.0)
+            else:
+                stream.feed(sound)
+            if second in (14, 35):
+                gc.collect()
+                sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert sizes[1] - sizes[0] < 40_000, "21 s more take less than the sound of one of them"
+
+
+# ---------------------------------------------------------------------------------------------------- bad input
+
+@pytest.mark.parametrize("bad", [np.array([0.0, np.nan]), np.array([np.inf, 0.0]), np.full(100, 1e4),
+                                 np.zeros((2, 3, 4)), np.array(["a"]), np.zeros(3, complex)],
+                         ids=["nan", "infinite", "loud", "shape", "text", "complex"])
+def test_what_is_no_sound_is_refused_and_nothing_is_lost(bad: NDArray) -> None:
+    sound, stream = example()[:round(SHORT * SAMPLE_RATE)], system().stream()
+    parts = fed(stream, sound[:20000], (5000,))
+    for take in (stream.feed, stream.listen):
+        with pytest.raises(InputError) as caught:
+            take(bad)
+        assert "\n" not in str(caught.value)
+    parts += [*fed(stream, sound[20000:], (5000,)), stream.finish()]
+    assert np.array_equal(joined(parts), from_file(SHORT).rotations)
+
+
+def test_other_mistakes_are_told_in_a_line() -> None:
+    g = system()
+    for rate in (0, -1, 10, 1e9, float("nan"), 16000.5):
+        with pytest.raises(InputError, match="sample_rate"):
+            g.stream(rate)
+    with pytest.raises(InputError, match="latency"):
+        g.stream(latency="none")
+    with pytest.raises(InputError, match="words"):
+        g.stream().add_words([Word("a", 0.0, 1.0)])
+    with pytest.raises(InputError, match="no samples"):
+        g.stream().finish()
+    stream = g.stream()
+    for seconds in (-1.0, float("nan"), 1e6):
+        with pytest.raises(InputError, match="seconds"):
+            stream.idle(seconds)
+    stream.idle(0.5)
+    stream.finish()
+    for ask in (stream.finish, stream.interrupt, lambda: stream.idle(1.0), lambda: stream.feed(np.zeros(3))):
+        with pytest.raises(InputError, match="finished"):
+            ask()
