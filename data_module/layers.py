@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+import torch
 from torch import Tensor, nn
 
 SLOPE = 0.2
@@ -56,6 +57,14 @@ class BlockLinear(nn.Module):
 def repeat_frames(vector: Tensor, frames: int) -> Tensor:
     """[..., D] to [..., K, D]: the same vector on every frame of a block."""
     return vector.unsqueeze(-2).expand(*vector.shape[:-1], frames, vector.shape[-1])
+
+
+def without_after(windows: Tensor, left_out: Tensor) -> Tensor:
+    """Windows [B, ..., 3K, D] of the block before, the block and the block after, with zeros for the block after in
+    those of the B that are left out [B]."""
+    after = torch.arange(windows.shape[-2], device=windows.device) >= windows.shape[-2] * 2 // 3
+    where = left_out.reshape(-1, *[1] * (windows.dim() - 1)) & after[:, None]
+    return windows.masked_fill(where, 0.0)
 
 
 def parameter_count(module: nn.Module) -> int:

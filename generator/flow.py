@@ -29,7 +29,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
+from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames, without_after
 from data_module.motion.movement import PAST, MovementBasis, Pasts
 from generator.model import GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
 
@@ -61,6 +61,11 @@ class Circumstances:
         logs = [math.log(np.float32(np.float32(one) / np.float32(_TEMPO))) for one in durations]
         return torch.tensor([*logs, *map(float, silent), math.log1p(quiet), math.log1p(speech) / 3],
                             dtype=torch.float32)
+
+
+def alone(place: Tensor) -> Tensor:
+    """Circumstances [..., 8] with the block itself in the place of the next one."""
+    return place[..., [0, 1, 1, 3, 4, 4, 6, 7]]
 
 
 def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
@@ -256,8 +261,13 @@ class FlowGenerator(nn.Module):
         some = torch.rand(3, len(motion), device=u.device)
         lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
         asked = batch["control"][:, 1:] if self.control_width and "control" in batch else None
-        given = FlowInputs(batch["audio"][:, 1:], lexeme, before, ratio, batch["circumstances"][:, 1:],
-                           batch["speaker"], asked, some[1] < deaf, some[2] < forgetful)
+        audio, place = batch["audio"][:, 1:], batch["circumstances"][:, 1:]
+        if self.training and c.after_dropout:
+            hidden = torch.rand(len(motion), device=u.device) < c.after_dropout
+            audio = without_after(audio, hidden)
+            place = torch.where(hidden[:, None, None], alone(place), place)
+        given = FlowInputs(audio, lexeme, before, ratio, place, batch["speaker"], asked, some[1] < deaf,
+                           some[2] < forgetful)
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
         weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]

@@ -108,6 +108,9 @@ class GeneratorConfig:
     """In training, share of the context's units that are left out."""
     audio_dropout: Share = 0.15
     """Share of training windows that hear nothing, for guidance."""
+    after_dropout: Share = 0.0
+    """Share of training windows that do not hear the block after a block, nor how long it lasts or whether it is
+    silent, so that a stream need not wait for it."""
     lexeme_dropout: Share = 0.15
     """Share of training windows that are told no lexeme, for guidance."""
     history_dropout: Share = 0.0

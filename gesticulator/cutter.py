@@ -219,7 +219,8 @@ class BlockCutter:
             if last and not self._ended and not self._low:
                 return
             after = self._cut[at + 1] if not last else None if self._ended else self._foreseen(own.end)
-            yield self._encoded(self._cut[0] if at else None, own, after)
+            block = self._encoded(self._cut[0] if at else None, own, after)
+            yield replace(block, foreseen=last and not self._ended)
             self._count += 1
             del self._cut[:at]
             self._forget(own.start)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.motion.movement import PAST, Pasts
-from generator.flow import Circumstances, FlowGenerator, FlowInputs
+from generator.flow import Circumstances, FlowGenerator, FlowInputs, alone
 from gesticulator.bundle import Bundle
 from gesticulator.config import UNTOLD
 from gesticulator.features import SpeechBlock
@@ -138,6 +138,8 @@ class FlowDrawer:
         before, own, _ = torch.tensor(speech.durations, dtype=torch.float32, device=self.device)
         self.told = Pasts(past[:, -PAST:], (own / before)[None])
         place = self.place.step(speech.durations, speech.silent).to(self.device)
+        if speech.foreseen and self.generator.config.after_dropout:
+            place = alone(place)
         given, gains = self._given(place, features, lexeme, past)
         context, self.state = self.generator.contexts(given, added.expand(len(given.audio), 1, -1), self.state)
         noise = self.keys.noise(speech.number, (self.chosen.candidates, self.generator.basis.width))

@@ -171,7 +171,8 @@ class SpeechBlock:
 
     number: from 0. start, end: seconds; flag: of the beat at its end. durations, silent: of the block before, the block
     and the block after (its own where there is none). low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K]
-    whether each frame lies in a pause; ahead: [K] the same of the block after, None where the speech ends.
+    whether each frame lies in a pause; ahead: [K] the same of the block after, None where the speech ends. foreseen:
+    the block after is what was heard of it when it was not known yet.
     """
 
     number: int
@@ -185,6 +186,7 @@ class SpeechBlock:
     quiet: NDArray[np.bool_]
     ahead: NDArray[np.bool_] | None = None
     flag: BeatFlag = BeatFlag.EVEN_PSEUDO
+    foreseen: bool = False
 
 
 def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:

@@ -172,7 +172,7 @@ class Gesticulator:
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
                **options: Unpack[InferenceArguments]) -> Stream:
-        """Gesture for speech while it arrives: `gesticulator.stream.Stream`, with the state of rest.
+        """Gesture for speech while it arrives, see `gesticulator.stream.Stream`.
 
         sample_rate: hertz of the sound that will be fed; latency: "full", or "low" (see there); text: words will come;
         options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`.

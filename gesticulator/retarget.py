@@ -23,7 +23,8 @@ so clavicles may hang on the neck, thighs on the spine, and helpers anywhere in 
 Trunk and neck are chains of another number of joints: R(t) is interpolated along ours, by the share of the way from
 the hips to the chest (from chest to head). The hips move by the ratio of the legs' lengths, and two-bone inverse
 kinematics keeps each foot where it stands, which bends knees by fractions of a degree. Hands that would enter a trunk
-wider than ours are kept outside (`gesticulator.contacts`).
+wider than ours are kept outside (`gesticulator.contacts`), and twist bones of the forearm get their share of the hand's
+roll (`gesticulator.twist`).
 
 Letters: T frames, J our joints, N her nodes. World axes are ours (Y up, facing +Z, left +X, metres) unless said.
 """
@@ -45,6 +46,7 @@ from gesticulator.characters.mapping import SIDES, RigMapping, check
 from gesticulator.characters.rig import Character
 from gesticulator.contacts import Pose, keep_hands_out, pose_of
 from gesticulator.inverse_kinematics import bend
+from gesticulator.twist import share_roll
 
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
@@ -143,6 +145,7 @@ class Retargeter:
             root = np.tile(hips, (len(motion), 1))
         if self.contacts:
             keep_hands_out(turns, self.body, ours)
+        share_roll(turns, self.body)
         return self._finish(turns, root, len(motion), motion.fps)
 
     def _source(self, motion: Motion) -> Motion:

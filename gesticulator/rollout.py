@@ -15,6 +15,7 @@ from torch import Tensor
 
 from data_module.controls import Controls, Levels
 from data_module.errors import InputError
+from data_module.layers import without_after
 from gesticulator.bundle import Bundle
 from gesticulator.drawing import FREE, Direction, Keys, drawer_for
 from gesticulator.features import SpeechBlock, SpeechFeatures, control_rows, representation_of
@@ -315,9 +316,13 @@ class Rollout:
 
     def _features(self, speech: SpeechBlock, asked: NDArray[np.float32] | None, past: Tensor | None = None
                   ) -> BlockFeatures:
-        s = self.bundle.statistics
-        return BlockFeatures(self._tensor(s.low.apply(speech.low)), self._tensor(s.high.apply(speech.high)),
-                             speech.silent[1], None if speech.text is None else self._tensor(speech.text),
+        s, config = self.bundle.statistics, self.bundle.config
+        low, high = self._tensor(s.low.apply(speech.low)), self._tensor(s.high.apply(speech.high))
+        if speech.foreseen:  # whoever was taught to do without the block after is not shown a part of it
+            shut = torch.ones(1, dtype=torch.bool, device=self.device)
+            low = without_after(low[None], shut)[0] if config.generator.after_dropout else low
+            high = without_after(high[None], shut)[0] if config.interpreter.after_dropout else high
+        return BlockFeatures(low, high, speech.silent[1], None if speech.text is None else self._tensor(speech.text),
                              None if asked is None else self._tensor(asked), past, speech.durations[:2])
 
 

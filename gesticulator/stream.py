@@ -26,11 +26,11 @@ from data_module.errors import InputError
 from data_module.speech import onsets, silence
 from data_module.speech.audio import SAMPLE_RATE, SampleFeed
 from data_module.types import Array, Blocks, Motion, Samples, Skeleton, Word
-from gesticulator.attention import Attention
 from gesticulator.bundle import Bundle
 from gesticulator.cutter import TICK, BlockCutter
 from gesticulator.drawing import FREE
 from gesticulator.features import SpeechBlock
+from gesticulator.head_turns import HeadTurns
 from gesticulator.motion_path import HISTORY, MotionPath
 from gesticulator.performance import InferenceOptions
 from gesticulator.rest import RestKnots
@@ -133,7 +133,7 @@ class Stream:
             shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))
         self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
-        self._attention = Attention(int(options.seed), joints)
+        self._turns = HeadTurns(int(options.seed), joints)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
         self._state, self._finished = StreamState.IDLE, False
         self._begun = self._committed = 0.0  # media time where the utterance begins, and of the last knot
@@ -188,7 +188,7 @@ class Stream:
         self._check_open()
         first, sound = self._path.next, self._feed.take(samples)
         if len(samples) and self._state != StreamState.SPEAKING:
-            self._attention.release(self._committed)
+            self._turns.release(self._committed)
             self._state = StreamState.SPEAKING
         return self._given(first, self._draw(self._utterance().feed(sound)) if len(sound) else [])
 
@@ -242,7 +242,7 @@ class Stream:
             self._path.rewind(kept.times, shown[:last], min(math.ceil(at * self.fps - 1e-6), self._path.next))
         self._shown = deque([(kept, shown[:last])])
         self._committed = float(kept.times[-1])
-        self._attention.release(self._committed)
+        self._turns.release(self._committed)
         self._begin(at)
         self._state = StreamState.IDLE
         return self._given(self._path.next, self._advance(at))
@@ -289,12 +289,12 @@ class Stream:
             raise InputError(f"seconds {seconds:g}", "is out of range", f"give 0 to {_LONGEST:g}")
         first, made = self._path.next, self._end_utterance()
         if state != self._state:
-            self._attention.release(self._committed)
+            self._turns.release(self._committed)
             if state == StreamState.THINKING:
-                self._attention.look_away(self._committed)
+                self._turns.look_away(self._committed)
             self._state = state
         if heard is not None:
-            self._attention.listen(heard, max(self._committed, self._begun))
+            self._turns.listen(heard, max(self._committed, self._begun))
         self._begin(self._begun + seconds)
         return self._given(first, made + self._advance(self._begun))
 
@@ -307,7 +307,7 @@ class Stream:
             away = until + self._path.reach - self._committed
             knots, start = min(max(math.ceil(away / _KNOT), 1), frames), self._committed
             features = [one.idle(start, _KNOT, knots) for one in self._rollouts][-1]
-            times: Array = start + _KNOT * np.arange(1, knots + 1)
+            times = start + _KNOT * np.arange(1, knots + 1, dtype=np.float64)
             made.append((self._show(times, features, count), None))
         return made
 
@@ -332,7 +332,7 @@ class Stream:
 
     def _show(self, times: Array, features: NDArray[np.float32], until: int | None = None) -> Motion | None:
         """The frames that are certain by more knots, [K, D_m] at times [K], up to the one before `until`."""
-        turned = self._attention(times)
+        turned = self._turns(times)
         if turned is not None:
             features = (features + turned * self._scale).astype(np.float32)
         shown = self._rollouts[-1]

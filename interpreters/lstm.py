@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import BlockLinear, repeat_frames
+from data_module.layers import BlockLinear, repeat_frames, without_after
 from interpreters.base import BlockFeatures, Scores
 from interpreters.pose import pose_of
 from interpreters.settings import LstmConfig, StyleConfig
@@ -211,6 +211,8 @@ class LstmInterpreter(nn.Module):
             previous = torch.where(lost, torch.randint_like(previous, len(self.lexemes)), previous)
         if self.training and self.config.audio_dropout and not self.held:
             audio = audio * (torch.rand(len(audio), 1, 1, 1, device=audio.device) >= self.config.audio_dropout)
+        if self.training and self.config.after_dropout and not self.held:
+            audio = without_after(audio, torch.rand(len(audio), device=audio.device) < self.config.after_dropout)
         logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control, pose)
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
                                         label_smoothing=self.config.label_smoothing)

@@ -86,6 +86,9 @@ class LstmConfig:
     """Chance in training that a previous lexeme is any one instead: who leans on the lexeme before says it again."""
     audio_dropout: Share = 0.0
     """Share of training windows that hear nothing (zeros, the mean of all sound), for guidance."""
+    after_dropout: Share = 0.0
+    """Share of training windows that do not hear the block after a block (zeros), so that a stream need not wait for
+    it."""
 
     @property
     def reads(self) -> bool:

@@ -303,3 +303,11 @@ def test_pictures_of_the_glossary_are_drawn_by_their_script(tmp_path: Path) -> N
     for path in [*tmp_path.iterdir(), *folder.iterdir()]:
         assert path.read_bytes().startswith(b"\x89PNG")
         assert path.stat().st_size < PICTURE_BYTES, path
+
+
+@pytest.mark.parametrize("tool", ["blender", "unity", "unreal", "godot", "threejs", "vrm"])
+def test_the_page_of_a_tool_shows_its_picture(tool: str) -> None:
+    picture = DOCS / "pictures" / "tools" / f"{tool}.png"
+    assert f"(pictures/tools/{tool}.png)" in text(DOCS / f"{tool}.md")
+    assert 4_000 < picture.stat().st_size < 60_000
+    assert f'"{tool}": ' in text(DOCS / "pictures" / "make_tools.py")

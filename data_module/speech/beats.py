@@ -88,7 +88,7 @@ class BeatTracker:
     """
 
     def __init__(self, settings: BeatSettings, start: float = 0.0) -> None:
-        """start: seconds of the first beat (0 for the rules "even" and "paper")."""
+        """start: seconds of the first beat."""
         self.settings = settings
         self.last = start
         self._onsets, self._strengths = list[float](), list[float]()
@@ -111,7 +111,8 @@ class BeatTracker:
         """The beats that are left, the last at the end of a recording of `duration` seconds."""
         self._take(onsets, silent)
         if self.settings.rule == "paper":
-            return _paper_beats(np.array(self._onsets), np.array(self._loud), duration, self.settings)[1:]
+            beats = _paper_beats(np.array(self._onsets), np.array(self._loud), duration, self.settings)
+            return [beat for beat in beats if beat[0] > self.last]
         out = []
         while self.last < duration:
             out.append(self._next(duration))

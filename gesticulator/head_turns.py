@@ -60,7 +60,7 @@ def _eased(share: Array) -> Array:
     return way
 
 
-class Attention:
+class HeadTurns:
     """Turns of one head, in the order of time."""
 
     def __init__(self, seed: int, joints: Sequence[str]) -> None:

@@ -1,0 +1,149 @@
+"""How late and how costly a stream is: `python benchmarks/stream.py SPEECH ... [--out docs/results/stream.json]`.
+
+For each latency mode, over all recordings, with sound in pieces of 20 ms as a microphone gives it:
+
+Computing is counted in processor time, so that other programs on the machine do not count.
+
+- late: seconds from the sound at t to the frame of t, computing included (sound comes by the clock, and what comes
+  while it computes, waits).
+- block: seconds of computing of a piece of sound that drew a block; other: of one that drew none.
+- busy: share of a processor that a stream takes; 1 / busy streams keep it wholly busy.
+- behind: frames that are lacking at their time behind a synthesiser that gives 10 s in 1 s, from its first sample.
+- first: seconds of sound, and of computing, before the first frame.
+- PMB, its chance level and the speed of the hands, as `eval` measures them.
+- memory: bytes that a stream holds, and that it has more after the last recording has been fed `--again` times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import platform
+import time
+import tracemalloc
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from realtime import processor
+
+from data_module.speech.audio import SAMPLE_RATE, load_speech
+from data_module.types import Motion, Speech
+from eval.clip import measure
+from gesticulator.pipeline import Gesticulator
+from gesticulator.stream import StreamFrames
+
+PIECE = 320
+"""Samples (20 ms)."""
+SYNTHESIS = 10.0
+"""Times real time that a synthesiser is."""
+
+
+def percentiles(values: Sequence[float]) -> dict[str, float]:
+    """p50, p95, p99 and the greatest."""
+    found = np.percentile(values, [50, 95, 99, 100])
+    return {name: round(float(one), 4) for name, one in zip(("p50", "p95", "p99", "max"), found, strict=True)}
+
+
+def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
+    """One recording, as from a microphone."""
+    stream = system.stream(latency=latency)
+    parts: list[StreamFrames] = []
+    late, drew, other, first, clock = [], [], [], (0.0, 0.0), 0.0
+    spent = 0.0
+    for at in range(0, len(speech.samples), PIECE):
+        heard = min(at + PIECE, len(speech.samples)) / SAMPLE_RATE
+        begin = time.process_time()
+        part = stream.feed(speech.samples[at:at + PIECE])
+        took = time.process_time() - begin
+        spent += took
+        clock = max(clock, heard) + took  # what comes while it computes, waits
+        (drew if part.blocks else other).append(took)
+        late += (clock - part.times).tolist()
+        if len(part) and not any(len(one) for one in parts):
+            first = (heard, spent)
+        parts.append(part)
+    parts.append(stream.finish())
+    motion = Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
+                    np.concatenate([part.root_positions for part in parts]), stream.fps)
+    clip = measure(motion, speech)
+    rhythm = clip.rhythm()
+    return {"late": late, "block": drew, "other": other, "busy": spent / speech.duration, "first": first,
+            "bound": stream.look_ahead,
+            "quality": (rhythm.pmb, rhythm.chance, rhythm.above_chance, clip.speech_speed, speech.duration)}
+
+
+def behind(system: Gesticulator, speech: Speech, latency: str) -> float:
+    """Seconds that playing must wait, at most, so that no frame is lacking behind a synthesiser."""
+    stream, piece, clock, worst, done = system.stream(latency=latency), SAMPLE_RATE // 5, 0.0, 0.0, 0.0
+    for at in range(0, len(speech.samples), piece):
+        clock = max(clock, min(at + piece, len(speech.samples)) / SAMPLE_RATE / SYNTHESIS)
+        begin = time.process_time()
+        part = stream.feed(speech.samples[at:at + piece])
+        clock += time.process_time() - begin
+        if len(part):
+            worst, done = max(worst, clock - part.first / stream.fps), clock
+    return max(worst, done - speech.duration)
+
+
+def memory(system: Gesticulator, speech: Speech, again: int) -> tuple[int, int]:
+    """Bytes that a stream holds once its history is full, and how many more after the recording was fed again."""
+    gc.collect()
+    tracemalloc.start()
+    stream, sizes, fed = system.stream(), [], 0.0
+    for turn in range(again):
+        stream.feed(speech.samples)
+        fed += speech.duration
+        if fed > 75.0 or turn == again - 1:
+            gc.collect()
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    return sizes[0], sizes[-1] - sizes[0]
+
+
+def main() -> None:
+    """Entry point."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("speech", nargs="+")
+    p.add_argument("--bundle")
+    p.add_argument("--seconds", type=float, default=float("inf"), help="of each recording")
+    p.add_argument("--again", type=int, default=0, help="how often to feed the last one, to see the memory")
+    p.add_argument("--threads", type=int, default=1)
+    p.add_argument("--out")
+    a = p.parse_args()
+    torch.set_num_threads(a.threads)
+    system = Gesticulator.from_pretrained(a.bundle)
+    read = [load_speech(name) for name in a.speech]
+    recordings = [Speech(one.samples[:round(min(a.seconds, one.duration) * SAMPLE_RATE)], SAMPLE_RATE) for one in read]
+    live(system, Speech(recordings[0].samples[:SAMPLE_RATE], SAMPLE_RATE), "full")  # what is slow once
+    result: dict[str, Any] = {"processor": processor(), "threads": a.threads, "python": platform.python_version(),
+                              "torch": torch.__version__, "files": [Path(name).name for name in a.speech],
+                              "seconds": round(sum(one.duration for one in recordings), 1)}
+    for latency in ("full", "low"):
+        found = [live(system, speech, latency) for speech in recordings]
+        seconds = np.array([one["quality"][-1] for one in found])
+        percent = np.average([one["quality"][:-1] for one in found], axis=0, weights=seconds)
+        result[latency] = {
+            **{name: percentiles([value for one in found for value in one[name]])
+               for name in ("late", "block", "other")},
+            "late_at_most": round(found[0]["bound"], 3),
+            "busy": round(float(np.average([one["busy"] for one in found], weights=seconds)), 4),
+            "first_frame": {"sound": round(max(one["first"][0] for one in found), 3),
+                            "computing": round(max(one["first"][1] for one in found), 3)},
+            "behind_a_synthesiser": round(behind(system, recordings[0], latency), 3),
+            **dict(zip(("pmb", "pmb_chance", "pmb_above_chance", "hand_speed"), percent.round(2).tolist(),
+                       strict=True))}
+        print(latency, json.dumps(result[latency]), flush=True)
+    if a.again:
+        held, more = memory(system, recordings[-1], a.again)
+        result["memory"] = {"bytes": held, "more_bytes": more, "seconds": round(a.again * recordings[-1].duration)}
+        print(json.dumps(result["memory"]))
+    if a.out:
+        Path(a.out).write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The server of live gestures: sound comes in over a WebSocket, poses go out."""

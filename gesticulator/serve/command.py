@@ -1,0 +1,116 @@
+"""The verb `serve`. Nothing heavy is imported before it runs."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data_module.errors import InputError
+from gesticulator.cli import Command
+
+if TYPE_CHECKING:
+    from gesticulator.serve.settings import ServerLimits
+
+TOKEN_VARIABLE = "GESTICULATOR_TOKEN"
+"""Environment variable with the token, so that it stands in no list of processes."""
+
+
+def arguments(p: argparse.ArgumentParser) -> None:
+    """Add what the verb takes."""
+    from gesticulator.serve.settings import ServerLimits
+
+    plain = ServerLimits()
+    where = p.add_argument_group("where it listens, and who may come")
+    where.add_argument("--host", default="127.0.0.1", help="address to listen on (default 127.0.0.1, this machine)")
+    where.add_argument("--port", type=int, default=8765, help="default 8765; 0 for any that is free")
+    where.add_argument("--origin", action="append", default=[], metavar="URL", help="a web page's origin that may "
+                       "connect, such as https://example.org; pages of this machine may; may be given several times")
+    where.add_argument("--token-file", metavar="FILE", help="a file with the token that clients must send (or set "
+                       f"{TOKEN_VARIABLE})")
+    where.add_argument("--no-token", action="store_true", help="let everybody in who can reach another --host")
+    limits = p.add_argument_group("limits of each worker")
+    limits.add_argument("--streams", type=int, default=plain.streams, metavar="N",
+                        help=f"streams at a time (default {plain.streams})")
+    limits.add_argument("--stream-seconds", type=float, default=plain.stream_seconds, metavar="S",
+                        help=f"sound that a stream may have (default {plain.stream_seconds:g})")
+    limits.add_argument("--waiting-seconds", type=float, default=plain.waiting_seconds, metavar="S",
+                        help=f"sound that may wait to be worked on (default {plain.waiting_seconds:g})")
+    limits.add_argument("--message-bytes", type=int, default=plain.message_bytes, metavar="N",
+                        help=f"longest message (default {plain.message_bytes})")
+    limits.add_argument("--unread-bytes", type=int, default=plain.unread_bytes, metavar="N",
+                        help=f"poses that a client may leave unread (default {plain.unread_bytes})")
+    limits.add_argument("--drain-seconds", type=float, default=plain.drain_seconds, metavar="S",
+                        help=f"how long streams may go on after SIGTERM (default {plain.drain_seconds:g})")
+    p.add_argument("--workers", type=int, default=1, metavar="N", help="processes, one for each core (default 1)")
+    p.add_argument("--vmc", metavar="HOST:PORT", help="also send the first stream's poses by VMC, such as "
+                   "127.0.0.1:39539")
+    p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
+    p.add_argument("--threads", type=int, default=1, metavar="N", help="threads of each worker (default 1)")
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT; exit code 0 then."""
+    from gesticulator.serve.launch import Launch, launch
+
+    return launch(Launch(
+        host=asked.host, port=asked.port, origins=tuple(asked.origin), token=read_token(asked),
+        limits=read_limits(asked), workers=asked.workers, vmc=asked.vmc, bundle=asked.bundle, threads=asked.threads))
+
+
+def read_limits(asked: argparse.Namespace) -> ServerLimits:
+    """The limits that the command line names; `InputError` for one that cannot be."""
+    from gesticulator.serve.settings import ServerLimits
+
+    names = ("streams", "stream_seconds", "waiting_seconds", "message_bytes", "unread_bytes", "drain_seconds")
+    return ServerLimits(**{name: getattr(asked, name) for name in names})
+
+
+def read_token(asked: argparse.Namespace) -> str:
+    """The token that clients must send, "" for none; `InputError` where others could come without one."""
+    token = os.environ.get(TOKEN_VARIABLE, "")
+    if asked.token_file is not None:
+        token = Path(asked.token_file).read_text(encoding="utf-8").strip()
+        if not token:
+            raise InputError(asked.token_file, "holds no token", "write one into it")
+    if not token and not asked.no_token and asked.host not in ("127.0.0.1", "::1", "localhost"):
+        raise InputError(f"--host {asked.host}", "lets others connect", "give a --token-file, or say --no-token")
+    return token
+
+
+COMMAND = Command(
+    "answer sound with poses, live, over a WebSocket", arguments, run,
+    examples=(
+        "serve",
+        "serve --port 9000 --workers 4",
+        "serve --host 0.0.0.0 --token-file token.txt --origin https://example.org",
+        "serve --vmc 127.0.0.1:39539",
+    ))
+
+
+def live_arguments(p: argparse.ArgumentParser) -> None:
+    """Add what the verb `live` takes."""
+    p.add_argument("--port", type=int, default=8765, help="default 8765; 0 for any that is free")
+    p.add_argument("--no-browser", action="store_true", help="do not open the page, only serve it")
+    p.add_argument("--vmc", metavar="HOST:PORT", help="also send the poses by VMC, such as 127.0.0.1:39539")
+    p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
+    p.add_argument("--threads", type=int, default=1, metavar="N", help="threads (default 1)")
+
+
+def run_live(asked: argparse.Namespace) -> int:
+    """Serve the page to this machine until SIGTERM or SIGINT; exit code 0 then."""
+    from gesticulator.serve.launch import Launch, launch
+    from gesticulator.serve.settings import ServerLimits
+
+    limits = ServerLimits(drain_seconds=1.0)
+    return launch(Launch(host="127.0.0.1", port=asked.port, origins=(), token="", limits=limits, vmc=asked.vmc,
+                         bundle=asked.bundle, threads=asked.threads, live=True, browser=not asked.no_browser))
+
+
+LIVE = Command(
+    "open a page that gestures to your microphone, or to a recording", live_arguments, run_live,
+    examples=(
+        "live",
+        "live --port 9000 --no-browser",
+    ))

@@ -1,0 +1,203 @@
+"""Starts a server: in this process, or as several workers that share one socket and are replaced when they die."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import signal
+import socket
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data_module.errors import InputError
+from gesticulator.serve.settings import ServerLimits
+
+if TYPE_CHECKING:
+    from gesticulator.serve.server import Page
+
+LOG = logging.getLogger("gesticulator.serve")
+_MOST_WORKERS = 256
+_SHORT_LIFE = 5.0
+"""Seconds: a worker that dies sooner did not do any work."""
+_MOST_SHORT_LIVES = 5
+"""So many one after the other, and it is no accident."""
+
+
+@dataclass(frozen=True)
+class Launch:
+    """What to serve and where; picklable, so that workers get it as it is. vmc: "HOST:PORT" or None; live: with the
+    page of `gesticulator live`; browser: open it when it is there."""
+
+    host: str
+    port: int
+    origins: tuple[str, ...]
+    token: str
+    limits: ServerLimits
+    workers: int = 1
+    vmc: str | None = None
+    bundle: str | None = None
+    threads: int = 1
+    live: bool = False
+    browser: bool = False
+
+
+def launch(asked: Launch) -> int:
+    """Serve until SIGTERM or SIGINT; exit code 0. `InputError` where that cannot be."""
+    from gesticulator.performance import RANGES
+    from gesticulator.serve.server import ServerAddress, log_to_stderr
+
+    _check_library()
+    if not 1 <= asked.workers <= _MOST_WORKERS:
+        raise InputError(f"--workers {asked.workers}", "is out of range", f"choose 1 to {_MOST_WORKERS}")
+    RANGES["threads"].check("--threads", asked.threads)
+    if asked.vmc is not None:
+        from gesticulator.serve.vmc import read_target
+
+        read_target(asked.vmc)
+        if asked.workers > 1:
+            raise InputError("--vmc", "is for one worker", "leave --workers out")
+    if asked.bundle is not None and not Path(asked.bundle).is_dir():
+        raise InputError(asked.bundle, "is no folder", "name a trained bundle")
+    log_to_stderr()
+    listening = ServerAddress(asked.host, asked.port, asked.origins, asked.token).listen()
+    with listening:
+        host, port = listening.getsockname()[:2]
+        LOG.info("listening on ws://%s:%d/stream, /healthz and /metrics", f"[{host}]" if ":" in host else host, port)
+        if asked.workers == 1:
+            serve_here(asked, listening)
+        else:
+            with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
+                _Parent(asked, listening, Path(folder)).run()
+    LOG.info("stopped")
+    return 0
+
+
+def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder: Path | None = None) -> None:
+    """Load the models and serve in this process until it is told to stop."""
+    import asyncio
+
+    import torch
+
+    from gesticulator.pipeline import Gesticulator
+    from gesticulator.serve.server import LiveServer, ServerAddress
+    from gesticulator.serve.session import session_opener
+
+    torch.set_num_threads(asked.threads)
+    system = Gesticulator.from_pretrained(asked.bundle)
+
+    async def serve() -> None:
+        output = None
+        if asked.vmc is not None:
+            from gesticulator.serve.vmc import VmcOutput
+
+            output = VmcOutput(asked.vmc)
+        server = LiveServer(
+            ServerAddress(asked.host, asked.port, asked.origins, asked.token), asked.limits,
+            session_opener(system, asked.limits), output, _pages(asked), folder, worker)
+        playing = None if output is None else asyncio.create_task(output.run())
+        await server.run(listening, lambda: _tell_ready(asked, listening, worker))
+        if playing is not None:
+            playing.cancel()
+
+    asyncio.run(serve())
+
+
+def _tell_ready(asked: Launch, listening: socket.socket, worker: int) -> None:
+    LOG.info("worker %d is ready", worker)
+    if asked.live:
+        page = f"http://127.0.0.1:{listening.getsockname()[1]}/"
+        LOG.info("the page is %s", page)
+        if asked.browser:
+            import threading
+            import webbrowser
+
+            # It may wait for the browser, and the server must answer meanwhile.
+            threading.Thread(target=webbrowser.open, args=(page,), daemon=True).start()
+
+
+def _pages(asked: Launch) -> Mapping[str, Page]:
+    if not asked.live:
+        return {}
+    from gesticulator.serve.page import pages
+
+    return pages()
+
+
+def _check_library() -> None:
+    try:
+        import websockets  # noqa: F401
+    except ImportError:
+        raise InputError("serve", "needs the package websockets", "pip install 'gesticulator[live]'") from None
+
+
+def _worker(asked: Launch, listening: socket.socket, number: int, folder: str) -> None:
+    """Main function of a worker's process."""
+    from data_module.errors import one_line_errors
+    from gesticulator.serve.server import log_to_stderr
+
+    log_to_stderr()
+    with one_line_errors("gesticulator serve"):
+        serve_here(asked, listening, number, Path(folder))
+
+
+class _Parent:
+    """Keeps `workers` processes alive that accept on one socket, and passes the order to stop on to them."""
+
+    def __init__(self, asked: Launch, listening: socket.socket, folder: Path) -> None:
+        self.asked, self.listening, self.folder = asked, listening, folder
+        self.context = multiprocessing.get_context("spawn")
+        self.workers: dict[int, BaseProcess] = {}
+        self.born: dict[int, float] = {}
+        self.short_lives = 0
+        # The handler writes a byte here, so that waiting for workers and for a signal is one wait.
+        self.woken, self.waker = os.pipe()
+
+    def run(self) -> None:
+        """Until a signal comes and the workers have drained."""
+        for name in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(name, lambda *_: os.write(self.waker, b"."))
+        for number in range(self.asked.workers):
+            self._start(number)
+        try:
+            while self.woken not in wait([self.woken, *(worker.sentinel for worker in self.workers.values())]):
+                self._replace_dead()
+        finally:
+            self.listening.close()
+            for worker in self.workers.values():
+                with contextlib.suppress(OSError):
+                    worker.terminate()  # SIGTERM: it drains
+            patience = time.monotonic() + 2 * self.asked.limits.drain_seconds + 5
+            for worker in self.workers.values():
+                worker.join(max(0.0, patience - time.monotonic()))
+                if worker.is_alive():
+                    worker.kill()
+                    worker.join()
+
+    def _start(self, number: int) -> None:
+        worker = self.context.Process(target=_worker, args=(self.asked, self.listening, number, str(self.folder)),
+                                      name=f"gesticulator-worker-{number}", daemon=True)
+        worker.start()
+        self.workers[number], self.born[number] = worker, time.monotonic()
+
+    def _replace_dead(self) -> None:
+        for number, worker in self.workers.items():
+            if worker.is_alive():
+                continue
+            worker.join()
+            lived = time.monotonic() - self.born[number]
+            self.short_lives = self.short_lives + 1 if lived < _SHORT_LIFE else 0
+            if self.short_lives >= _MOST_SHORT_LIVES:
+                raise InputError("workers", "end as soon as they begin", "see what they print")
+            LOG.error("worker %d (process %d) died with exit code %s; another takes its place", number, worker.pid,
+                      worker.exitcode)
+            if lived < _SHORT_LIFE:
+                time.sleep(0.2)
+            self._start(number)

@@ -1,0 +1,163 @@
+"""The server's half of the protocol, read from the schema that the client's package publishes."""
+
+from __future__ import annotations
+
+import functools
+import json
+import struct
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from data_module.errors import InputError, shown
+from gesticulator.serve import schema
+
+if TYPE_CHECKING:
+    from data_module.types import Samples, Skeleton
+    from gesticulator.stream import StreamFrames
+
+VERSION = 1
+_PLACES = (
+    # A checkout; the wheel, which carries a copy of the file (pyproject.toml, force-include).
+    Path(__file__).resolve().parents[2] / "integrations/pipecat-gesticulator/pipecat_gesticulator/protocol.json",
+    Path(__file__).resolve().parent / "protocol.json",
+)
+_PCM16_FULL = 32768.0
+"""The number that 1.0 is in 16 bit sound."""
+_MOST_SAMPLE = 1e4
+"""A float sample of more is no sound: full scale is 1, and somebody's 16 bit numbers as floats reach 32768."""
+
+
+class CloseCode(IntEnum):
+    """Why a connection is closed; the schema says it in words."""
+
+    NORMAL = 1000
+    GOING_AWAY = 1001
+    TOO_BIG = 1009
+    BAD_MESSAGE = 4400
+    BAD_TOKEN = 4401
+    TOO_QUIET = 4408
+    UNREAD = 4409
+    TOO_MUCH_SOUND = 4413
+    TOO_MANY_STREAMS = 4429
+    FAILED = 4500
+
+
+class RefusedError(Exception):
+    """A client is told why, and its connection is closed."""
+
+    def __init__(self, code: CloseCode, reason: str) -> None:
+        self.code, self.reason = code, reason
+        super().__init__(reason)
+
+
+@functools.cache
+def published() -> dict[str, Any]:
+    """The published schema."""
+    for place in _PLACES:
+        if place.is_file():
+            found: dict[str, Any] = json.loads(place.read_text(encoding="utf-8"))
+            if found["version"] != VERSION:
+                raise InputError(place, f"is version {found['version']} of the protocol, and the server speaks "
+                                 f"{VERSION}", "install both from one release")
+            return found
+    raise InputError("protocol.json", "is not there", "install gesticulator again")
+
+
+@dataclass(frozen=True)
+class StreamRequest:
+    """What a client's hello asks for; see the schema."""
+
+    sample_rate: int
+    format: str = "pcm16"
+    fps: float = 60.0
+    seed: int = 0
+    output: str = "joints"
+    options: dict[str, Any] = field(default_factory=dict)
+    token: str = ""
+
+    @property
+    def sample_bytes(self) -> int:
+        """Bytes of one sample."""
+        return 2 if self.format == "pcm16" else 4
+
+    def samples(self, sound: bytes) -> Samples:
+        """A binary message as float32 samples [n]; `RefusedError` for what is no sound of the format."""
+        if len(sound) % self.sample_bytes:
+            raise RefusedError(CloseCode.BAD_MESSAGE, f"{len(sound)} bytes are no whole number of "
+                               f"{self.format} samples")
+        if self.format == "pcm16":
+            return (np.frombuffer(sound, "<i2") / _PCM16_FULL).astype(np.float32)
+        samples = np.frombuffer(sound, "<f4").astype(np.float32)
+        if not np.isfinite(samples).all():
+            raise RefusedError(CloseCode.BAD_MESSAGE, "the sound holds samples that are not numbers (NaN or infinite)")
+        if np.abs(samples, out=np.empty_like(samples)).max(initial=0.0) > _MOST_SAMPLE:
+            raise RefusedError(CloseCode.BAD_MESSAGE, "the sound holds samples far beyond full scale, which is 1")
+        return samples
+
+
+def read_message(text: str) -> dict[str, Any]:
+    """A text message of a client; `RefusedError` where it is none of the schema's."""
+    try:
+        # Python would take NaN and Infinity, which JSON has not.
+        message = json.loads(text, parse_constant=_no_number)
+    except (ValueError, RecursionError):
+        raise RefusedError(CloseCode.BAD_MESSAGE, "the message is no JSON") from None
+    kinds = [one["$ref"].removeprefix("#/$defs/") for one in published()["client"]["oneOf"]]
+    kind = message.get("type") if isinstance(message, dict) else None
+    if not isinstance(kind, str) or kind not in kinds:
+        raise RefusedError(CloseCode.BAD_MESSAGE, f"the message's type is {shown(kind)}, none of {', '.join(kinds)}")
+    try:
+        schema.check(message, {"$ref": f"#/$defs/{kind}"}, published(), kind)
+    except InputError as error:
+        raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
+    return message
+
+
+def read_hello(text: str) -> StreamRequest:
+    """A client's first message; `RefusedError` where it is none."""
+    message = read_message(text)
+    if message.pop("type") != "hello":
+        raise RefusedError(CloseCode.BAD_MESSAGE, "the first message must be a hello")
+    del message["protocol"]
+    # A whole number may be written as a float.
+    message |= {name: int(message[name]) for name in ("sample_rate", "seed") if name in message}
+    return StreamRequest(**message)
+
+
+def pack(frames: StreamFrames, request: StreamRequest, state: str, received: float) -> bytes:
+    """A packet of poses, one at least: header and float32 numbers, as the schema has it.
+
+    received: seconds of sound that were taken in.
+    """
+    if request.output == "smplx":
+        from data_module.motion.smplx import smplx_arrays
+
+        arrays = smplx_arrays(frames.motion())
+        rotations, root = arrays["poses"].reshape(len(frames), -1, 3), arrays["trans"]
+    else:
+        rotations, root = frames.rotations, frames.root_positions
+    header = json.dumps({
+        "type": "poses", "first": frames.first, "count": len(frames), "time": round(frames.first / request.fps, 6),
+        "fps": request.fps, "joints": rotations.shape[1], "state": state, "received": round(received, 6),
+    }, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 4)  # numbers begin at a multiple of their size, as typed arrays want it
+    return b"".join((struct.pack("<I", len(header)), header, rotations.astype("<f4").tobytes(),
+                     root.astype("<f4").tobytes()))
+
+
+def joints(skeleton: Skeleton) -> list[dict[str, Any]]:
+    """The skeleton as a hello tells it."""
+    out: list[dict[str, Any]] = [
+        {"name": name, "parent": parent, "offset": np.round(offset, 6).tolist()}
+        for name, parent, offset in zip(skeleton.names, skeleton.parents, skeleton.offsets, strict=True)]
+    for joint, tip in skeleton.end_sites.items():
+        out[joint]["tip"] = np.round(tip, 6).tolist()
+    return out
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(text)

@@ -1,0 +1,150 @@
+"""One stream between the wire and the models: samples and commands in, packets and events out. No network here."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from data_module.motion.skeletons import HIP_HEIGHT
+from data_module.types import Word
+from gesticulator.serve.protocol import VERSION, CloseCode, RefusedError, StreamRequest, joints, pack
+
+if TYPE_CHECKING:
+    from data_module.types import Samples
+    from gesticulator.pipeline import Gesticulator
+    from gesticulator.serve.settings import ServerLimits
+    from gesticulator.stream import Stream, StreamFrames
+
+
+@dataclass(frozen=True)
+class SessionFacts:
+    """What a client is told of a stream. look_ahead: seconds of sound that a pose waits for, at most."""
+
+    look_ahead: float
+    limits: ServerLimits
+
+
+@dataclass
+class SessionAnswer:
+    """What one piece of work gave. messages: packets (bytes) and events (text), in their order; frames: the same
+    poses."""
+
+    messages: list[bytes | str] = field(default_factory=list)
+    frames: list[StreamFrames] = field(default_factory=list)
+
+    def say(self, kind: str, **values: Any) -> None:
+        """Add an event."""
+        self.messages.append(json.dumps({"type": kind, **values}))
+
+
+class Session:
+    """One client's stream of gestures."""
+
+    def __init__(self, name: str, request: StreamRequest, stream: Stream, facts: SessionFacts) -> None:
+        self.name, self.request, self.facts = name, request, facts
+        self._stream = stream
+        self._received = 0.0
+        self._state = "idle"
+        self._lift: float | None = None
+        """Metres."""
+        self._words: list[Word] = []
+        """Those whose poses were not sent."""
+
+    def welcome(self) -> dict[str, Any]:
+        """The server's hello."""
+        from gesticulator import __version__
+
+        limits, request = self.facts.limits, self.request
+        return {
+            "type": "hello", "protocol": VERSION, "server": f"gesticulator {__version__}", "stream": self.name,
+            "sample_rate": request.sample_rate, "format": request.format, "fps": request.fps,
+            "output": request.output, "look_ahead": round(self.facts.look_ahead, 4),
+            "joints": joints(self._stream.skeleton) if request.output == "joints" else [],
+            "limits": {"message_bytes": limits.message_bytes, "waiting_seconds": limits.waiting_seconds,
+                       "stream_seconds": limits.stream_seconds},
+        }
+
+    def feed(self, samples: Samples, heard: bool = False) -> SessionAnswer:
+        """The avatar's own voice went on; with `heard`, another's."""
+        self._received += len(samples) / self.request.sample_rate
+        return self._answer(self._stream.listen(samples) if heard else self._stream.feed(samples))
+
+    def obey(self, message: dict[str, Any]) -> SessionAnswer:
+        """Do what a client's command says; see the schema."""
+        kind = message["type"]
+        if kind in ("idle", "think"):
+            return self.wait(kind, float(message.get("seconds", 0.0)))
+        if kind == "interrupt":
+            at = message.get("time")
+            self._words = [word for word in self._words if at is not None and word.start < at]
+            return self._answer(self._stream.interrupt(None if at is None else min(float(at), self._stream.time)))
+        if kind == "words":
+            return self._add_words(message["words"])
+        if kind == "finish":
+            answer = self._answer(self._stream.finish())
+            answer.say("done", frames=self._stream.made)
+            return answer
+        return SessionAnswer()  # listen and speak: the sound that follows tells the stream
+
+    def wait(self, kind: str, seconds: float) -> SessionAnswer:
+        """Media time goes on without sound. kind: "idle" or "think"."""
+        return self._answer(self._stream.think(seconds) if kind == "think" else self._stream.idle(seconds))
+
+    def _add_words(self, told: list[dict[str, Any]]) -> SessionAnswer:
+        if not self.request.options.get("text", False):
+            raise RefusedError(CloseCode.BAD_MESSAGE, "words came for a stream without the option text")
+        try:
+            words = [Word(one["text"], float(one["start"]), float(one["end"])) for one in told]
+        except ValueError as error:
+            raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
+        if len(self._words) + len(words) > _MOST_WORDS:
+            raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {_MOST_WORDS} words wait for their sound")
+        self._stream.add_words(words)
+        self._words = sorted([*self._words, *words], key=lambda word: word.start)
+        return SessionAnswer()
+
+    def _answer(self, frames: StreamFrames) -> SessionAnswer:
+        answer = SessionAnswer()
+        frames = self._standing(frames)
+        state = str(self._stream.state.value)
+        if state != self._state:
+            self._state = state
+            answer.say("state", state=state, time=round(frames.first / frames.fps, 6))
+        for block in frames.blocks:
+            answer.say("lexeme", start=round(float(block.start), 6), end=round(float(block.end), 6),
+                       lexeme=int(block.lexeme), silent=bool(block.silent))
+            answer.say("beat", time=round(float(block.end), 6))
+        end = (frames.first + len(frames)) / frames.fps
+        while self._words and self._words[0].start < end:
+            word = self._words.pop(0)
+            answer.say("word", text=word.text, start=word.start, end=word.end)
+        if len(frames):
+            answer.messages.append(pack(frames, self.request, state, self._received))
+            answer.frames.append(frames)
+        return answer
+
+
+    def _standing(self, frames: StreamFrames) -> StreamFrames:
+        """The frames with her hips above the floor where the models have them at the origin; decided once."""
+        if len(frames) and self._lift is None:
+            self._lift = HIP_HEIGHT if frames.root_positions[0, 1] < HIP_HEIGHT / 4 else 0.0
+        if not self._lift or not len(frames):
+            return frames
+        return replace(frames, root_positions=frames.root_positions + np.array([0.0, self._lift, 0.0]))
+
+
+_MOST_WORDS = 20_000
+"""Two hours of speech."""
+
+
+def session_opener(system: Gesticulator, limits: ServerLimits) -> Callable[[str, StreamRequest], Session]:
+    """What opens a session of a stream's name and request; `InputError` for a request that cannot be met."""
+    def open_session(name: str, request: StreamRequest) -> Session:
+        stream = system.stream(sample_rate=request.sample_rate, seed=request.seed, fps=request.fps, **request.options)
+        return Session(name, request, stream, SessionFacts(stream.look_ahead, limits))
+
+    return open_session

@@ -1,0 +1,218 @@
+"""Poses by the Virtual Motion Capture protocol (OSC over UDP), which avatar programs read.
+
+Each frame is one OSC bundle: that the model is there, the sender's time, the root, and every bone of the VRM humanoid
+under the name that Unity gives it, with its place and turn in the frame of the bone above. Unity's axes are
+left-handed: Y up, the character faces +Z, and her left is -X. Ours are their mirror image in X.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+import time
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.motion.skeletons import standing
+
+if TYPE_CHECKING:
+    from data_module.types import Array, Motion
+    from gesticulator.export.nodes import NodeMotion
+    from gesticulator.stream import StreamFrames
+
+PORT = 39539
+"""Where receivers listen, as a rule."""
+LATEST = 0.25
+"""Seconds that frames may come late before the clock that plays them is set back: a hitch less than that is caught
+up."""
+MOST_SECONDS = 600.0
+"""Of motion that waits to be played."""
+_BUNDLE = b"#bundle\0" + struct.pack(">Q", 1)
+"""Head of a bundle that is meant for at once."""
+_THUMB = {"Metacarpal": "Proximal", "Proximal": "Intermediate", "Distal": "Distal"}
+"""Unity names the three joints of the thumb like those of a finger; VRM 1.0 names its bones."""
+
+
+def read_target(text: str) -> tuple[str, int]:
+    """Host and port of "HOST:PORT"; `InputError` for what is none."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(f"--vmc {text}", "is no HOST:PORT", f"such as 127.0.0.1:{PORT}")
+    try:
+        import pythonosc  # noqa: F401
+    except ImportError:
+        raise InputError("--vmc", "needs the package python-osc", "pip install 'gesticulator[live]'") from None
+    return host.strip("[]"), int(port)
+
+
+def unity_bone(vrm: str) -> str:
+    """Unity's name (HumanBodyBones) of a bone of VRM 1.0: "leftThumbMetacarpal" is "LeftThumbProximal"."""
+    side, found, place = vrm.partition("Thumb")
+    name = side + found + _THUMB[place] if found else vrm
+    return name[0].upper() + name[1:]
+
+
+def mirrored_place(place: Array) -> Array:
+    """[..., 3] of our axes in Unity's, and back."""
+    return place * np.array([-1.0, 1.0, 1.0])
+
+
+def mirrored_turn(turn: Array) -> Array:
+    """[..., 4] (x, y, z, w) in Unity's axes of [..., 4] (w, x, y, z) in ours."""
+    return turn[..., [1, 2, 3, 0]] * np.array([1.0, -1.0, -1.0, 1.0])
+
+
+class VmcFrames:
+    """A motion as bundles of OSC."""
+
+    def __init__(self, motion: Motion) -> None:
+        from gesticulator.export.vrma import humanoid
+
+        nodes = humanoid(standing(motion))
+        self.fps = motion.fps
+        self._heads = [_head("/VMC/Ext/Bone/Pos", unity_bone(name)) for name in nodes.names]
+        self._numbers = self._poses(nodes)
+
+    @staticmethod
+    def _poses(nodes: NodeMotion) -> Array:
+        """[T, N, 7] of every bone: place (x, y, z) in the frame of the one above, turn (x, y, z, w)."""
+        places = np.broadcast_to(nodes.translations, (len(nodes), *nodes.translations.shape)).copy()
+        for node, path in nodes.shifts.items():
+            places[:, node] = path
+        return np.concatenate([mirrored_place(places), mirrored_turn(nodes.turns)], axis=-1)
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def bundle(self, frame: int, seconds: float) -> bytes:
+        """The frame as a bundle; seconds: the sender's time."""
+        messages = [_ok(1), _time(seconds), _ROOT + struct.pack(">7f", 0, 0, 0, 0, 0, 0, 1)]
+        numbers = self._numbers[frame].astype(">f4").tobytes()
+        messages += [head + numbers[28 * bone:28 * bone + 28] for bone, head in enumerate(self._heads)]
+        return _bundled(messages)
+
+
+def _head(address: str, name: str) -> bytes:
+    """An OSC message of a name and seven floats, up to the floats."""
+    from pythonosc.osc_message_builder import OscMessageBuilder
+
+    builder = OscMessageBuilder(address)
+    builder.add_arg(name, "s")
+    for _ in range(7):
+        builder.add_arg(0.0, "f")
+    return bytes(builder.build().dgram[:-28])
+
+
+def _message(address: str, kind: str, value: float) -> bytes:
+    from pythonosc.osc_message_builder import OscMessageBuilder
+
+    builder = OscMessageBuilder(address)
+    builder.add_arg(value, kind)
+    return bytes(builder.build().dgram)
+
+
+def _ok(loaded: int) -> bytes:
+    return _message("/VMC/Ext/OK", "i", loaded)
+
+
+def _time(seconds: float) -> bytes:
+    return _message("/VMC/Ext/T", "f", seconds)
+
+
+def _bundled(messages: list[bytes]) -> bytes:
+    return b"".join((_BUNDLE, *(part for message in messages for part in (struct.pack(">i", len(message)), message))))
+
+
+_ROOT = b"/VMC/Ext/Root/Pos\0\0\0,sfffffff\0\0\0root\0\0\0\0"
+"""The message of the root up to its numbers; a test holds it against python-osc."""
+
+
+@dataclass
+class _Played:
+    first: int
+    frames: VmcFrames
+
+
+class VmcOutput:
+    """Plays one stream's frames in their own time, each once: poses may come much earlier than they are due.
+
+    The first stream that has frames has the output until it ends. A frame that was sent before is replaced.
+    """
+
+    def __init__(self, target: str) -> None:
+        self.host, self.port = read_target(target)
+        self.stream: str | None = None
+        self._parts: list[_Played] = []
+        self._came = asyncio.Event()
+        self._begin = time.monotonic()
+        self._zero = 0.0
+        """time.monotonic() of frame 0."""
+        try:
+            family, _, _, _, address = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)[0]
+        except OSError as error:
+            raise InputError(f"--vmc {target}", f"is not known ({error.strerror})", "name an address") from None
+        self._address = address
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    def take(self, stream: str, frames: StreamFrames) -> None:
+        """Frames of a stream, one at least."""
+        first, fps = frames.first, frames.fps
+        if self.stream not in (None, stream):
+            return
+        now = time.monotonic()
+        if self.stream is None or now > self._zero + first / fps + LATEST:
+            self._zero = now - first / fps
+        self.stream = stream
+        self._parts = [part for part in self._parts if part.first < first]
+        if first / fps < now - self._zero + MOST_SECONDS:
+            self._parts.append(_Played(first, VmcFrames(frames.motion())))
+            self._came.set()
+
+    def leave(self, stream: str) -> None:
+        """A stream has ended. What is left of it is played, unless another has frames before."""
+        if self.stream == stream:
+            self.stream = None
+
+    def due(self, now: float) -> bytes | None:
+        """The bundle of the frame that is due at a time of time.monotonic(); of the last there is, where none is."""
+        if not self._parts:
+            return None
+        fps = self._parts[0].frames.fps
+        frame = int((now - self._zero) * fps)
+        place = max(bisect_right([part.first for part in self._parts], frame) - 1, 0)
+        del self._parts[:place]
+        part = self._parts[0]
+        end = self._parts[1].first if len(self._parts) > 1 else part.first + len(part.frames)
+        at = min(max(frame, part.first), end - 1) - part.first
+        return part.frames.bundle(min(at, len(part.frames) - 1), now - self._begin)
+
+    async def _wait(self, now: float) -> None:
+        """Until the next frame is due, or there is a first; a second at most."""
+        if self._parts:
+            period = 1 / self._parts[0].frames.fps
+            await asyncio.sleep(period - (now - self._zero) % period)
+            return
+        self._came.clear()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(1.0):
+                await self._came.wait()
+
+    async def run(self) -> None:
+        """Send a bundle for each frame, until cancelled."""
+        try:
+            while True:
+                now = time.monotonic()
+                found = self.due(now)
+                # A receiver that is not there, or a network that is full, must not end the streams.
+                with contextlib.suppress(OSError):
+                    self._socket.sendto(found or _bundled([_ok(0), _time(now - self._begin)]), self._address)
+                await self._wait(now)
+        finally:
+            self._socket.close()

@@ -1,0 +1,203 @@
+"""A Pipecat processor that adds gestures: put it between the synthesiser and the transport's output.
+
+Every frame passes at once: the sound waits for nothing. `PoseFrame`s follow, with the media time they belong to; who
+shows them asks `media_time()` or counts the sound that was played.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pipecat.frames.frames import (
+    CancelFrame,
+    DataFrame,
+    EndFrame,
+    Frame,
+    InputAudioRawFrame,
+    InterruptionFrame,
+    StartFrame,
+    TTSAudioRawFrame,
+    TTSStoppedFrame,
+    UserStartedSpeakingFrame,
+    UserStoppedSpeakingFrame,
+)
+from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
+from websockets.exceptions import WebSocketException
+
+from pipecat_gesticulator.client import GestureStream, connect
+from pipecat_gesticulator.protocol import Hello, Poses, Welcome
+
+TICK_SECONDS = 0.05
+"""How often idle motion is asked for while nobody speaks; poses of idle time come so much late."""
+REST_SECONDS = 10.0
+"""How long the rest of the poses may take at the end."""
+MOST_ORDERS = 5000
+"""Messages that may wait for the server: minutes of sound, while it starts."""
+_Order = Callable[[GestureStream], Awaitable[None]]
+
+
+@dataclass
+class PoseFrame(DataFrame):
+    """Poses of the avatar. welcome: the server's hello, with the skeleton."""
+
+    poses: Poses
+    welcome: Welcome = field(repr=False)
+
+
+class GesticulatorProcessor(FrameProcessor):
+    """Sends what the synthesiser says to a gesticulator server, and pushes the poses downstream.
+
+    An interruption takes back the poses that were not played yet. While the user speaks the avatar listens, then it
+    thinks until it is answered. A server that cannot be reached costs an error frame and nothing else.
+    """
+
+    def __init__(self, url: str = "ws://127.0.0.1:8765/stream", *, fps: float = 60.0, seed: int = 0,
+                 options: dict[str, Any] | None = None, token: str | None = None, **kwargs: Any) -> None:
+        """url: of the server. options: as in the schema, such as {"activity": 0.6}."""
+        super().__init__(**kwargs)
+        self._url = url
+        self._asked = {"fps": fps, "seed": seed, "options": options or {}, "token": token}
+        self._rate = 24000
+        self._orders: asyncio.Queue[_Order] = asyncio.Queue(MOST_ORDERS)
+        self._tasks: list[asyncio.Task[None]] = []
+        self._ended = asyncio.Event()
+        self._lost = False
+        self._sent = 0.0
+        """Seconds of media time that were asked for: sound and idle time."""
+        self._play_end = 0.0
+        """time.monotonic() at which all of it will have been played."""
+        self._user_speaks = False
+        self._waits = "idle"
+
+    def media_time(self) -> float:
+        """The media time that is played now, seconds, where sound is played as it comes."""
+        return max(0.0, self._sent - max(0.0, self._play_end - time.monotonic()))
+
+    async def setup(self, setup: Any) -> None:
+        """Take the rate that the pipeline speaks at."""
+        await super().setup(setup)
+        self._rate = getattr(setup, "audio_out_sample_rate", 0) or self._rate
+
+    async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
+        """Pass the frame on, and have the server told what it means."""
+        await super().process_frame(frame, direction)
+        if isinstance(frame, StartFrame):
+            self._play_end = time.monotonic()
+            self._tasks = [self.create_task(self._work()), self.create_task(self._tick())]
+        if isinstance(frame, EndFrame):
+            await self._end()
+        await self.push_frame(frame, direction)
+        if isinstance(frame, CancelFrame):
+            await self._stop()
+        elif not self._lost:
+            self._tell(frame)
+
+    async def cleanup(self) -> None:
+        """Let go of the server."""
+        await self._stop()
+        await super().cleanup()
+
+    def _tell(self, frame: Frame) -> None:
+        if isinstance(frame, TTSAudioRawFrame):
+            self._waits = "idle"
+            self._send(frame)
+        elif isinstance(frame, TTSStoppedFrame):
+            self._order(lambda stream: stream.idle(0.0))  # the last poses wait for sound that does not come
+        elif isinstance(frame, InterruptionFrame):
+            at = self.media_time()
+            self._sent, self._play_end = at, time.monotonic()
+            self._order(lambda stream: stream.interrupt(at))
+        elif isinstance(frame, UserStartedSpeakingFrame):
+            self._user_speaks = True
+            self._order(lambda stream: stream.listen())
+        elif isinstance(frame, UserStoppedSpeakingFrame):
+            self._user_speaks, self._waits = False, "think"
+            self._order(lambda stream: stream.speak())
+        elif isinstance(frame, InputAudioRawFrame) and self._user_speaks and self._play_end <= time.monotonic():
+            self._send(frame)
+
+    def _send(self, frame: TTSAudioRawFrame | InputAudioRawFrame) -> None:
+        samples = _mono(frame.audio, frame.num_channels, frame.sample_rate, self._rate)
+        seconds = len(samples) / self._rate
+        self._sent += seconds
+        self._play_end = max(self._play_end, time.monotonic()) + seconds
+        self._order(lambda stream: stream.send(samples.astype("<i2").tobytes()))
+
+    def _order(self, order: _Order) -> None:
+        """Have something sent, without waiting for it. What does not fit any more ends the gestures, not the talk."""
+        try:
+            self._orders.put_nowait(order)
+        except asyncio.QueueFull:
+            self._lost = True
+
+    async def _work(self) -> None:
+        """Hold the stream open, and push what comes from it."""
+        try:
+            async with connect(self._url, Hello(self._rate, **self._asked)) as stream:
+                sending = self.create_task(self._obey(stream))
+                try:
+                    async for message in stream:
+                        if isinstance(message, Poses):
+                            await self.push_frame(PoseFrame(message, stream.welcome))
+                finally:
+                    await self.cancel_task(sending)
+        except (WebSocketException, OSError, ValueError) as error:
+            await self.push_error(f"no gestures: {type(error).__name__}: {error}")
+        finally:
+            self._lost = True
+            self._ended.set()
+
+    async def _obey(self, stream: GestureStream) -> None:
+        with contextlib.suppress(WebSocketException):  # whoever receives hears of it too
+            while True:
+                await (await self._orders.get())(stream)
+
+    async def _tick(self) -> None:
+        """While nobody speaks, media time goes on with the clock."""
+        while not self._lost:
+            await asyncio.sleep(TICK_SECONDS)
+            late = time.monotonic() - self._play_end
+            if late <= 0 or (self._user_speaks and late < 4 * TICK_SECONDS):
+                continue
+            self._sent += late
+            self._play_end += late
+            self._order(_wait(self._waits, late))
+
+    async def _end(self) -> None:
+        """Have the rest of the poses pushed before the pipeline ends."""
+        if self._lost or not self._tasks:
+            return
+        self._order(lambda stream: stream.finish())
+        try:
+            async with asyncio.timeout(REST_SECONDS):
+                await self._ended.wait()
+        except TimeoutError:
+            await self.push_error("no gestures: the server did not finish")
+
+    async def _stop(self) -> None:
+        self._lost = True
+        for task in self._tasks:
+            await self.cancel_task(task)
+        self._tasks = []
+
+
+def _wait(how: str, seconds: float) -> _Order:
+    """Idle motion, or the motion of one who thinks."""
+    return (lambda stream: stream.think(seconds)) if how == "think" else (lambda stream: stream.idle(seconds))
+
+
+def _mono(sound: bytes, channels: int, rate: int, wanted: int) -> NDArray[np.int16]:
+    """16 bit sound as one channel at the rate that the server was told; interpolated, which is enough for gestures."""
+    whole = len(sound) // (2 * channels) * 2 * channels
+    samples = np.frombuffer(sound[:whole], "<i2").reshape(-1, channels).mean(axis=1)
+    if rate != wanted and len(samples):
+        places = np.arange(int(len(samples) * wanted / rate)) * (rate / wanted)
+        samples = np.interp(places, np.arange(len(samples)), samples)
+    return samples.astype(np.int16)

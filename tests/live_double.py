@@ -1,0 +1,109 @@
+"""A stream that needs no models, to test what is around it: every frame tells its number by its first joint."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+import numpy as np
+
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
+from data_module.types import Word
+from gesticulator.serve.protocol import StreamRequest
+from gesticulator.serve.server import LiveServer, Page, ServerAddress
+from gesticulator.serve.session import Session, SessionFacts
+from gesticulator.serve.settings import ServerLimits
+from gesticulator.stream import StreamBlock, StreamFrames, StreamState
+
+LOOK_AHEAD = 0.5
+TURN = 0.001
+"""Radians about Y for each frame."""
+
+
+class TellingStream:
+    """Frame k turns the hips by k * TURN about Y; half a second of sound is looked ahead, and is a block."""
+
+    skeleton = CHARACTER
+
+    def __init__(self, request: StreamRequest, seconds: float = 0.0) -> None:
+        self.request, self.seconds = request, seconds
+        self.time = 0.0
+        self.made = 0
+        self.state = StreamState.IDLE
+        self.words: list[Word] = []
+
+    def feed(self, samples: np.ndarray) -> StreamFrames:
+        time.sleep(self.seconds)
+        if samples.max(initial=0.0) > 0.999:
+            raise RuntimeError("a model failed\nwith two lines")
+        self.time += len(samples) / self.request.sample_rate
+        self.state = StreamState.SPEAKING
+        return self._until(self.time - LOOK_AHEAD)
+
+    def listen(self, samples: np.ndarray) -> StreamFrames:
+        self.time += len(samples) / self.request.sample_rate
+        return self._all(StreamState.LISTENING)
+
+    def idle(self, seconds: float) -> StreamFrames:
+        self.time += seconds
+        return self._all(StreamState.IDLE)
+
+    def think(self, seconds: float) -> StreamFrames:
+        self.time += seconds
+        return self._all(StreamState.THINKING)
+
+    def interrupt(self, at: float | None = None) -> StreamFrames:
+        if at is not None:
+            self.time, self.made = at, int(at * self.request.fps)
+            self.time += 0.25  # of hands that come down
+        return self._all(StreamState.IDLE)
+
+    def add_words(self, words: list[Word]) -> None:
+        self.words += words
+
+    def finish(self) -> StreamFrames:
+        return self._until(self.time)
+
+    def _all(self, state: StreamState) -> StreamFrames:
+        self.state = state
+        return self._until(self.time)
+
+    def _until(self, seconds: float) -> StreamFrames:
+        first, fps = self.made, self.request.fps
+        self.made = max(int(seconds * fps + 1e-6), first)
+        numbers = np.arange(first, self.made)
+        turns = np.zeros((len(numbers), len(CHARACTER), 4))
+        turns[..., 0] = 1.0
+        turns[:, 0] = rotation.from_exponential_map(np.stack([0 * numbers, numbers * TURN, 0 * numbers], -1))
+        blocks = tuple(StreamBlock(k * LOOK_AHEAD, (k + 1) * LOOK_AHEAD, k, k % 2 == 1)
+                       for k in range(int(first / fps / LOOK_AHEAD), int(self.made / fps / LOOK_AHEAD)))
+        return StreamFrames(first, fps, CHARACTER, turns, np.tile([0.0, 0.95, 0.0], (len(numbers), 1)), blocks)
+
+
+def opener(limits: ServerLimits, seconds: float = 0.0) -> Callable[[str, StreamRequest], Session]:
+    """Opens sessions of telling streams; seconds: of work for each piece of sound."""
+    def open_session(name: str, request: StreamRequest) -> Session:
+        return Session(name, request, TellingStream(request, seconds), SessionFacts(LOOK_AHEAD, limits))
+
+    return open_session
+
+
+@contextmanager
+def served(limits: ServerLimits, pages: Mapping[str, Page]) -> Iterator[tuple[LiveServer, int]]:
+    """A server of telling streams in a thread of its own, and its port."""
+    address = ServerAddress(port=0)
+    listening = address.listen()
+    server = LiveServer(address, limits, opener(limits), pages=pages)
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=lambda: loop.run_until_complete(server.run(listening)))
+    thread.start()
+    try:
+        yield server, listening.getsockname()[1]
+    finally:
+        loop.call_soon_threadsafe(server.stop)
+        thread.join(20)
+        loop.close()

@@ -1,0 +1,138 @@
+"""The page of `gesticulator live` in a real browser, with a microphone that plays a file."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import wave
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_double import TURN, served
+from small_characters import write_character
+
+from data_module.motion.skeletons import CHARACTER
+from gesticulator.serve.page import pages
+from gesticulator.serve.settings import ServerLimits
+
+ROOT = Path(__file__).resolve().parents[1]
+FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+         "--disable-background-networking", "--disable-component-update", "--use-angle=swiftshader",
+         "--enable-unsafe-swiftshader", "--autoplay-policy=no-user-gesture-required",
+         "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of a tone that comes and goes."""
+    path = tmp_path_factory.mktemp("sound") / "tone.wav"
+    samples = 12000 * np.sin(np.arange(32000) * 0.1) * np.sin(np.arange(32000) * 0.0004) ** 2
+    with wave.open(str(path), "wb") as sound:
+        sound.setnchannels(1)
+        sound.setsampwidth(2)
+        sound.setframerate(16000)
+        sound.writeframes(samples.astype("<i2").tobytes())
+    return path
+
+
+@pytest.fixture(scope="module")
+def opened(recording: Path) -> Iterator[tuple[Any, list[str], list[str]]]:
+    """The page, what it complained about and what it asked for."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    program = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
+    if not program:
+        pytest.skip("no chromium on this machine")
+    complaints: list[str] = []
+    requests: list[str] = []
+    with served(ServerLimits(), pages()) as (_, port), playwright.sync_playwright() as driver:
+        window = driver.chromium.launch(executable_path=program,
+                                        args=[*FLAGS, f"--use-file-for-fake-audio-capture={recording}"])
+        page = window.new_page(viewport={"width": 640, "height": 480})
+        page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+        yield page, complaints, requests
+        window.close()
+
+
+def _yaw(page: Any) -> float:
+    """How far the figure's hips are turned: it says which frame is shown."""
+    turn = page.evaluate("() => live.performer.figure.bones[0].quaternion.toArray()")
+    return float(2 * np.arctan2(turn[1], turn[3]))
+
+
+def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[str]], recording: Path) -> None:
+    page, complaints, requests = opened
+    page.wait_for_function("() => live.stream.total > 20", timeout=20_000)
+    assert page.evaluate("() => live.performer.figure.bones.map((bone) => bone.name)") == list(CHARACTER.names)
+    assert page.inner_text("#state") == "idle"
+
+    page.click("#microphone")
+    page.wait_for_function("() => live.voice.kind === 'microphone' && live.stream.end > 120",
+                           timeout=30_000)
+    assert page.get_attribute("#microphone", "aria-pressed") == "true"
+    assert page.inner_text("#state") == "speaking"
+    # The stream looks half a second ahead: that, and some time on the way and for the browser's pieces.
+    latency = float(page.inner_text("#latency").removesuffix(" ms"))
+    assert 450 < latency < 2000
+    shown, now = page.evaluate("() => [live.voice.time(), live.voice.now()]")
+    assert shown == pytest.approx(now - latency / 1000, abs=0.4)
+    assert _yaw(page) == pytest.approx(shown * 60 * TURN, abs=0.03), "the frame of that time is shown"
+
+    page.click("#stop")
+    page.wait_for_function("() => live.voice.kind === 'idle'")
+    page.set_input_files("#file", recording)
+    page.wait_for_function("() => live.voice.kind === 'recording' && live.voice.time() > 1",
+                           timeout=30_000)
+    assert page.evaluate("() => live.stream.end") > 60 * 2, "poses lie ready before their sound"
+    assert page.inner_text("#latency") == "0 ms"
+    shown = page.evaluate("() => live.voice.time()")
+    assert _yaw(page) == pytest.approx(shown * 60 * TURN, abs=0.03)
+    page.wait_for_function("() => live.voice.kind === 'idle'", timeout=20_000)
+
+    assert complaints == []
+    assert all(url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "blob:", "data:")) for url in requests)
+    if os.environ.get("SCREENSHOT"):
+        page.screenshot(path=os.environ["SCREENSHOT"])
+
+
+def test_a_character_is_dropped_on_the_page(opened: tuple[Any, list[str], list[str]], tmp_path: Path) -> None:
+    page, complaints, _ = opened
+    vrm = write_character(tmp_path / "small.vrm", vrm=True).read_bytes()
+    page.evaluate("""(bytes) => {
+        const transfer = new DataTransfer();
+        transfer.items.add(new File([new Uint8Array(bytes)], "small.vrm"));
+        dispatchEvent(new DragEvent("drop", { dataTransfer: transfer }));
+    }""", list(vrm))
+    page.wait_for_function("() => live.performer.character !== null", timeout=20_000)
+    assert "small.vrm (VRM 1.0)" in page.inner_text("#character")
+    page.wait_for_function("() => live.stream.total > 120", timeout=20_000)
+    # The character's hips turn as the figure's do.
+    turned = page.evaluate("""() => {
+        const { character, poser } = live.performer;
+        character.show(poser);
+        const q = character.vrm.humanoid.getNormalizedBoneNode("hips").quaternion;
+        return [2 * Math.atan2(q.y, q.w), 2 * Math.atan2(poser.local[2], poser.local[0])];
+    }""")
+    assert turned[0] == pytest.approx(turned[1], abs=1e-3) and abs(turned[1]) > 0.05
+    page.click("#undress")
+    assert page.evaluate("() => live.performer.character") is None
+    assert complaints == []
+
+
+def test_the_committed_script_is_the_build_of_its_sources(tmp_path: Path) -> None:
+    viewer = ROOT / "viewer"
+    node = shutil.which("node")
+    if node is None or not (viewer / "node_modules").exists() or not (viewer / "src" / "figure.js").exists():
+        pytest.skip("node is not installed, or npm ci --prefix viewer has not been run")
+    subprocess.run([node, str(viewer / "build_live.mjs")], check=True, env={**os.environ, "LIVE_OUT": str(tmp_path)})
+    for name in ("live.min.js", "licences.txt"):
+        committed = ROOT / "gesticulator" / "assets" / "live" / name
+        assert (tmp_path / name).read_bytes() == committed.read_bytes(), f"{name}: run npm run build --prefix viewer"

@@ -1,0 +1,81 @@
+"""The client's package: its licence, what it imports, and its own tests where Pipecat is installed."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "integrations" / "pipecat-gesticulator"
+OURS = {"data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval"}
+
+
+def test_it_imports_nothing_of_the_gpl_packages() -> None:
+    """Neither by a statement nor when it is loaded: it may be used where the GPL may not."""
+    files = sorted(FOLDER.rglob("*.py"))
+    assert len(files) >= 5
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else \
+                [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not {name.partition(".")[0] for name in names} & OURS, file
+    code = "import sys, pipecat_gesticulator; print([name for name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], cwd=FOLDER, env={**os.environ, "PYTHONPATH": str(FOLDER)},
+                          capture_output=True, text=True, check=True)
+    loaded = set(ast.literal_eval(done.stdout))
+    assert "pipecat_gesticulator" in loaded and not loaded & OURS and "torch" not in loaded
+
+
+def test_it_has_its_own_licence_and_the_notice_names_it() -> None:
+    project = tomllib.loads((FOLDER / "pyproject.toml").read_text())["project"]
+    assert project["license"] == "BSD-2-Clause"
+    assert (FOLDER / "LICENSE").read_text().startswith("BSD 2-Clause License")
+    notice = (ROOT / "NOTICE").read_text()
+    assert "integrations/pipecat-gesticulator" in notice and "BSD-2-Clause" in notice
+    assert not {name.partition(">")[0] for name in project["dependencies"]} & {"gesticulator", "torch"}
+
+
+def test_the_schema_is_in_our_wheel() -> None:
+    """An installed server has no checkout beside it: the wheel carries the file that the client's package publishes."""
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    ((source, target),) = wheel["force-include"].items()
+    assert (ROOT / source).samefile(FOLDER / "pipecat_gesticulator" / "protocol.json")
+    from gesticulator.serve import protocol
+
+    places = [place.relative_to(ROOT).as_posix() for place in protocol._PLACES]
+    assert places == [source, target]
+    assert json.loads((ROOT / source).read_text()) == protocol.published()
+
+
+def test_a_wheel_of_it_can_be_built(tmp_path: Path) -> None:
+    pytest.importorskip("hatchling", reason="hatchling is not installed")
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w",
+                    str(tmp_path), str(FOLDER)], check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert "pipecat_gesticulator/protocol.json" in names and any(name.endswith("LICENSE") for name in names)
+
+
+def test_its_own_tests_pass_in_a_real_pipeline() -> None:
+    """Where Pipecat is installed beside us, or PIPECAT_PYTHON names a Python that has it."""
+    python = os.environ.get("PIPECAT_PYTHON") or (sys.executable if find_spec("pipecat") else None)
+    if python is None:
+        pytest.skip("pipecat-ai is not installed, and PIPECAT_PYTHON names no Python that has it")
+    if shutil.which("espeak-ng") is None:
+        pytest.skip("espeak-ng is not installed")
+    server = f"{sys.executable} -c 'import sys; from gesticulator.cli import main; sys.exit(main())'"
+    done = subprocess.run([python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"], cwd=FOLDER, text=True,
+                          env={**os.environ, "PYTHONPATH": str(FOLDER), "GESTICULATOR_COMMAND": server,
+                               "GESTICULATOR_ROOT": str(ROOT)}, capture_output=True, timeout=200)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "skipped" not in done.stdout.splitlines()[-1]

@@ -1,0 +1,646 @@
+"""The server: its protocol, its limits, and that no client is another's business."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+import urllib.error
+import urllib.request
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from live_double import LOOK_AHEAD, TURN, TellingStream, opener
+from pipecat_gesticulator import Hello, PosePlayer, Poses, connect
+from websockets.asyncio.client import connect as open_socket
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from data_module.errors import InputError
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
+from data_module.motion.smplx import smplx_arrays
+from gesticulator.serve import schema
+from gesticulator.serve.protocol import CloseCode, StreamRequest, published
+from gesticulator.serve.server import LiveServer, ServerAddress
+from gesticulator.serve.settings import ServerLimits
+
+RATE = 16000
+LIMITS = ServerLimits(streams=8, stream_seconds=100.0, message_bytes=2**16, waiting_seconds=10.0, unread_bytes=2**16,
+                      unread_seconds=1.0, hello_seconds=0.5, quiet_seconds=5.0, drain_seconds=0.5)
+
+
+@dataclass
+class Running:
+    """A server in the test's own loop."""
+
+    server: LiveServer
+    port: int
+    ended: asyncio.Task[None]
+
+    @property
+    def url(self) -> str:
+        return f"ws://127.0.0.1:{self.port}/stream"
+
+    async def get(self, path: str) -> tuple[int, str]:
+        def fetch() -> tuple[int, str]:
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{self.port}{path}", timeout=5) as answer:
+                    return answer.status, answer.read().decode()
+            except urllib.error.HTTPError as error:
+                return error.code, error.read().decode()
+
+        return await asyncio.to_thread(fetch)
+
+
+@asynccontextmanager
+async def running(limits: ServerLimits = LIMITS, work: float = 0.0, **address: Any) -> AsyncIterator[Running]:
+    told = ServerAddress(port=0, **address)
+    listening = told.listen()
+    server = LiveServer(told, limits, opener(limits, work))
+    ended = asyncio.create_task(server.run(listening))
+    try:
+        yield Running(server, listening.getsockname()[1], ended)
+    finally:
+        server.stop()
+        await asyncio.wait_for(ended, 10)
+
+
+def run(test: Callable[[], Awaitable[None]]) -> None:
+    """Run a test's coroutine, 30 s at most."""
+    async def bounded() -> None:
+        async with asyncio.timeout(30):
+            await test()
+
+    asyncio.run(bounded())
+
+
+def pcm(seconds: float, rate: int = RATE) -> bytes:
+    return (np.sin(np.arange(int(seconds * rate)) * 0.1) * 8000).astype("<i2").tobytes()
+
+
+async def talk(url: str, sound: bytes, hello: Hello | None = None, step: int = 3200
+               ) -> tuple[list[Poses], list[dict[str, Any]]]:
+    """Send sound in pieces, finish, and give all that was answered."""
+    poses, events = [], []
+    async with connect(url, hello or Hello(RATE)) as stream:
+        for start in range(0, len(sound), step):
+            await stream.send(sound[start:start + step])
+        await stream.finish()
+        async for message in stream:
+            (poses if isinstance(message, Poses) else events).append(message)
+    return poses, events
+
+
+async def closed_with(url: str, *messages: str | bytes, **options: Any) -> tuple[int, str]:
+    """The code and the reason that the server closes with after these messages."""
+    async with open_socket(url, **options) as ws:
+        with suppress(ConnectionClosed):
+            for message in messages:
+                await ws.send(message)
+            while True:
+                await ws.recv()
+        assert ws.close_code is not None
+        return ws.close_code, ws.close_reason or ""
+
+
+def assert_whole(poses: list[Poses], seconds: float, fps: float = 60.0) -> None:
+    """The frames follow each other from 0 to the end and each is the one that it says."""
+    numbers = np.concatenate([np.arange(one.first, one.first + len(one)) for one in poses])
+    np.testing.assert_array_equal(numbers, np.arange(int(seconds * fps)))
+    hips = np.concatenate([one.rotations[:, 0] for one in poses]).astype(np.float64)
+    np.testing.assert_allclose(rotation.to_exponential_map(hips)[:, 1], numbers * TURN, atol=1e-6)
+    root = np.concatenate([one.root_positions for one in poses])
+    np.testing.assert_allclose(root, np.tile([0, 0.95, 0], (len(root), 1)), atol=1e-6)
+
+
+# ---------------------------------------------------------------- what goes over the wire
+
+
+@pytest.mark.parametrize("kind", ["pcm16", "float32"])
+def test_sound_in_poses_out(kind: str) -> None:
+    sound = pcm(2.0) if kind == "pcm16" else (np.frombuffer(pcm(2.0), "<i2") / 32768).astype("<f4").tobytes()
+
+    async def test() -> None:
+        async with running() as at:
+            poses, events = await talk(at.url, sound, Hello(RATE, kind))
+            assert_whole(poses, 2.0)
+            assert events[-1] == {"type": "done", "frames": 120}
+            assert [event["state"] for event in events if event["type"] == "state"] == ["speaking"]
+
+    run(test)
+
+
+def test_the_hello_tells_the_skeleton() -> None:
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE, fps=30, seed=7)) as stream:
+            told = stream.welcome
+            assert (told.fps, told.look_ahead) == (30, LOOK_AHEAD)
+            assert tuple(joint.name for joint in told.joints) == CHARACTER.names
+            assert tuple(joint.parent for joint in told.joints) == CHARACTER.parents
+            np.testing.assert_allclose([joint.offset for joint in told.joints], CHARACTER.offsets, atol=1e-6)
+            await stream.finish()
+
+    run(test)
+
+
+def test_smplx_poses_are_those_of_an_smplx_file() -> None:
+    async def test() -> None:
+        async with running() as at:
+            poses, _ = await talk(at.url, pcm(1.0), Hello(RATE, output="smplx"))
+            double = TellingStream(StreamRequest(RATE))
+            double.time = 1.0
+            truth = smplx_arrays(double.finish().motion())
+            got = np.concatenate([one.rotations for one in poses])
+            assert got.shape == (60, 55, 3)
+            np.testing.assert_allclose(got.reshape(60, -1), truth["poses"], atol=1e-6)
+            np.testing.assert_allclose(np.concatenate([one.root_positions for one in poses]), truth["trans"], atol=1e-6)
+
+    run(test)
+
+
+def test_every_message_fits_the_published_schema() -> None:
+    """An independent validator reads the schema and what a server really sends."""
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
+    told = published()
+    jsonschema.Draft202012Validator.check_schema(told)
+
+    async def test() -> None:
+        async with running() as at, open_socket(at.url) as ws:
+            await ws.send(Hello(RATE).text())
+            await ws.send(pcm(1.0))
+            await ws.send(json.dumps({"type": "finish"}))
+            kinds = []
+            async for message in ws:
+                if isinstance(message, bytes):
+                    size = int.from_bytes(message[:4], "little")
+                    assert size % 4 == 0
+                    header = json.loads(message[4:4 + size])
+                    jsonschema.validate(header, {"$ref": "#/$defs/poses", "$defs": told["$defs"]})
+                else:
+                    jsonschema.validate(json.loads(message), {"oneOf": told["server"]["oneOf"],
+                                                              "$defs": told["$defs"]})
+                    kinds.append(json.loads(message)["type"])
+            assert kinds[0] == "hello" and kinds[-1] == "done"
+
+    run(test)
+
+
+def test_our_check_understands_every_keyword_of_the_schema() -> None:
+    def keywords(node: Any) -> set[str]:
+        found = set(node) - schema.KNOWN
+        for own in node.get("properties", {}).values():
+            found |= keywords(own)
+        return found | (keywords(node["items"]) if "items" in node else set())
+
+    assert not set().union(*(keywords(node) for node in published()["$defs"].values()))
+
+
+JSON = st.recursive(st.none() | st.booleans() | st.integers(-3, 200_000) | st.floats() | st.text(max_size=5),
+                    lambda own: st.lists(own, max_size=3) | st.dictionaries(st.text(max_size=5), own, max_size=3),
+                    max_leaves=5)
+
+
+@given(st.sampled_from(["hello", "interrupt", "idle", "words", "options", "welcome", "poses"]), st.data())
+def test_our_check_agrees_with_an_independent_validator(kind: str, data: st.DataObject) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
+    told = published()
+    properties = told["$defs"][kind]["properties"]
+    likely = {name: st.just(own["const"]) if "const" in own else st.sampled_from(own["enum"]) if "enum" in own
+              else st.integers(0, 20_000) for name, own in properties.items()}
+    value = data.draw(st.dictionaries(st.sampled_from([*properties, "odd"]), JSON, max_size=3))
+    value = {**data.draw(st.fixed_dictionaries({}, optional=likely)), **value}
+    if not _plain_numbers(value):
+        return
+    here = {"$ref": f"#/$defs/{kind}", "$defs": told["$defs"]}
+    theirs = jsonschema.Draft202012Validator(here).is_valid(value)
+    try:
+        schema.check(value, here, told)
+        ours = True
+    except InputError:
+        ours = False
+    assert ours == theirs
+
+
+def _plain_numbers(value: Any) -> bool:
+    """JSON has no NaN and no infinity."""
+    if isinstance(value, dict):
+        return all(map(_plain_numbers, value.values()))
+    if isinstance(value, list):
+        return all(map(_plain_numbers, value))
+    return not isinstance(value, float) or bool(np.isfinite(value))
+
+
+def test_codes_are_those_of_the_schema() -> None:
+    assert {str(int(code)) for code in CloseCode} == set(published()["close_codes"])
+
+
+# ---------------------------------------------------------------- commands
+
+
+def test_idle_listen_and_interrupt() -> None:
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE)) as stream:
+            await stream.send(pcm(1.0))
+            await stream.think(0.5)
+            await stream.listen()
+            await stream.send(pcm(0.5))
+            said: list[Any] = []
+            async for message in stream:
+                said.append(message)
+                if isinstance(message, Poses) and message.state == "listening":
+                    break
+            await stream.interrupt()
+            await stream.speak()
+            await stream.send(pcm(1.0))
+            await stream.finish()
+            said += [message async for message in stream]
+            assert_whole([one for one in said if isinstance(one, Poses)], 3.0)
+            states = [event["state"] for event in said if isinstance(event, dict) and event["type"] == "state"]
+            assert states == ["speaking", "thinking", "listening", "idle", "speaking"]
+
+    run(test)
+
+
+def test_beats_lexemes_and_words_are_events() -> None:
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE, options={"text": True})) as stream:
+            await stream.add_words([("there", 1.2, 1.5), ("hello", 0.1, 0.4), ("never", 50.0, 51.0)])
+            await stream.send(pcm(2.0))
+            await stream.finish()
+            events = [message async for message in stream if isinstance(message, dict)]
+            assert [event["time"] for event in events if event["type"] == "beat"] == [0.5, 1.0, 1.5, 2.0]
+            assert [event["lexeme"] for event in events if event["type"] == "lexeme"] == [0, 1, 2, 3]
+            assert [event["text"] for event in events if event["type"] == "word"] == ["hello", "there"]
+
+    run(test)
+
+
+def test_an_interruption_takes_back_what_was_not_heard() -> None:
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE)) as stream:
+            player = PosePlayer()
+            await stream.send(pcm(5.0))
+            async for message in stream:
+                if isinstance(message, Poses):
+                    player.add(message)
+                    if player.end > 4.0:
+                        break
+            await stream.interrupt(1.0)
+            await stream.idle(0.5)
+            await stream.finish()
+            async for message in stream:
+                if isinstance(message, Poses):
+                    player.add(message)
+            assert player.end == 1.75
+
+    run(test)
+
+
+def test_words_without_the_option_are_refused() -> None:
+    async def test() -> None:
+        async with running() as at:
+            words = json.dumps({"type": "words", "words": [{"text": "a", "start": 0, "end": 1}]})
+            assert (await closed_with(at.url, Hello(RATE).text(), words))[0] == CloseCode.BAD_MESSAGE
+
+    run(test)
+
+
+def test_idle_without_end_goes_with_the_clock_until_there_is_sound() -> None:
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE)) as stream:
+            begin = asyncio.get_running_loop().time()
+            await stream.idle()
+            got = 0
+            async for message in stream:
+                if isinstance(message, Poses):
+                    got += len(message)
+                    spent = asyncio.get_running_loop().time() - begin
+                    assert abs(got / 60 - spent) < 0.35
+                    if got >= 60:
+                        break
+            await stream.send(pcm(1.0))
+            await stream.finish()
+            async for message in stream:
+                if isinstance(message, Poses):
+                    assert message.first == got
+                    got += len(message)
+            assert got < 60 * 2.5, "idling ended when there was sound"
+
+    run(test)
+
+
+def test_an_interruption_drops_the_sound_that_waits() -> None:
+    async def test() -> None:
+        async with running(work=0.1) as at, connect(at.url, Hello(RATE)) as stream:
+            await stream.send(pcm(8.0))  # 16 pieces of work
+            await asyncio.sleep(0.15)
+            await stream.interrupt()
+            await stream.finish()
+            done = [message async for message in stream][-1]
+            assert isinstance(done, dict) and 0 < done["frames"] < 60 * 3
+
+    run(test)
+
+
+# ---------------------------------------------------------------- limits
+
+
+@pytest.mark.parametrize(("messages", "code"), [
+    ((b"\0" * 10,), CloseCode.BAD_MESSAGE),
+    (("{",), CloseCode.BAD_MESSAGE),
+    (("[" * 20_000,), CloseCode.BAD_MESSAGE),
+    (('{"type": "hello", "protocol": 1, "sample_rate": NaN}',), CloseCode.BAD_MESSAGE),
+    (('{"type": "hello", "protocol": 2, "sample_rate": 16000}',), CloseCode.BAD_MESSAGE),
+    (('{"type": "hello", "protocol": 1, "sample_rate": 100}',), CloseCode.BAD_MESSAGE),
+    (('{"type": "hello", "protocol": 1, "sample_rate": 16000, "fps": 0}',), CloseCode.BAD_MESSAGE),
+    (('{"type": "finish"}',), CloseCode.BAD_MESSAGE),
+    ((Hello(RATE).text(), b"\0\0\0"), CloseCode.BAD_MESSAGE),
+    ((Hello(RATE).text(), Hello(RATE).text()), CloseCode.BAD_MESSAGE),
+    ((Hello(RATE, "float32").text(), np.array([0, np.nan], "<f4").tobytes()), CloseCode.BAD_MESSAGE),
+    ((Hello(RATE, "float32").text(), np.array([3e38], "<f4").tobytes()), CloseCode.BAD_MESSAGE),
+    ((Hello(RATE).text(), b"\0" * (2**16 + 2)), CloseCode.TOO_BIG),
+    ((), CloseCode.TOO_QUIET),
+    ((Hello(RATE).text(), b"\xff\x7f" * 16000), CloseCode.FAILED),
+], ids=lambda value: str(value)[:40])
+def test_what_is_wrong_is_closed_with_its_code_and_others_go_on(messages: tuple[str | bytes, ...], code: CloseCode
+                                                               ) -> None:
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE)) as other:
+            assert (await closed_with(at.url, *messages))[0] == code
+            await other.send(pcm(1.0))
+            await other.finish()
+            assert_whole([one async for one in other if isinstance(one, Poses)], 1.0)
+
+    run(test)
+
+
+def test_too_much_sound_has_a_clear_code() -> None:
+    async def test() -> None:
+        async with running(work=0.2) as at:
+            code, reason = await closed_with(at.url, Hello(RATE).text(), *[pcm(1.0)] * 15)
+            assert code == CloseCode.TOO_MUCH_SOUND and "wait" in reason
+        async with running(replace(LIMITS, stream_seconds=3.0)) as at:
+            code, reason = await closed_with(at.url, Hello(RATE).text(), *[pcm(1.0)] * 5)
+            assert code == CloseCode.TOO_MUCH_SOUND and "3 s" in reason
+
+    run(test)
+
+
+def test_the_token_is_asked_for() -> None:
+    async def test() -> None:
+        async with running(token="open sesame") as at:
+            assert (await closed_with(at.url, Hello(RATE).text()))[0] == CloseCode.BAD_TOKEN
+            assert (await closed_with(at.url, Hello(RATE, token="open sesam\u00e9").text()))[0] == CloseCode.BAD_TOKEN
+            assert_whole((await talk(at.url, pcm(1.0), Hello(RATE, token="open sesame")))[0], 1.0)
+
+    run(test)
+
+
+@pytest.mark.parametrize(("origin", "allowed"), [
+    (None, True), ("http://localhost:3000", True), ("http://127.0.0.1:8765", True), ("https://good.example", True),
+    ("https://evil.example", False), ("null", False), ("http://localhost.evil.example", False), ("http://[", False)])
+def test_pages_of_other_origins_may_not_connect(origin: str | None, allowed: bool) -> None:
+    async def test() -> None:
+        async with running(origins=("https://good.example",)) as at:
+            opening = open_socket(at.url, origin=origin)  # type: ignore[arg-type]
+            if not allowed:
+                with pytest.raises(InvalidStatus, match="403"):
+                    await opening
+                return
+            async with opening as ws:
+                await ws.send(Hello(RATE).text())
+                assert json.loads(await ws.recv())["type"] == "hello"
+
+    run(test)
+
+
+def test_no_more_streams_than_the_limit() -> None:
+    async def test() -> None:
+        async with running(replace(LIMITS, streams=2)) as at:
+            async with connect(at.url, Hello(RATE)), connect(at.url, Hello(RATE)):
+                code, reason = await closed_with(at.url)
+                assert code == CloseCode.TOO_MANY_STREAMS and "2 streams" in reason
+            async with asyncio.timeout(5):
+                while at.server.connections:
+                    await asyncio.sleep(0.01)
+            assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
+
+    run(test)
+
+
+def test_a_stalled_client_costs_its_bound_and_nobody_else_anything() -> None:
+    """A client that sends and never reads: its queue stays under the limit, others are served, and it is cut off."""
+    limits = replace(LIMITS, unread_bytes=2**17, waiting_seconds=60.0, unread_seconds=1.5)
+
+    async def test() -> None:
+        async with running(limits) as at:
+            plain = socket.socket()
+            plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            plain.connect(("127.0.0.1", at.port))
+            reader, writer = await asyncio.open_connection(sock=plain, limit=2**10)
+            await _raw_handshake(writer, reader)
+            writer.write(_frame(1, Hello(RATE, fps=240).text().encode()))
+            reader._transport.pause_reading()  # type: ignore[attr-defined]
+            for _ in range(55):
+                writer.write(_frame(2, pcm(1.0)))
+            await writer.drain()
+            highest, served = 0.0, 0
+            for _ in range(8):
+                assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
+                served += 1
+                highest = max(highest, at.server.metrics.numbers["unread_bytes"])
+                await asyncio.sleep(0.05)
+            assert served == 8
+            # One piece of work may go over the line: half a second at 240 frames per second.
+            assert 2**17 <= highest <= 2**17 + 120 * (16 * 4 + 3) * 4 + 10_000
+            async with asyncio.timeout(8):
+                while at.server.connections:
+                    await asyncio.sleep(0.05)
+            assert at.server.metrics.coded["closed_total"][str(int(CloseCode.UNREAD))] == 1
+            writer.transport.abort()
+
+    run(test)
+
+
+async def _raw_handshake(writer: asyncio.StreamWriter, reader: asyncio.StreamReader) -> None:
+    writer.write(b"GET /stream HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                 b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n")
+    assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
+
+
+def _frame(opcode: int, payload: bytes, mask: bytes = b"\0\0\0\0") -> bytes:
+    """A WebSocket frame as RFC 6455 (5.2) has it."""
+    size = len(payload)
+    length = bytes([0x80 | size]) if size < 126 else bytes([0x80 | 126]) + size.to_bytes(2, "big") \
+        if size < 2**16 else bytes([0x80 | 127]) + size.to_bytes(8, "big")
+    return bytes([0x80 | opcode]) + length + mask + payload
+
+
+# ---------------------------------------------------------------- faults
+
+
+def test_rude_clients_end_nothing_but_themselves(caplog: pytest.LogCaptureFixture) -> None:
+    """Disconnects in the middle of a message and of a handshake, garbage, many connects: one line in the log each."""
+    async def test() -> None:
+        async with running(replace(LIMITS, streams=64)) as at, connect(at.url, Hello(RATE)) as other:
+            async def rude(number: int) -> None:
+                reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
+                if number % 4 == 0:
+                    writer.write(b"\x16\x03\x01 no HTTP at all \r\n\r\n")
+                elif number % 4 == 1:
+                    writer.write(b"GET /stream HTTP/1.1\r\nHost: loc")
+                else:
+                    await _raw_handshake(writer, reader)
+                    writer.write(_frame(1, Hello(RATE).text().encode()))
+                    half = _frame(2, pcm(1.0))
+                    writer.write(half[:len(half) // 2] if number % 4 == 2 else b"\xff\xff\xff\xff\xff")
+                await writer.drain()
+                writer.transport.abort()
+
+            await asyncio.gather(*(rude(number) for number in range(100)))
+            await other.send(pcm(1.0))
+            await other.finish()
+            assert_whole([one async for one in other if isinstance(one, Poses)], 1.0)
+            assert await at.get("/healthz") == (200, "ok\n")
+
+    with caplog.at_level(logging.INFO, "gesticulator"):
+        run(test)
+    lines = [record.getMessage() for record in caplog.records]
+    assert all(record.exc_info is None and "\n" not in record.getMessage() for record in caplog.records)
+    assert len([line for line in lines if line.startswith("stream ")]) <= 51
+
+
+def test_a_failure_in_a_stream_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    async def test() -> None:
+        async with running() as at:
+            await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 100)
+
+    with caplog.at_level(logging.INFO, "gesticulator"):
+        run(test)
+    told = [record.getMessage() for record in caplog.records if "a model failed" in record.getMessage()]
+    assert len(told) == 1 and "4500" in told[0] and "\n" not in told[0]
+
+
+MESSAGES = st.lists(st.one_of(
+    st.binary(max_size=50),
+    st.text(max_size=20),
+    JSON.map(json.dumps),
+    st.sampled_from([Hello(RATE).text(), '{"type":"finish"}', '{"type":"idle","seconds":0.1}', '{"type":"interrupt"}',
+                     '{"type":"listen"}', '{"type":"speak"}', '{"type":"idle"}', '{"type":"idle","seconds":-1}']),
+    st.dictionaries(st.sampled_from(["type", "protocol", "sample_rate", "format", "fps", "seed", "options", "time"]),
+                    JSON | st.sampled_from(["hello", "interrupt", "idle", "float32"]), max_size=5).map(json.dumps),
+), max_size=8)
+
+
+def test_no_message_ends_the_server() -> None:
+    """Whatever is sent, after a hello or not, the server closes with a code of its own and serves the next."""
+    async def test() -> None:
+        async with running(replace(LIMITS, quiet_seconds=0.2, hello_seconds=0.2)) as at:
+            loop = asyncio.get_running_loop()
+
+            async def attack(messages: list[str | bytes], greet: bool) -> None:
+                try:
+                    async with asyncio.timeout(5):
+                        code, _ = await closed_with(at.url, *([Hello(RATE).text()] if greet else []), *messages)
+                    assert str(code) in published()["close_codes"]
+                except UnicodeEncodeError:
+                    pass  # text that cannot be sent
+
+            @given(MESSAGES, st.booleans())
+            def fuzz(messages: list[str | bytes], greet: bool) -> None:
+                asyncio.run_coroutine_threadsafe(attack(messages, greet), loop).result()
+
+            await asyncio.to_thread(fuzz)
+            assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
+            assert "500" not in at.server.metrics.coded["closed_total"]
+            assert str(int(CloseCode.FAILED)) not in at.server.metrics.coded["closed_total"]
+
+    asyncio.run(test())
+
+
+# ---------------------------------------------------------------- health, figures, the end
+
+
+def test_health_and_metrics_are_on_the_same_port() -> None:
+    async def test() -> None:
+        async with running() as at:
+            await talk(at.url, pcm(2.0))
+            assert await at.get("/healthz") == (200, "ok\n")
+            assert (await at.get("/elsewhere"))[0] == 404
+            status, text = await at.get("/metrics")
+            assert status == 200
+            figures = _read_exposition(text)
+            assert figures['gesticulator_frames_total{worker="0"}'] == 120
+            assert figures['gesticulator_sound_seconds_total{worker="0"}'] == 2
+            assert figures['gesticulator_streams{worker="0"}'] == 0
+            assert figures['gesticulator_unread_bytes{worker="0"}'] == 0
+            assert figures['gesticulator_waiting_seconds{worker="0"}'] == pytest.approx(0, abs=1e-9)
+            assert figures['gesticulator_closed_total{worker="0",code="1000"}'] == 1
+            assert figures['gesticulator_compute_seconds_bucket{worker="0",le="+Inf"}'] \
+                == figures['gesticulator_compute_seconds_count{worker="0"}'] >= 5
+
+    run(test)
+
+
+def _read_exposition(text: str) -> dict[str, float]:
+    """Prometheus' text format, as its documentation has it: a family's lines stand together, after HELP and TYPE."""
+    figures: dict[str, float] = {}
+    family, seen = "", set()
+    for line in text.splitlines():
+        if line.startswith("# HELP "):
+            family = line.split()[2]
+            assert family not in seen
+            seen.add(family)
+        elif line.startswith("# TYPE "):
+            assert line.split()[2] == family and line.split()[3] in ("counter", "gauge", "histogram")
+        else:
+            name, _, value = line.rpartition(" ")
+            assert name.startswith(family) and name not in figures
+            figures[name] = float(value)
+    return figures
+
+
+def test_a_server_that_is_told_to_stop_answers_what_it_received() -> None:
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE)) as stream:
+            await stream.send(pcm(2.0))
+            at.server.stop()
+            assert_whole([one async for one in stream if isinstance(one, Poses)], 2.0)
+            with pytest.raises(ConnectionClosed, match="1001"):
+                await stream._socket.recv()
+            await asyncio.wait_for(at.ended, 5)
+            with pytest.raises(OSError, match=r".*"):
+                await open_socket(at.url)
+
+    run(test)
+
+
+# ---------------------------------------------------------------- the client's player
+
+
+def test_the_player_shows_the_frame_of_the_sound_that_is_heard() -> None:
+    def poses(first: int, value: float, count: int = 60) -> Poses:
+        turns = np.full((count, 1, 4), value, np.float32)
+        return Poses(first, 60.0, turns, np.zeros((count, 3), np.float32), "idle", 0.0)
+
+    player = PosePlayer()
+    assert player.pose_at(0.0) is None and player.end == 0.0
+    player.add(poses(0, 1.0))
+    player.add(poses(60, 2.0))
+
+    def at(time: float) -> float:
+        found = player.pose_at(time)
+        assert found is not None
+        return float(found[0][0, 0])
+
+    assert at(0.5) == 1.0 and player.end == 2.0
+    player.add(poses(45, 3.0, 30))  # an interruption at 0.75 s
+    assert player.end == 1.25
+    assert [at(time) for time in (0.74, 0.75, 1.2, 9.0)] == [1.0, 3.0, 3.0, 3.0]

@@ -1,0 +1,175 @@
+"""The server as a process: it starts, shares a socket among workers, replaces one that dies, and ends with code 0."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pipecat_gesticulator import Hello, Poses, connect
+
+from gesticulator.cli import Parser
+from gesticulator.serve.command import COMMAND, read_limits, read_token
+
+ROOT = Path(__file__).resolve().parents[1]
+PROGRAM = "import sys; from gesticulator.serve.command import COMMAND; " \
+          "sys.exit(COMMAND.main('gesticulator serve', sys.argv[1:]))"
+RATE = 16000
+
+
+class Served:
+    """A server's process and what it printed."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.lines: list[str] = []
+        self.process = subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments], cwd=ROOT, text=True,
+                                        stderr=subprocess.PIPE)
+        self.port = int(self.await_line(r"listening on ws://127.0.0.1:(\d+)/stream").group(1))
+
+    def await_line(self, pattern: str) -> re.Match[str]:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.lines.append(line.rstrip())
+            found = re.search(pattern, line)
+            if found:
+                return found
+        raise AssertionError(f"no line has {pattern}: {self.lines}")
+
+    def get(self, path: str) -> str:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}{path}", timeout=10) as answer:
+            return answer.read().decode()
+
+    def end(self) -> list[str]:
+        """Stop it as a service manager does; what else it printed."""
+        self.process.send_signal(signal.SIGTERM)
+        _, rest = self.process.communicate(timeout=60)
+        assert self.process.returncode == 0
+        return rest.splitlines()
+
+
+@contextmanager
+def served(*arguments: str) -> Iterator[Served]:
+    at = Served("--port", "0", "--drain-seconds", "5", *arguments)
+    try:
+        yield at
+    finally:
+        if at.process.poll() is None:
+            at.process.kill()
+            at.process.wait()
+
+
+def speech(seconds: float) -> bytes:
+    """A voice of syllables: five a second of a buzz, with pauses."""
+    t = np.arange(int(seconds * RATE)) / RATE
+    loud = np.clip(np.sin(2 * np.pi * 2.5 * t), 0, 1) * (np.sin(2 * np.pi * 0.25 * t) > -0.7)
+    return (8000 * loud * np.sign(np.sin(2 * np.pi * 120 * t))).astype("<i2").tobytes()
+
+
+async def talk(port: int, sound: bytes) -> list[Poses]:
+    async with connect(f"ws://127.0.0.1:{port}/stream", Hello(RATE, seed=5)) as stream:
+        for start in range(0, len(sound), RATE // 5):
+            await stream.send(sound[start:start + RATE // 5])
+        await stream.finish()
+        return [message async for message in stream if isinstance(message, Poses)]
+
+
+def joined(poses: list[Poses]) -> np.ndarray:
+    return np.concatenate([one.rotations for one in poses])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_workers_share_a_port_and_a_dead_one_is_replaced() -> None:
+    with served("--workers", "2") as at:
+        for _ in range(2):
+            at.await_line("worker . is ready")
+        assert at.get("/healthz") == "ok\n"
+        sound = speech(6.0)
+        first = joined(asyncio.run(talk(at.port, sound)))
+        assert len(first) == 360
+
+        async def two_at_once() -> list[list[Poses]]:
+            return await asyncio.gather(talk(at.port, sound), talk(at.port, sound))
+
+        for again in asyncio.run(two_at_once()):
+            np.testing.assert_array_equal(joined(again), first, "the same seed, whoever answers")
+        children = _children(at.process.pid)
+        assert len(children) >= 2
+        deadline = time.monotonic() + 30
+        while not _both_tell(at.get("/metrics")) and time.monotonic() < deadline:
+            time.sleep(0.2)
+        assert _both_tell(at.get("/metrics")), "one worker tells of all"
+        victim = _worker_of(children)
+        os.kill(victim, signal.SIGKILL)
+        told = at.await_line(r"worker . \(process (\d+)\) died with exit code -9; another takes its place")
+        assert int(told.group(1)) == victim
+        np.testing.assert_array_equal(joined(asyncio.run(talk(at.port, sound))), first)
+        at.await_line("worker . is ready")
+        rest = at.end()
+        assert not any("Traceback" in line for line in [*at.lines, *rest])
+        assert rest[-1].endswith("stopped")
+
+
+def _both_tell(text: str) -> bool:
+    return all(f'gesticulator_streams{{worker="{worker}"}}' in text for worker in (0, 1))
+
+
+def _children(pid: int) -> list[int]:
+    return [int(child) for task in Path(f"/proc/{pid}/task").iterdir()
+            for child in (task / "children").read_text().split()]
+
+
+def _worker_of(children: list[int]) -> int:
+    """One that serves; multiprocessing has a helper beside them."""
+    return next(child for child in children if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text())
+
+
+def test_a_single_server_ends_with_code_0_in_the_middle_of_a_stream() -> None:
+    with served("--drain-seconds", "0.3") as at:
+        at.await_line("worker 0 is ready")
+
+        async def test() -> list[Poses]:
+            async with connect(f"ws://127.0.0.1:{at.port}/stream", Hello(RATE)) as stream:
+                await stream.send(speech(3.0))
+                await asyncio.sleep(0.1)
+                at.process.send_signal(signal.SIGTERM)
+                return [message async for message in stream if isinstance(message, Poses)]
+
+        assert len(joined(asyncio.run(test()))) == 180, "what was received is answered first"
+        assert at.process.wait(30) == 0
+
+
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    (["--port", "99999"], "port 99999"), (["--host", "no.such.host.invalid"], "no.such.host.invalid"),
+    (["--host", "0.0.0.0"], "--token-file"), (["--streams", "0"], "limits.streams"), (["--workers", "0"], "--workers"),
+    (["--vmc", "nowhere"], "HOST:PORT"), (["--vmc", "127.0.0.1:39539", "--workers", "2"], "one worker"),
+    (["--bundle", "/no/such/folder"], "is no folder"), (["--drain-seconds", "nan"], "limits.drain_seconds"),
+    (["--threads", "0"], "--threads")])
+def test_what_cannot_be_served_is_told_in_one_line(arguments: list[str], wrong: str,
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        COMMAND.main("gesticulator serve", ["--port", "0", *arguments])
+    assert ended.value.code == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "listening" not in line]
+    assert len(lines) == 1 and wrong in lines[0]
+
+
+def test_the_token_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parser = Parser()
+    COMMAND.arguments(parser)
+    file = tmp_path / "token"
+    file.write_text("sesame\n")
+    assert read_token(parser.parse_args(["--token-file", str(file)])) == "sesame"
+    assert read_token(parser.parse_args([])) == ""
+    monkeypatch.setenv("GESTICULATOR_TOKEN", "other")
+    assert read_token(parser.parse_args(["--host", "0.0.0.0"])) == "other"
+    assert read_limits(parser.parse_args(["--streams", "3"])).streams == 3

@@ -1,0 +1,205 @@
+"""VMC: an independent receiver, written from the published descriptions of OSC 1.0 and of the protocol, reads the pose
+back, and forward kinematics in Unity's axes put every bone where ours do."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import struct
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from performances import perform
+from pythonosc.osc_bundle import OscBundle
+
+from data_module.errors import InputError
+from data_module.motion import kinematics
+from data_module.motion.skeletons import FINGERED, standing
+from data_module.types import Motion
+from gesticulator.export.vrma import BONES
+from gesticulator.serve import vmc
+from gesticulator.stream import StreamFrames
+
+# HumanBodyBones of Unity, each with the bone above it that a character of ours has.
+_ABOVE = {"Hips": None, "Spine": "Hips", "Chest": "Spine", "Neck": "Chest", "Head": "Neck"}
+for _side in ("Left", "Right"):
+    _ABOVE |= {f"{_side}Shoulder": "Chest", f"{_side}UpperArm": f"{_side}Shoulder",
+               f"{_side}LowerArm": f"{_side}UpperArm", f"{_side}Hand": f"{_side}LowerArm"}
+    for _finger in ("Thumb", "Index", "Middle", "Ring", "Little"):
+        _ABOVE |= {f"{_side}{_finger}Proximal": f"{_side}Hand",
+                   f"{_side}{_finger}Intermediate": f"{_side}{_finger}Proximal",
+                   f"{_side}{_finger}Distal": f"{_side}{_finger}Intermediate"}
+
+
+@dataclass
+class Received:
+    """What one bundle said."""
+
+    loaded: int = -1
+    time: float = -1.0
+    root: tuple[float, ...] = ()
+    bones: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def receive(packet: bytes) -> Received:
+    """OSC 1.0: a bundle is "#bundle", a time tag, and sized elements; strings are padded to four bytes."""
+    assert packet[:8] == b"#bundle\0" and len(packet) % 4 == 0
+    out, at = Received(), 16
+    while at < len(packet):
+        (size,) = struct.unpack_from(">i", packet, at)
+        address, values = _message(packet[at + 4:at + 4 + size])
+        at += 4 + size
+        if address == "/VMC/Ext/OK":
+            (out.loaded,) = values
+        elif address == "/VMC/Ext/T":
+            (out.time,) = values
+        elif address == "/VMC/Ext/Root/Pos":
+            assert values[0] == "root"
+            out.root = tuple(values[1:])
+        elif address == "/VMC/Ext/Bone/Pos":
+            assert values[0] not in out.bones
+            out.bones[values[0]] = np.array(values[1:])
+        else:
+            raise AssertionError(address)
+    return out
+
+
+def _message(data: bytes) -> tuple[str, list]:
+    address, at = _string(data, 0)
+    kinds, at = _string(data, at)
+    values: list = []
+    for kind in kinds[1:]:
+        if kind == "s":
+            text, at = _string(data, at)
+            values.append(text)
+        else:
+            values += struct.unpack_from(">" + kind, data, at)
+            at += 4
+    assert at == len(data) and kinds[0] == ","
+    return address, values
+
+
+def _string(data: bytes, at: int) -> tuple[str, int]:
+    end = data.index(b"\0", at)
+    return data[at:end].decode(), end + 4 - end % 4
+
+
+def unity_places(bones: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Where a receiver's bones are, in its own left-handed axes: each by matrices of what was sent."""
+    worlds: dict[str, np.ndarray] = {}
+    for name, above in _ABOVE.items():
+        x, y, z, w = bones[name][3:]
+        local = np.eye(4)
+        local[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
+        local[:3, 3] = bones[name][:3]
+        worlds[name] = local if above is None else worlds[above] @ local
+    return {name: world[:3, 3] for name, world in worlds.items()}
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    return standing(perform(seconds=2.0, skeleton=FINGERED).motion)
+
+
+def frames_of(motion: Motion, first: int = 0) -> StreamFrames:
+    return StreamFrames(first, motion.fps, motion.skeleton, motion.rotations, motion.root_positions)
+
+
+def test_a_receiver_reads_the_pose_back(motion: Motion) -> None:
+    made = vmc.VmcFrames(motion)
+    got = receive(made.bundle(25, 1.5))
+    assert (got.loaded, got.time, got.root) == (1, 1.5, (0, 0, 0, 0, 0, 0, 1))
+    assert set(got.bones) == set(_ABOVE)
+    ours = kinematics.positions_of(motion)[25]
+    joints = {vmc.unity_bone(bone): row[2] for bone, row in BONES.items()}
+    truth = {name: ours[motion.skeleton.index(joints[name])] * [-1, 1, 1] for name in _ABOVE}
+    places = unity_places(got.bones)
+    for name, place in places.items():
+        # Our four joints of the spine and two of the neck are three bones of the humanoid: what hangs on them lies
+        # a little aside, and from there on nothing is lost.
+        side = "Left" if name.startswith("Left") else "Right"
+        origin = "Hips" if name in ("Spine", "Chest", "Neck", "Head", "Hips") else f"{side}Shoulder"
+        loose = 0.06 if name in ("Chest", "Neck", "Head") else 1e-5
+        assert np.linalg.norm((place - places[origin]) - (truth[name] - truth[origin])) < loose, name
+        assert np.linalg.norm(place - truth[name]) < 0.1
+    resting = {name: np.array([*numbers[:3], 0, 0, 0, 1]) for name, numbers in got.bones.items()}
+    assert unity_places(resting)["LeftHand"][0] < -0.5, "her left is -X in Unity, while she faces +Z"
+
+
+def test_another_implementation_of_osc_reads_the_bundle(motion: Motion) -> None:
+    packet = vmc.VmcFrames(motion).bundle(3, 2.0)
+    theirs = {(message.address, *message.params[:1]): message.params for message in OscBundle(packet)}
+    ours = receive(packet)
+    assert theirs[("/VMC/Ext/Root/Pos", "root")][1:] == list(ours.root)
+    for name, numbers in ours.bones.items():
+        np.testing.assert_array_equal(theirs[("/VMC/Ext/Bone/Pos", name)][1:], numbers)
+
+
+def test_bones_have_unitys_names() -> None:
+    assert vmc.unity_bone("leftThumbMetacarpal") == "LeftThumbProximal"
+    assert vmc.unity_bone("rightThumbProximal") == "RightThumbIntermediate"
+    assert vmc.unity_bone("leftLittleIntermediate") == "LeftLittleIntermediate"
+    assert len({vmc.unity_bone(bone) for bone in BONES}) == len(BONES)
+
+
+def test_frames_are_sent_when_they_are_due(motion: Motion) -> None:
+    """What comes at once is played in its own time, each frame in one bundle; later frames replace earlier ones."""
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    receiver.bind(("127.0.0.1", 0))
+    receiver.settimeout(0.01)
+    output = vmc.VmcOutput(f"127.0.0.1:{receiver.getsockname()[1]}")
+
+    async def send() -> list[tuple[float, Received]]:
+        got: list[tuple[float, Received]] = []
+        playing = asyncio.create_task(output.run())
+        await asyncio.sleep(0.05)
+        begin = time.monotonic()
+        output.take("a", frames_of(motion))
+        output.take("another", frames_of(motion))  # the output is taken
+        while time.monotonic() < begin + 1.6:
+            await asyncio.sleep(0.002)
+            receiver.setblocking(False)
+            try:
+                got.append((time.monotonic() - begin, receive(receiver.recv(65536))))
+            except BlockingIOError:
+                continue
+        playing.cancel()
+        return got
+
+    got = asyncio.run(send())
+    receiver.close()
+    assert got[0][1].loaded == 0 and not got[0][1].bones, "before there are poses, a receiver is told so"
+    played = [(at, one) for at, one in got if one.loaded]
+    assert abs(len(played) - 1.6 * motion.fps) < 0.2 * motion.fps
+    truth = vmc.VmcFrames(motion)
+    hands = np.array([receive(truth.bundle(k, 0.0)).bones["RightLowerArm"] for k in range(len(truth))])
+    late = []
+    for at, one in played:
+        frame = int(np.abs(hands - one.bones["RightLowerArm"]).sum(1).argmin())
+        late.append(at - frame / motion.fps)
+    # A second's worth of slack: the test machine may be busy; the middle is what counts.
+    assert abs(np.median(late)) < 0.06
+
+
+def test_an_interruption_replaces_what_was_not_played(motion: Motion) -> None:
+    output = vmc.VmcOutput("127.0.0.1:39539")
+    output.take("a", frames_of(motion))
+    turned = Motion(motion.skeleton, motion.rotations[::-1].copy(), motion.root_positions, motion.fps)
+    output.take("a", frames_of(turned, first=10))
+    zero = output._zero
+    at_five, at_twelve = (output.due(zero + (frame + 0.5) / motion.fps) for frame in (5, 12))
+    assert at_five is not None and at_twelve is not None
+    for got, truth, frame in ((at_five, motion, 5), (at_twelve, turned, 2)):
+        expected = receive(vmc.VmcFrames(truth).bundle(frame, 0)).bones
+        np.testing.assert_array_equal(receive(got).bones["LeftHand"], expected["LeftHand"])
+    output._socket.close()
+
+
+@pytest.mark.parametrize("target", ["nonsense", "host:", ":39539", "host:0", "host:99999", "host:-1"])
+def test_a_target_that_is_none_is_told_of(target: str) -> None:
+    with pytest.raises(InputError, match="HOST:PORT"):
+        vmc.read_target(target)
