@@ -1,6 +1,6 @@
 """What do the knobs do? Response curves of intensity, activity, energy, handedness, mirror, stillness and variation.
 
-    gesticulator probe knobs --speech examples/speech.flac [--seeds 3] [--seconds 30] [--out docs/results/knobs.md]
+    gesticulator probe knobs --speech examples/speech.flac [--seeds 3] [--seconds 30] [--out docs/results/knobs.json]
 
 Each row is one setting; sounds and seeds are the same in every row. The figures are those for the eye
 (`eval.metrics.eye`), with two beside them: how much of the way of both hands the right one goes, and how often an arm
@@ -102,8 +102,8 @@ def table(figures: Mapping[str, Sequence[Mapping[str, float]]]) -> Table:
         rows[row] = {name: own.get(name) for name in COLUMNS if name != "left"}
         rows[row]["left"] = left_the_band(own, means[NEUTRAL])
     count = len(figures[NEUTRAL])
-    note = (f"{count} renderings in each row, the same sounds and seeds; means with bootstrap 95 % intervals. The band: "
-            "the range of two real people (eval.metrics.eye). The ranges: "
+    note = (f"{count} renderings in each row, the same sounds and seeds; means with bootstrap 95 % intervals. The "
+            "band: the range of two real people (eval.metrics.eye). The ranges: "
             + " and ".join(f"{begin:g} to {stop:g} s" for begin, stop in STILL) + ", held still in one row alone.")
     return Table("What the knobs do", COLUMNS, rows, "setting", [note])
 
