@@ -226,7 +226,8 @@ def test_energy_is_a_named_combination(system: Gesticulator, speech: Speech) -> 
 def test_a_stream_gets_the_frames_of_a_file_whatever_knobs_are_turned(system: Gesticulator, speech: Speech) -> None:
     turned = InferenceOptions(seed=SEED, intensity=1.5, mirror=True, handedness="right", hold_still=((2.0, 3.0),),
                               cues=(GestureCue("wave", time=1.5),))
-    asked = {name: getattr(turned, name) for name in ("seed", "intensity", "mirror", "handedness", "hold_still", "cues")}
+    names = ("seed", "intensity", "mirror", "handedness", "hold_still", "cues")
+    asked = {name: getattr(turned, name) for name in names}
     short = replace(speech, samples=speech.samples[:round(4.0 * speech.sample_rate)])
     stream = system.stream(speech.sample_rate, **asked)
     parts = [stream.feed(short.samples[at:at + 1600]) for at in range(0, len(short.samples), 1600)] + [stream.finish()]
