@@ -3,11 +3,15 @@
 Everything here is a function of one pose and of the time it is shown at, so that a stream gets the frames of a file.
 What needs the past (rest, lexemes) is directed while blocks are drawn (`gesticulator.editing`).
 
-**Intensity** i scales every arm about its mean pose m by g = i^0.6: 0.66 at 0.5, 1.28 at 1.5, for a hand that swings
-twice as far is at no time half as fast again in talks. An arm that hangs is left hanging: with r the resting pose and
-s = <x - r, m - r> / |m - r|^2 in 0 to 1, how far an arm is lifted, the pose x becomes
+**Intensity** i scales every arm about its mean pose m by the square root g of i: 0.71 at 0.5, 1.22 at 1.5. It is no
+plain factor, since hands that go half as far again in the same time would be faster than people's. An arm that hangs
+is left hanging: with r the resting pose, the pose x is told by how far it is lifted, s, and by what lies beside, p,
 
-    x + w(s) (g - 1) (x - m),    w(s) = s^2 (3 - 2 s)
+    x = r + s (m - r) + p,    s = <x - r, m - r> / |m - r|^2
+
+and becomes, with w(s) = s^2 (3 - 2 s) of s cut to 0 to 1,
+
+    x + (g - 1) (w(s) (s - 1) (m - r) + w(s / S) p),    S = 0.3
 
 What this moves outwards is taken back smoothly where the training data end (`Statistics.bounds`), and hands are kept
 out of the trunk. Head and spine are scaled by the square root of g.
@@ -26,7 +30,7 @@ from data_module.types import Array, Motion
 from gesticulator.contacts import kept_out_of_us, our_distances, pose_of
 from gesticulator.features import Statistics
 
-EXPONENT = 0.6
+EXPONENT = 0.5
 """Of intensity: chosen so that at 0.5 and 1.5 hands are as fast as people's (docs/knobs.md)."""
 TRUNK = 0.5
 """Exponent of the gain of spine and head."""
@@ -37,6 +41,8 @@ FADE, MIRROR_FADE = 0.15, 0.3
 SIDES = ("Left", "Right")
 _FLIP = np.array([1.0, -1.0, -1.0])
 """A reflection in x = 0 keeps the x of an axis times angle and turns y and z round."""
+_LIFTED = 0.3
+"""Share of the lift from which on what lies beside it is scaled in full."""
 _LEAST_LIFT = 0.3
 """Radians between resting and mean pose of an arm below which it counts as always lifted."""
 
@@ -89,14 +95,19 @@ class _Part:
 
     def scaled(self, poses: Array, gains: Array) -> Array:
         """[M, D] what is added to poses [M, D]."""
-        way = self.mean - self.rest
+        more, way = (gains ** self.power - 1.0)[:, None], self.mean - self.rest
         length = float(way @ way)
-        weight = np.ones(len(poses))
-        if length > _LEAST_LIFT ** 2 and self.power == 1.0:
-            lift = np.clip((poses - self.rest) @ way / length, 0.0, 1.0)
-            weight = lift * lift * (3.0 - 2.0 * lift)
-        added: Array = (weight * (gains ** self.power - 1.0))[:, None] * (poses - self.mean)
-        return added
+        if length <= _LEAST_LIFT ** 2 or self.power != 1.0:
+            return np.asarray(more * (poses - self.mean))
+        lift = ((poses - self.rest) @ way / length)[:, None]
+        beside = poses - self.rest - lift * way
+        return np.asarray(more * (_smooth(lift) * (lift - 1.0) * way + _smooth(lift / _LIFTED) * beside))
+
+
+def _smooth(s: Array) -> Array:
+    """w(s) of the module."""
+    u: Array = np.clip(s, 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
 
 
 class Shaper:

@@ -21,7 +21,7 @@ from gesticulator.directing import cues_at
 from gesticulator.editing import BLEND
 from gesticulator.live_plans import LivePlans
 from gesticulator.named_gestures import laid_over, span_of_gesture
-from gesticulator.performance import Performance
+from gesticulator.performance import InferenceOptions, Performance
 from gesticulator.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
 from gesticulator.shaping import FADE, MIRROR_FADE, Shaper, levels_at, mirrored_motion
 
@@ -221,6 +221,20 @@ def test_handedness_moves_the_work_to_a_hand(system: Gesticulator, speech: Speec
 def test_energy_is_a_named_combination(system: Gesticulator, speech: Speech) -> None:
     named = system(speech, seed=SEED, energy="calm")
     np.testing.assert_array_equal(named.rotations, system(speech, seed=SEED, intensity=0.6, activity=0.6).rotations)
+
+
+def test_a_stream_gets_the_frames_of_a_file_whatever_knobs_are_turned(system: Gesticulator, speech: Speech) -> None:
+    turned = InferenceOptions(seed=SEED, intensity=1.5, mirror=True, handedness="right", hold_still=((2.0, 3.0),),
+                              cues=(GestureCue("wave", time=1.5),))
+    names = ("seed", "intensity", "mirror", "handedness", "hold_still", "cues")
+    asked = {name: getattr(turned, name) for name in names}
+    short = replace(speech, samples=speech.samples[:round(4.0 * speech.sample_rate)])
+    stream = system.stream(speech.sample_rate, **asked)
+    parts = [stream.feed(short.samples[at:at + 1600]) for at in range(0, len(short.samples), 1600)] + [stream.finish()]
+    got = np.concatenate([part.rotations for part in parts])
+    np.testing.assert_array_equal(got, system.perform(short, turned).rotations)
+    with pytest.raises(InputError, match="whole recording"):
+        system.stream(plan=system.perform(short, turned).plan())
 
 
 # --------------------------------------------------------------------------------------------------------- cues

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -226,8 +227,16 @@ def test_a_plan_is_edited_saved_and_opened(opened: OpenedPage, tmp_path: Path) -
     page.click("#notice")
 
 
-def test_gestures_are_asked_for_and_knobs_turned(browser: Any, tmp_path: Path) -> None:
-    page = OpenedPage(browser, write(tmp_path / "talk.html", perform(seconds=SECONDS)).as_uri())
+BREAKS_OUT = "</script><img src=x onerror=broken=1>"
+
+
+def test_gestures_are_asked_for_and_names_are_text(browser: Any, tmp_path: Path) -> None:
+    made = replace(perform(seconds=SECONDS), score_is=BREAKS_OUT, sound_name=BREAKS_OUT,
+                   made_by={"settings": {"speaker": BREAKS_OUT, "interpreter": BREAKS_OUT}})
+    (tmp_path / "talk.html").write_text(html.page({BREAKS_OUT: made, "b": made}, BREAKS_OUT, together=True))
+    page = OpenedPage(browser, (tmp_path / "talk.html").as_uri())
+    assert page.page.inner_text("h1") == page.page.locator("#labels span").first.inner_text() == BREAKS_OUT
+    page.page.keyboard.press("d")
     page.page.evaluate("""() => {
         const { session } = preview;
         session.lane.history.refine({ ...session.plan, knobs: {}, gestures: [{ name: "wave" }, { name: "shrug" }],
@@ -252,6 +261,9 @@ def test_gestures_are_asked_for_and_knobs_turned(browser: Any, tmp_path: Path) -
     assert page.page.inner_text("#card-name") == "<b>low sweep</b>"
     page.page.click("#cues li button")
     assert page.plan()["cues"] == [{"gesture": "shrug", "time": 1.5}]
+    assert page.saved("Control+s").read_text().count(json.dumps(BREAKS_OUT)) == 4
+    assert BREAKS_OUT in page.page.inner_text("#notice")
+    assert page.page.locator("img, b").count() == 0 and page.page.evaluate("window.broken === undefined")
     page.check_quiet()
     page.page.close()
 

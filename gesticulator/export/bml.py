@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,7 @@ OURS = "urn:gesticulator:plan:1"
 _ATTRIBUTES = ("silent", "locked", "intensity", "mirror", "draw", "flag")
 """Of a block, in our namespace; `lexeme` (a number), too, which counts where its name is not that of the attribute."""
 _MOST_BYTES = 64 << 20
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def write_bml(path: Path, performance: Performance) -> Path:
@@ -46,7 +48,7 @@ def bml_of(plan: GesturePlan) -> str:
     lines = ['<?xml version="1.0" encoding="UTF-8"?>',
              f'<bml xmlns="{NAMESPACE}" xmlns:g="{OURS}" id="plan" characterId={quoteattr(plan.speaker or "speaker")}>']
     if plan.words:
-        said = " ".join(f'<sync id="w{at}"/>{escape(word.text)}' for at, word in enumerate(plan.words))
+        said = " ".join(f'<sync id="w{at}"/>{escape(_plain(word.text))}' for at, word in enumerate(plan.words))
         lines += [' <speech id="speech" start="0">', f"  <text>{said}</text>", " </speech>"]
     for at, block in enumerate(plan.blocks):
         lexeme = "" if block.lexeme is None else names.get(block.lexeme, f"lexeme {block.lexeme}")
@@ -62,13 +64,18 @@ def bml_of(plan: GesturePlan) -> str:
     left = {name: value for name, value in plain.items() if name not in ("blocks", "cues")}
     edited = (*_ATTRIBUTES, "lexeme", "start", "end")
     left["blocks"] = [{name: value for name, value in row.items() if name not in edited} for row in plain["blocks"]]
-    lines += [f" <g:plan>{escape(json.dumps(left, ensure_ascii=False))}</g:plan>", "</bml>"]
+    lines += [f" <g:plan>{escape(json.dumps(left))}</g:plan>", "</bml>"]
     return "\n".join(lines) + "\n"
 
 
 def _attributes(values: dict[str, Any]) -> str:
-    return " ".join(f"{name}={quoteattr(value if isinstance(value, str) else json.dumps(value))}"
+    return " ".join(f"{name}={quoteattr(_plain(value) if isinstance(value, str) else json.dumps(value))}"
                     for name, value in values.items())
+
+
+def _plain(text: str) -> str:
+    """Without the characters that XML 1.0 cannot hold."""
+    return _NO_XML.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def _sync(plan: GesturePlan, word: str, occurrence: int) -> str:

@@ -84,7 +84,8 @@ export class TimelineHands {
   move(event) {
     const { timeline, session, clock } = this, [x, y] = this.place(event);
     if (!this.pointers.has(event.pointerId)) {
-      const { kind } = this.hit(x, y, event.pointerType);
+      const { kind, block } = this.hit(x, y, event.pointerType);
+      timeline.canvas.title = kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
       timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", cue: "pointer" }[kind] ?? "text";
       return;
     }
