@@ -135,7 +135,7 @@ class Stream:
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
-        self._state, self._finished = StreamState.IDLE, False
+        self._state, self._finished, self._hurried = StreamState.IDLE, False, False
         self._begun = self._committed = 0.0  # media time where the utterance begins, and of the last knot
         self._past_blocks = 0
         rest = bundle.rest_feature(cast.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
@@ -180,6 +180,18 @@ class Stream:
             certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
         return certain + self._path.reach + TICK / SAMPLE_RATE
 
+    @property
+    def hurried(self) -> bool:
+        """Blocks are drawn at less cost: one candidate in few steps, without guidance. Set it where there is no time;
+        a stream that never was hurried gives the frames of a file."""
+        return self._hurried
+
+    @hurried.setter
+    def hurried(self, on: bool) -> None:
+        self._hurried = on
+        for one in self._rollouts:
+            one.hurry(on)
+
     # -------------------------------------------------------------------------------------------------- what is done
 
     def feed(self, samples: NDArray[Any]) -> StreamFrames:
@@ -191,6 +203,19 @@ class Stream:
             self._turns.release(self._committed)
             self._state = StreamState.SPEAKING
         return self._given(first, self._draw(self._utterance().feed(sound)) if len(sound) else [])
+
+    def pass_over(self, seconds: float) -> StreamFrames:
+        """So many seconds of what she says came too late to be drawn: media time goes on by them. What was fed and is
+        not drawn yet is passed over with them, and words for it are forgotten. Her hands stop softly and wait, and go
+        on with the next `feed`. Gives frames up to the new media time; costs about as little as `idle`."""
+        self._check_open()
+        _check_seconds(seconds)
+        first = self._path.next
+        if self._state != StreamState.SPEAKING:
+            self._turns.release(self._committed)
+            self._state = StreamState.SPEAKING
+        self._begin(self.time + seconds)
+        return self._given(first, self._advance(self._begun))
 
     def add_words(self, words: Sequence[Word]) -> None:
         """What is said, with seconds of media time. Words may come before their sound, late or never: a block is drawn
@@ -285,8 +310,7 @@ class Stream:
 
     def _rests(self, seconds: float, state: StreamState, heard: Samples | None = None) -> StreamFrames:
         self._check_open()
-        if not 0 <= seconds <= _LONGEST:
-            raise InputError(f"seconds {seconds:g}", "is out of range", f"give 0 to {_LONGEST:g}")
+        _check_seconds(seconds)
         first, made = self._path.next, self._end_utterance()
         if state != self._state:
             self._turns.release(self._committed)
@@ -357,3 +381,8 @@ class Stream:
             first, self.fps, self.skeleton, np.concatenate([np.zeros((0, joints, 4)), *(p.rotations for p in parts)]),
             np.concatenate([np.zeros((0, 3)), *(part.root_positions for part in parts)]),
             tuple(block for _, block in made if block is not None))
+
+
+def _check_seconds(seconds: float) -> None:
+    if not 0 <= seconds <= _LONGEST:
+        raise InputError(f"seconds {seconds:g}", "is out of range", f"give 0 to {_LONGEST:g}")

@@ -20,6 +20,7 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed
 
 from data_module.errors import InputError
+from gesticulator.serve.pace import Effort, Pace
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, read_hello, read_message
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class _Sound:
     """Another's voice."""
     arrived: float
     """time.monotonic()"""
+    effort: Effort = Effort.FULL
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,9 @@ class Connection:
         self._waits = "idle"
         """How she waits meanwhile: "idle" or "think"."""
         self._leaving = False
+        self._pace = Pace()
+        self._keeps_up = False
+        """Sound that is late is worked on at less cost, or passed over."""
 
     async def run(self) -> None:
         """Serve the client. Whatever it does, this returns."""
@@ -136,6 +141,7 @@ class Connection:
         return request
 
     async def _serve(self, request: StreamRequest, session: Session) -> None:
+        self._keeps_up = request.keeps_up
         reader = asyncio.create_task(self._read(request))
         worker = asyncio.create_task(self._work(session))
         writer = asyncio.create_task(self._write())
@@ -169,6 +175,7 @@ class Connection:
             if told["type"] == "hello":
                 raise RefusedError(CloseCode.BAD_MESSAGE, "a second hello came")
             heard = told["type"] == "listen" or (heard and told["type"] != "speak")
+            self._pace.arrived(float(told.get("seconds", 0.0)))
             if told["type"] == "interrupt":
                 await self._drop_waiting(request)
             await self._wait_with(_Command(told), 0.0)
@@ -184,6 +191,7 @@ class Connection:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound, or "
                           f"{_MOST_WAITING} messages, wait to be worked on")
         self.place.metrics.add("sound_seconds_total", seconds)
+        self._pace.arrived(seconds)
         async with self._changed:
             self._waiting.append(item)
             self._count_waiting(seconds)
@@ -191,6 +199,7 @@ class Connection:
 
     async def _drop_waiting(self, request: StreamRequest) -> None:
         """Let go of the avatar's own sound that was not worked on: it will not be heard."""
+        self._pace.forget()
         async with self._changed:
             kept: deque[_Sound | _Command] = deque()
             for item in self._waiting:
@@ -210,8 +219,8 @@ class Connection:
             item = await self._next(session.request.sample_rate)
             begin = time.monotonic()
             if isinstance(item, _Sound):
-                answer = await self._compute(lambda sound=item: session.feed(sound.samples, sound.heard))  # type: ignore[misc]
-                self.place.metrics.time("answer_seconds", time.monotonic() - item.arrived)
+                answer = await self._compute(lambda sound=item: session.feed(sound.samples, sound.heard, sound.effort))  # type: ignore[misc]
+                self._count_sound(item, len(item.samples) / session.request.sample_rate, time.monotonic() - begin)
             elif item is None:
                 answer = await self._compute(lambda: session.wait(self._waits, IDLE_SECONDS))
             else:
@@ -223,6 +232,15 @@ class Connection:
                 self.reason = self.reason if self._leaving else "finished"
                 await self._end()
                 return
+
+    def _count_sound(self, sound: _Sound, seconds: float, took: float) -> None:
+        """Count a piece of sound that was worked on; took: seconds."""
+        metrics = self.place.metrics
+        metrics.time("answer_seconds", time.monotonic() - sound.arrived)
+        if sound.effort != Effort.NONE:
+            self._pace.worked(seconds, took)
+        if sound.effort != Effort.FULL:
+            metrics.add("passed_seconds_total" if sound.effort == Effort.NONE else "hurried_seconds_total", seconds)
 
     async def _compute(self, job: Callable[[], SessionAnswer]) -> SessionAnswer:
         def timed() -> tuple[SessionAnswer, float]:
@@ -254,11 +272,14 @@ class Connection:
             return self._piece(sample_rate)
 
     def _piece(self, sample_rate: int) -> _Sound:
-        """Half a second of the sound that waits, or as much as there is of one voice."""
-        most = int(PIECE_SECONDS * sample_rate)
-        pieces: list[Samples] = []
+        """Half a second of the sound that waits, or as much as there is of one voice; all of it, to be passed over,
+        where it comes too late."""
         first = self._waiting[0]
         assert isinstance(first, _Sound)
+        self.place.metrics.time("late_seconds", self._pace.late(self._waiting_seconds))
+        effort = self._pace.effort(self._waiting_seconds) if self._keeps_up and not first.heard else Effort.FULL
+        most = int((self._waiting_seconds if effort == Effort.NONE else PIECE_SECONDS) * sample_rate) + 1
+        pieces: list[Samples] = []
         while self._waiting and most > 0:
             item = self._waiting[0]
             if isinstance(item, _Command) or item.heard != first.heard:
@@ -271,7 +292,7 @@ class Connection:
                 self._waiting.popleft()
         samples = np.concatenate(pieces)
         self._count_waiting(-len(samples) / sample_rate)
-        return _Sound(samples, first.heard, first.arrived)
+        return _Sound(samples, first.heard, first.arrived, effort)
 
     async def _sleep(self) -> bool:
         """Wait for a change; False where idle motion is due before one comes. Called with the lock held."""
