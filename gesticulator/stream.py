@@ -31,7 +31,7 @@ from gesticulator.cutter import TICK, BlockCutter
 from gesticulator.drawing import FREE
 from gesticulator.features import SpeechBlock
 from gesticulator.head_turns import HeadTurns
-from gesticulator.motion_path import HISTORY, MotionPath
+from gesticulator.motion_path import HISTORY, LONGEST_HISTORY, MotionPath
 from gesticulator.performance import InferenceOptions
 from gesticulator.rest import RestKnots
 from gesticulator.rollout import Cast, asked_rows
@@ -132,6 +132,7 @@ class Stream:
             self._director = directing.Director(bundle, options, (), math.inf)
             shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))
         self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
+        self._path.history = HISTORY
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
@@ -179,6 +180,18 @@ class Stream:
             # A block is drawn when the next is known, and its last knot is certain with the one after that.
             certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
         return certain + self._path.reach + TICK / SAMPLE_RATE
+
+    @property
+    def history(self) -> float:
+        """Seconds before the last frame that `interrupt` can go back to: a minute, or as many as are set, up to ten
+        minutes. What lies further back is let go of with the next frames."""
+        return self._path.history
+
+    @history.setter
+    def history(self, seconds: float) -> None:
+        if not 0 < seconds <= LONGEST_HISTORY:
+            raise InputError(f"history {seconds:g} s", "is out of range", f"give up to {LONGEST_HISTORY:g}")
+        self._path.history = float(seconds)
 
     @property
     def hurried(self) -> bool:
@@ -248,7 +261,7 @@ class Stream:
         at: seconds of media time up to which was played; later frames are taken back, and media time goes on from
         there. None keeps all that is final. Sound that was fed for later is forgotten. What is given (its `first` says
         from where on) replaces what was taken back; `idle` and the others give what follows. `InputError` for a time
-        that is not yet, or more than a minute ago.
+        that is not yet, or longer ago than `history`.
         """
         self._check_open()
         made = self._path.next / self.fps
@@ -362,7 +375,7 @@ class Stream:
         shown = self._rollouts[-1]
         assert shown.life is not None
         self._shown.append((RestKnots(times, shown.past[-len(times):], shown.life.gains), features))
-        while self._shown[0][0].times[-1] < times[-1] - HISTORY:
+        while self._shown[0][0].times[-1] < times[-1] - self._path.history:
             self._shown.popleft()
         self._committed = float(times[-1])
         return self._path.push(times, features, until)

@@ -10,9 +10,11 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
+from gesticulator.motion_path import HISTORY
 from gesticulator.serve.protocol import StreamRequest
 from gesticulator.serve.server import LiveServer, Page, ServerAddress
 from gesticulator.serve.session import Session, SessionFacts
@@ -32,7 +34,7 @@ class TellingStream:
 
     def __init__(self, request: StreamRequest, seconds: float = 0.0, share: float = 0.0) -> None:
         self.request, self.seconds, self.share = request, seconds, share
-        self.hurried = False
+        self.hurried, self.history = False, HISTORY
         self.time = 0.0
         self.made = 0
         self.state = StreamState.IDLE
@@ -64,6 +66,8 @@ class TellingStream:
 
     def interrupt(self, at: float | None = None) -> StreamFrames:
         if at is not None:
+            if at < self.time - self.history:
+                raise InputError("interrupt", "is too long ago", "give a later time")
             self.time, self.made = at, int(at * self.request.fps)
             self.time += 0.25  # of hands that come down
         return self._all(StreamState.IDLE)

@@ -386,6 +386,23 @@ def test_what_is_wrong_is_closed_with_its_code_and_others_go_on(messages: tuple[
     run(test)
 
 
+def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_played() -> None:
+    async def test() -> None:
+        limits = replace(LIMITS, waiting_seconds=200.0, stream_seconds=200.0, message_bytes=2**23)
+        async with running(limits) as at, connect(at.url, Hello(RATE, fps=10)) as stream:
+            await stream.send(pcm(150.0))
+            await stream.idle(0.0)
+            got = stream.__aiter__()
+            while not isinstance(poses := await anext(got), Poses) or poses.first + len(poses) < 1500:
+                pass
+            await stream.interrupt(5.0)
+            while not isinstance(poses := await anext(got), Poses):
+                pass
+            assert poses.first == 50
+
+    run(test)
+
+
 async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list[Poses], list[dict[str, Any]], float]:
     """Sound in real time, 50 ms at a time; its poses and events, and how late the latest of its poses came."""
     poses: list[Poses] = []

@@ -302,6 +302,20 @@ def test_what_was_played_stays_and_speech_goes_on_after_an_interruption() -> Non
     assert found[0].max() < FASTEST and found[1].max() < HARDEST
 
 
+def test_what_is_remembered_longer_can_be_taken_back_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_module, "HISTORY", 2.0)
+    forgets, remembers = (system().stream(legs=True) for _ in range(2))
+    remembers.history = 8.0
+    for stream in (forgets, remembers):
+        stream.feed(example()[:9 * SAMPLE_RATE])
+    with pytest.raises(InputError, match="interrupt"):
+        forgets.interrupt(2.5)
+    assert remembers.interrupt(2.5).first == round(2.5 * FPS)
+    for seconds in (0.0, -1.0, 601.0, float("nan")):
+        with pytest.raises(InputError, match="history"):
+            forgets.history = seconds
+
+
 def test_only_what_was_made_can_be_interrupted() -> None:
     stream = system().stream()
     stream.feed(example()[:2 * SAMPLE_RATE])

@@ -93,6 +93,8 @@ class Connection:
         """How she waits meanwhile: "idle" or "think"."""
         self._leaving = False
         self._pace = Pace()
+        self._taken_back = 0.0
+        """Seconds that cannot have been played by an interruption that waits to be worked on."""
         self._keeps_up = False
         """Sound that is late is worked on at less cost, or passed over."""
 
@@ -199,6 +201,7 @@ class Connection:
 
     async def _drop_waiting(self, request: StreamRequest) -> None:
         """Let go of the avatar's own sound that was not worked on: it will not be heard."""
+        self._taken_back = max(self._taken_back, self._pace.ahead)
         self._pace.forget()
         async with self._changed:
             kept: deque[_Sound | _Command] = deque()
@@ -218,13 +221,17 @@ class Connection:
         while True:
             item = await self._next(session.request.sample_rate)
             begin = time.monotonic()
+            session.unplayed(max(self._pace.ahead, self._taken_back))
             if isinstance(item, _Sound):
                 answer = await self._compute(lambda sound=item: session.feed(sound.samples, sound.heard, sound.effort))  # type: ignore[misc]
                 self._count_sound(item, len(item.samples) / session.request.sample_rate, time.monotonic() - begin)
             elif item is None:
+                self._pace.arrived(IDLE_SECONDS)
                 answer = await self._compute(lambda: session.wait(self._waits, IDLE_SECONDS))
             else:
                 answer = await self._compute(lambda command=item: session.obey(command.message))  # type: ignore[misc]
+                if item.message["type"] == "interrupt":
+                    self._taken_back = 0.0
                 if item.message in ({"type": "idle"}, {"type": "think"}):
                     self._waits, self._idling = item.message["type"], begin
             await self._put(answer)

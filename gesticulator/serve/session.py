@@ -12,6 +12,7 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Word
+from gesticulator.motion_path import HISTORY, LONGEST_HISTORY
 from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import VERSION, CloseCode, RefusedError, StreamRequest, joints, pack
 
@@ -56,6 +57,10 @@ class Session:
         """Metres."""
         self._words: list[Word] = []
         """Those whose poses were not sent."""
+
+    def unplayed(self, seconds: float) -> None:
+        """So many seconds of what was sent cannot have been played yet: an interruption may take them back."""
+        self._stream.history = min(HISTORY + seconds, LONGEST_HISTORY)
 
     def welcome(self) -> dict[str, Any]:
         """The server's hello."""
