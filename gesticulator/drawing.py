@@ -129,6 +129,8 @@ class FlowDrawer:
         self.noise = self.chosen.noise * self._of_trunk(self.chosen.trunk_noise)
         self.state: tuple[Tensor, Tensor] | None = None
         self.told: Pasts | None = None
+        self.base = torch.zeros(0)
+        """[1, K, D_m] what the body would do in the last block if nothing new came."""
         self.hurried = False
 
     def fork(self) -> FlowDrawer:
@@ -141,9 +143,10 @@ class FlowDrawer:
         """See `Drawer.block`; the code is empty."""
         added = past.new_zeros(1, self.generator.basis.width)
         if self.told is not None:  # what was shown may be other than what was drawn
-            added = self.generator.squeeze(self.generator.basis.coefficients(past, self.told))
+            added = self.generator.squeeze(self.generator.basis.project(past - self.base))
         before, own, _ = torch.tensor(speech.durations, dtype=torch.float32, device=self.device)
         self.told = Pasts(past[:, -PAST:], (own / before)[None])
+        self.base = self.generator.basis.base(self.told)
         place = self.place.step(speech.durations, speech.silent).to(self.device)
         if speech.foreseen and self.generator.config.after_dropout:
             place = alone(place)
@@ -158,7 +161,8 @@ class FlowDrawer:
         noise = self.keys.noise(speech.number, (candidates, self.generator.basis.width)).to(self.device) * self.noise
         drawn = self.generator.draw(context[:, 0], pull, noise, steps)
         best = self._showing(lexeme, drawn)
-        return self.generator.basis.compose(drawn[best:best + 1], self.told) * self.generator.present, past[:, :0, 0]
+        block = self.base + self.generator.basis.expand(drawn[best:best + 1])
+        return block * self.generator.present, past[:, :0, 0]
 
     def _of_trunk(self, trunk: float) -> Tensor:
         """[n] this value for the coefficients of torso and head, 1 for the others."""

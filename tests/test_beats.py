@@ -364,3 +364,11 @@ def test_strengths_belong_to_their_onsets() -> None:
     onsets = detect_onsets(samples, rate)
     strongest = onsets[strength_at(samples, rate, onsets).argmax()]
     assert abs(strongest - places[4]) < 0.03
+
+
+def test_spectra_and_their_rise_are_librosas_to_the_last_bit() -> None:
+    import librosa
+
+    sound = np.random.default_rng(0).standard_normal(4 * 160 + 2048).astype(np.float32)
+    spectra = onsets._spectra(sound, 2048, 160)
+    np.testing.assert_array_equal(spectra, librosa.stft(sound, n_fft=2048, hop_length=160, center=False))
