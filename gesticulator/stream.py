@@ -182,6 +182,11 @@ class Stream:
         return certain + self._path.reach + TICK / SAMPLE_RATE
 
     @property
+    def lacking(self) -> float:
+        """Seconds of sound that `feed` needs at least to give anything: it is taken in ticks of 50 ms."""
+        return TICK / SAMPLE_RATE if self._cutter is None else self._cutter.lacking
+
+    @property
     def history(self) -> float:
         """Seconds before the last frame that `interrupt` can go back to: a minute, or as many as are set, up to ten
         minutes. What lies further back is let go of with the next frames."""

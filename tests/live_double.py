@@ -31,6 +31,7 @@ class TellingStream:
     """Frame k turns the hips by k * TURN about Y; half a second of sound is looked ahead, and is a block."""
 
     skeleton = CHARACTER
+    lacking = 0.05
 
     def __init__(self, request: StreamRequest, seconds: float = 0.0, share: float = 0.0) -> None:
         self.request, self.seconds, self.share = request, seconds, share

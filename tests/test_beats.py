@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
+from data_module.speech import onsets
 from data_module.speech.audio import load_speech
 from data_module.speech.beats import RULES, BeatSettings, BeatTracker, find_beats, next_beat, place_beats
 from data_module.speech.onsets import (

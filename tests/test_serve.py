@@ -600,7 +600,7 @@ def test_rude_clients_end_nothing_but_themselves(caplog: pytest.LogCaptureFixtur
 def test_a_failure_in_a_stream_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
     async def test() -> None:
         async with running() as at:
-            await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 100)
+            await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 1000)
 
     with caplog.at_level(logging.INFO, "gesticulator"):
         run(test)

@@ -219,7 +219,7 @@ class Connection:
     async def _work(self, session: Session) -> None:
         """Turn what waits into poses, piece by piece, until the stream is finished."""
         while True:
-            item = await self._next(session.request.sample_rate)
+            item = await self._next(session.request.sample_rate, session.lacking)
             begin = time.monotonic()
             session.unplayed(max(self._pace.ahead, self._taken_back))
             if isinstance(item, _Sound):
@@ -258,14 +258,15 @@ class Connection:
         self.place.metrics.time("compute_seconds", seconds)
         return answer
 
-    async def _next(self, sample_rate: int) -> _Sound | _Command | None:
+    async def _next(self, sample_rate: int, lacking: float) -> _Sound | _Command | None:
         """What to work on now: the next command, half a second of sound at most, or None for idle motion that is due.
 
-        Waits until there is something, and until the client has read enough.
+        Waits until there is something, and until the client has read enough. lacking: seconds of her own sound that
+        would change nothing if they came alone, so that they are not worth the way to the thread that computes.
         """
         async with self._changed:
             await self._room()
-            while not self._waiting:
+            while self._too_little(lacking):
                 if self._leaving:
                     self.code, self.reason = CloseCode.GOING_AWAY, "the server is shutting down"
                     return _Command({"type": "finish"})
@@ -277,6 +278,14 @@ class Connection:
                 return item
             self._idling = None
             return self._piece(sample_rate)
+
+    def _too_little(self, lacking: float) -> bool:
+        """Whether nothing waits, or less of the avatar's own sound than that, and more may come."""
+        if not self._waiting:
+            return True
+        if self._waiting_seconds >= lacking - 1e-6 or self._leaving or self._idling is not None:
+            return False
+        return all(isinstance(item, _Sound) and not item.heard for item in self._waiting)
 
     def _piece(self, sample_rate: int) -> _Sound:
         """Half a second of the sound that waits, or as much as there is of one voice; all of it, to be passed over,

@@ -58,6 +58,11 @@ class Session:
         self._words: list[Word] = []
         """Those whose poses were not sent."""
 
+    @property
+    def lacking(self) -> float:
+        """Seconds of the avatar's own sound that make a difference, at least."""
+        return self._stream.lacking
+
     def unplayed(self, seconds: float) -> None:
         """So many seconds of what was sent cannot have been played yet: an interruption may take them back."""
         self._stream.history = min(HISTORY + seconds, LONGEST_HISTORY)
