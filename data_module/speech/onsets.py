@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.speech.mel import mel_bands
 from data_module.speech.silence import FRAME, QUIETEST, LoudnessStep, frame_levels, loudness
 from data_module.types import Array, Samples
 
@@ -93,7 +94,7 @@ class RiseTracker:
     def __init__(self, sample_rate: int) -> None:
         self._rate = sample_rate
         self._hop, self._window = round(_HOP * sample_rate), 2 * round(_WINDOW * sample_rate / 2)
-        self._bands = _mel_bands(sample_rate, self._window)
+        self._bands = _bands(sample_rate, self._window)
         self._covered = _covered(self._window, self._hop)
         # Sound from the start of the next tile's first window on; silence lies before the recording.
         self._sound = np.zeros(self._window // 2, np.float32)
@@ -216,9 +217,13 @@ class OnsetTracker:
 
 @lru_cache(maxsize=4)
 def _hann(window: int) -> Array:
-    from scipy.signal import get_window
+    """[window, 1] one period."""
+    return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, window + 1))[:-1, None]
 
-    return np.asarray(get_window("hann", window, fftbins=True))[:, None]
+
+@lru_cache(maxsize=4)
+def _bands(sample_rate: int, window: int) -> NDArray[np.float32]:
+    return mel_bands(sample_rate, window, _BANDS)
 
 
 def _spectra(sound: Samples, window: int, hop: int) -> NDArray[np.complex64]:
@@ -228,15 +233,6 @@ def _spectra(sound: Samples, window: int, hop: int) -> NDArray[np.complex64]:
 
     windows = np.lib.stride_tricks.sliding_window_view(sound, window)[::hop].T
     return np.asfortranarray(fft.rfft(_hann(window) * windows, axis=0).astype(np.complex64))
-
-
-@lru_cache(maxsize=4)
-def _mel_bands(sample_rate: int, window: int) -> NDArray[np.float32]:
-    """[bands, window / 2 + 1] power of a spectrum to that of each mel band."""
-    import librosa
-
-    bands: NDArray[np.float32] = librosa.filters.mel(sr=sample_rate, n_fft=window, n_mels=_BANDS, fmax=sample_rate / 2)
-    return bands
 
 
 def _covered(window: int, hop: int) -> Array:
