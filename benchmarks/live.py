@@ -2,7 +2,8 @@
 
 A server is started as a process with one thread. Streams send sound as a microphone does, 20 ms at a time in real
 time; each reads its poses and notes how long after a sound its pose came. A stream more than a core can carry shows in
-the 99th percentile. Beside them: what the server's memory is before, with, and after streams; a client that never
+the 99th percentile. `core_share` is the server's processor time over the clock's; `other_load` the machine's load, of
+which a quiet machine has none. Beside them: the server's memory before, with and after streams; a client that never
 reads; and the poses of a synthesiser that delivers ten seconds in one.
 """
 
@@ -134,7 +135,8 @@ async def load(server: Server, sound: np.ndarray, count: int, latency: str) -> d
     return {"streams": count, "latency_mode": latency, "p50": round(float(np.quantile(late, 0.5)), 4),
             "p95": round(float(np.quantile(late, 0.95)), 4), "p99": round(float(np.quantile(late, 0.99)), 4),
             "memory": server.memory(),
-            "core_share": round((server.processor_seconds() - spent) / (time.monotonic() - clock), 3)}
+            "core_share": round((server.processor_seconds() - spent) / (time.monotonic() - clock), 3),
+            "other_load": round(os.getloadavg()[0], 1)}
 
 
 def main() -> None:
@@ -166,6 +168,9 @@ def main() -> None:
 
     report["beside_a_stalled_client"] = asyncio.run(beside())
     report["memory_after"] = server.memory()
+    # By processor time, so that what else the machine does counts little.
+    one = next(row for row in report["microphone"] if row["latency_mode"] == "low")
+    report["streams_per_core"] = round(one["streams"] / one["core_share"], 1)
     report["compute"] = [line for line in server.figures().splitlines() if line.startswith("gesticulator_compute_")]
     report["exit_code"] = server.stop()
     print(json.dumps(report, indent=1))

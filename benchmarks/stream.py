@@ -1,4 +1,6 @@
-"""How late and how costly a stream is: `python benchmarks/stream.py SPEECH ... [--out docs/results/stream.json]`.
+"""How late and how costly a stream is.
+
+    python benchmarks/stream.py SPEECH [SPEECH ...] [--out docs/results/stream.json]
 
 For each latency mode, over all recordings, with sound in pieces of 20 ms as a microphone gives it:
 

@@ -8,16 +8,16 @@ How near is measured by the same function on both, and it changes without jumps,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_module.types import Array, Motion
+from data_module.types import Array, Motion, Skeleton
 from gesticulator.characters.frames import Body
 from gesticulator.characters.mapping import SIDES
-from gesticulator.inverse_kinematics import bend
+from gesticulator.inverse_kinematics import Limbs, bend
 
 MARGIN = 0.03
 """Metres from the trunk beyond which a hand of an adult is left alone, in the scale of her arms."""
@@ -173,8 +173,8 @@ def our_distances(ours: Pose) -> dict[str, Array]:
     """Side -> [T] metres that our wrist and knuckles, whichever is nearer, are from our trunk; negative inside."""
     trunk = plain_trunk(*OURS)
     column = ours.places["Hips"], ours.places["Neck"], ours.turns["Spine3"]
-    return {side: np.min([trunk.distance(ours.places[side + name], *column)[0] for name in ("Hand", "HandMiddle1")],
-                         axis=0) for side in SIDES}
+    return {side: np.min([trunk.distance(ours.places[side + name], *column)[0] for name in ("Hand", "HandMiddle1")
+                          if side + name in ours.places], axis=0) for side in SIDES}
 
 
 def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
@@ -194,15 +194,62 @@ def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
                         for above, below in zip(chain, chain[1:], strict=False)))
         margin = MARGIN * arm / _ARM_LENGTH
         wanted = np.minimum(near[side] * arm / _ARM_LENGTH, margin)
-        for _ in range(_STEPS):
-            push = np.zeros_like(chest[:, 0])
-            most = np.zeros(len(chest))
-            for node in points:
-                gap, out = trunk.distance(body.place(turns, node), hips, neck, chest)
-                depth = np.maximum(wanted - gap, 0.0)
-                push = np.where((depth > most)[:, None], depth[:, None] * out, push)
-                most = np.maximum(most, depth)
-            if most.max() < 1e-5:
-                break
-            touched = most > 1e-5
-            bend(turns, body, chain, body.place(turns, chain[2]) + push, np.array([0.0, -1.0, -0.5]), touched)
+        push_out(turns, body, chain, points, wanted, (trunk, hips, neck, chest))
+
+
+def push_out(turns: dict[int, Array], limbs: Limbs, chain: tuple[int, int, int], points: Sequence[int], wanted: Array,
+             column: tuple[Trunk, Array, Array, Array]) -> None:
+    """Bend an arm in `turns` where one of its points is nearer to the trunk than `wanted` [T] metres.
+
+    chain: shoulder, elbow, wrist; column: the trunk with the arguments of `Trunk.distance`.
+    """
+    trunk, *place = column
+    for _ in range(_STEPS):
+        push = np.zeros_like(place[0])
+        most = np.zeros(len(wanted))
+        for node in points:
+            gap, out = trunk.distance(limbs.place(turns, node), *place)
+            depth = np.maximum(wanted - gap, 0.0)
+            push = np.where((depth > most)[:, None], depth[:, None] * out, push)
+            most = np.maximum(most, depth)
+        if most.max() < 1e-5:
+            break
+        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, np.array([0.0, -1.0, -0.5]), most > 1e-5)
+
+
+class OurLimbs:
+    """Our own skeleton as `bend` wants it: nodes are its joints."""
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        self.skeleton = skeleton
+
+    def place(self, turns: Mapping[int, Array], node: int) -> Array:
+        """[T, 3] where a joint is, from the hips; turns: joint -> [T, 3, 3] its world rotation."""
+        above = self.skeleton.parents[node]
+        if above < 0:
+            return np.zeros((1, 3))
+        return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
+
+
+def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
+    """A motion on our own skeleton, the root at the origin, with hands kept as far from the trunk as `near` says.
+
+    near: side -> [T] metres, as of `our_distances`; beyond `MARGIN` a hand is free. Frames without need stay as they
+    are, bit for bit.
+    """
+    names, pose = motion.skeleton.index, pose_of(motion)
+    turns = {joint: pose.turns[name] for joint, name in enumerate(motion.skeleton.names)}
+    column = plain_trunk(*OURS), pose.places["Hips"], pose.places["Neck"], pose.turns["Spine3"]
+    limbs, rotations, now = OurLimbs(motion.skeleton), motion.rotations.copy(), our_distances(pose)
+    for side in SIDES:
+        wanted = np.minimum(near[side], MARGIN)
+        touched = now[side] < wanted - 1e-5
+        if not touched.any():
+            continue
+        chain = (names(side + "Arm"), names(side + "ForeArm"), names(side + "Hand"))
+        points = [chain[2], *([names(side + "HandMiddle1")] if side + "HandMiddle1" in motion.skeleton.names else [])]
+        push_out(turns, limbs, chain, points, np.where(touched, wanted, -np.inf), column)
+        for joint in chain:
+            local = np.swapaxes(turns[motion.skeleton.parents[joint]], -1, -2) @ turns[joint]
+            rotations[touched, joint] = Rotation.from_matrix(local[touched]).as_quat(scalar_first=True)
+    return replace(motion, rotations=rotations)

@@ -137,7 +137,12 @@ class BlockCutter:
         self._heard = self._levels = self._frames = self._count = 0
         self._edges: list[tuple[float, BeatFlag]] = [(start, BeatFlag.BOUNDARY)]  # of blocks that are not cut yet
         self._cut: list[_CutBlock] = []  # the block before, and those that are not given yet
-        self._ended = False
+        self._ended = self._told = False
+
+    def cut_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
+        """Cut at these beats, rising seconds with why they stand there, and look for none; before anything is fed."""
+        self._edges += beats
+        self._told = True
 
     @property
     def reads(self) -> bool:
@@ -176,13 +181,15 @@ class BlockCutter:
         self._quiet.add(self._start.finish().tolist())
         self._pauses.close()
         self._quiet.close()
-        self._edges += self._beats.finish(onsets, heard.silent.tolist(), self._heard / SAMPLE_RATE)
+        if not self._told:
+            self._edges += self._beats.finish(onsets, heard.silent.tolist(), self._heard / SAMPLE_RATE)
         return list(self._given())
 
     def _tick(self, samples: Samples) -> list[SpeechBlock]:
         heard, onsets = self._hear(samples)
-        self._edges += self._beats.step(onsets, heard.silent.tolist(), self._onsets.known_until,
-                                        self._heard / SAMPLE_RATE)
+        if not self._told:
+            self._edges += self._beats.step(onsets, heard.silent.tolist(), self._onsets.known_until,
+                                            self._heard / SAMPLE_RATE)
         return list(self._given())
 
     def _hear(self, samples: Samples) -> tuple[LoudnessStep, list[tuple[float, float]]]:
@@ -326,13 +333,20 @@ class WordTrack:
         del self._words[:old]
 
 
-def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None
-                  ) -> SpeechFeatures:
-    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too."""
+def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
+                  blocks: Blocks | None = None) -> SpeechFeatures:
+    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, the text it carries too.
+
+    blocks: to cut it into, where they are decided already.
+    """
     read = words if speech.words is not None else None
     cutter = BlockCutter(config, front, read)
     cutter.add_words(speech.words or ())
-    return gathered([*cutter.feed(speech.samples), *cutter.finish()], config)
+    if blocks is not None:
+        cutter.cut_at([(float(edge), BeatFlag(int(flag)))
+                       for edge, flag in zip(blocks.edges[1:], blocks.flags, strict=True)])
+    found = gathered([*cutter.feed(speech.samples), *cutter.finish()], config)
+    return found if blocks is None else replace(found, blocks=blocks)
 
 
 def gathered(found: Sequence[SpeechBlock], config: Config) -> SpeechFeatures:

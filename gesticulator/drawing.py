@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.motion.movement import PAST, Pasts
@@ -34,8 +36,33 @@ class Keys:
             shape, dtype=np.float32))
 
 
+@dataclass(frozen=True)
+class Direction:
+    """Of one block. lexeme: to play, whatever the interpreter says; None lets it choose. keys: what its noise is drawn
+    from, None for the performance's own. still: [K] frames in which the hands are to rest, or None. bias: [S] added to
+    the interpreter's scores where it chooses, or None."""
+
+    lexeme: int | None = None
+    keys: Keys | None = None
+    still: NDArray[np.bool_] | None = None
+    bias: NDArray[np.float64] | None = None
+
+    def biased(self, scores: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Scores [S] as the director wants them."""
+        return scores if self.bias is None else scores + self.bias
+
+
+FREE = Direction()
+"""Says nothing."""
+
+
 class Drawer(Protocol):
-    """Draws one block after the other; it keeps what it must remember between them."""
+    """Draws one block after the other; it keeps what it must remember between them. keys: of the next block's noise."""
+
+    keys: Keys
+
+    def fork(self) -> Drawer:
+        """A twin that goes on from here by itself."""
 
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
         """The next block [1, K, D_m] with its style code [1, d_z], after what was shown before it, past [1, K, D_m].
@@ -48,19 +75,23 @@ def drawer_for(bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool
     """The drawer that the bundle's generator asks for; lexeme: the one before the first block; text: words are read."""
     if isinstance(bundle.generator, FlowGenerator):
         return FlowDrawer(bundle, speaker, keys)
-    return RegressionDrawer(bundle, speaker, lexeme, text)
+    return RegressionDrawer(bundle, speaker, lexeme, keys, text)
 
 
 class RegressionDrawer:
     """The generator of RG 5.2, its decoder's state and the style interpreter's."""
 
-    def __init__(self, bundle: Bundle, speaker: int, lexeme: int, text: bool) -> None:
-        self.bundle = bundle
+    def __init__(self, bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool) -> None:
+        self.bundle, self.keys = bundle, keys  # it draws a block in one way, whatever the keys
         self.generator = cast("Generator", bundle.generator)
         self.style = (bundle.style_text if text else None) or bundle.style
         self.style_state = None if self.style is None else self.style.start(speaker)
         rest = bundle.rest_feature(speaker)
         self.state = self.free = self.generator.first_state(rest[None], bundle.vectors[[lexeme]])
+
+    def fork(self) -> RegressionDrawer:
+        """See `Drawer.fork`."""
+        return copy.copy(self)  # states are replaced, never changed
 
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
         """See `Drawer.block`."""
@@ -92,6 +123,12 @@ class FlowDrawer:
         self.noise = self.chosen.noise * self._of_trunk(self.chosen.trunk_noise)
         self.state: tuple[Tensor, Tensor] | None = None
         self.told: Pasts | None = None
+
+    def fork(self) -> FlowDrawer:
+        """See `Drawer.fork`."""
+        twin = copy.copy(self)
+        twin.place = copy.deepcopy(self.place)
+        return twin
 
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
         """See `Drawer.block`; the code is empty."""

@@ -24,14 +24,15 @@ from typing import TYPE_CHECKING
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
 from gesticulator.cli import PROGRAM, Command
-from gesticulator.performance import FPS, RANGES, UNITS, WRITERS, check_output
+from gesticulator.performance import ENERGIES, FPS, HANDS, RANGES, UNITS, WRITERS, check_output
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from data_module.controls import Controls
     from data_module.types import Speech
-    from gesticulator.performance import Performance
+    from gesticulator.performance import InferenceArguments, Performance
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.plan import GestureCue, GesturePlan
     from gesticulator.retarget import Retargeter
 
 STDIN = "-"
@@ -39,7 +40,7 @@ STDIN = "-"
 TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 """Endings of the files that a folder of transcripts is searched for, in this order."""
 EXIT_PART_FAILED = 1
-_OUTPUTS = {"preview": ".html", "explain": ".json"}
+_OUTPUTS = {"preview": ".html", "plan_out": ".json"}
 """Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
 FORMAT = "bvh"
 """What is written to a folder that --output names, when not told."""
@@ -48,6 +49,34 @@ FORMAT = "bvh"
 def number(name: str) -> Callable[[str], float]:
     """Reads the argument --NAME, in its range of `gesticulator.performance.RANGES`."""
     return lambda text: RANGES[name].parse(f"--{name}", text)
+
+
+def _seconds(text: str) -> tuple[float, float]:
+    """A range of seconds such as 3.2-5.0."""
+    begin, mark, stop = text.partition("-")
+    try:
+        first, last = float(begin), float(stop)
+    except ValueError:
+        mark, first, last = "", 0.0, 0.0
+    if not mark or not 0 <= first < last < float("inf"):
+        raise InputError(f"--hold-still {text[:40]}", "is no range of seconds", "write it as 3.2-5.0")
+    return first, last
+
+
+def _cue(text: str) -> GestureCue:
+    """A cue such as hello=wave, hello:2=wave or 2.5=shrug."""
+    from gesticulator.plan import GestureCue
+
+    at, mark, gesture = text.rpartition("=")
+    if not mark or not at or not gesture:
+        raise InputError(f"--cue {text[:40]}", "is no cue", "write WORD=GESTURE (hello=wave) or SECONDS=GESTURE")
+    try:
+        return GestureCue(gesture, time=float(at))
+    except ValueError:
+        word, _, count = at.rpartition(":")
+    if word and count.isdecimal() and int(count):
+        return GestureCue(gesture, word, int(count))
+    return GestureCue(gesture, at)
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
@@ -64,7 +93,13 @@ def arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("--format", metavar="SUFFIX", help=f"what -o writes where it is a folder (default {FORMAT})")
     out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length of a .bvh (default cm)")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
-    out.add_argument("--explain", metavar="FILE.json", help="what was done: settings, blocks, their best lexemes")
+    out.add_argument("--plan-out", "--explain", metavar="FILE.json", help="the gesture plan: what was decided, "
+                     "to read, to edit and to render again with --plan")
+    performance_arguments(p)
+
+
+def performance_arguments(p: argparse.ArgumentParser) -> None:
+    """Add what tells how a recording is performed, whatever is made of it."""
     heard = p.add_argument_group("what is heard")
     heard.add_argument("--text", metavar="FILE", help="what is said: plain text, TextGrid, SRT, VTT or JSON with word "
                        "times; or a folder of files named like the recordings")
@@ -93,6 +128,19 @@ def arguments(p: argparse.ArgumentParser) -> None:
     style.add_argument("--legs", action="store_true",
                        help="let her stand on legs (54 joints): she shifts her weight, her feet stay planted")
     style.add_argument("--seated", action="store_true", help="let her sit on a chair, legs and hips still (54 joints)")
+    style.add_argument("--intensity", type=number("intensity"), default=1.0, metavar="0..2",
+                       help="how large gestures are; 0 holds the hands at their mean place (default 1)")
+    style.add_argument("--energy", choices=tuple(ENERGIES), default="neutral",
+                       help="on top of them: calm is .6 of intensity and activity, lively 1.5 of intensity")
+    style.add_argument("--handedness", choices=HANDS, help="which hand is preferred")
+    style.add_argument("--mirror", action="store_true", help="exchange left and right")
+    style.add_argument("--hold-still", type=_seconds, action="append", default=[], metavar="FROM-TO",
+                       help="seconds in which the hands rest, such as 3.2-5.0; may be given several times")
+    style.add_argument("--cue", type=_cue, action="append", default=[], metavar="WORD=GESTURE",
+                       help="a gesture at a word, or at a time: hello=wave, hello:2=wave at the second, 2.5=shrug "
+                       "(gesticulator plan names lists them)")
+    style.add_argument("--plan", metavar="FILE", help="render a gesture plan (.json, .bml): what was drawn is "
+                       "replayed, what was edited is drawn anew; --seed does not matter")
     style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
     body = p.add_argument_group("whose body", "A character of yours, from Mixamo, VRM, Unreal, Blender or elsewhere; "
@@ -117,10 +165,10 @@ def run(asked: argparse.Namespace) -> int:
     retargeter = None if asked.list else _retargeter(asked)
     alone = len(jobs) == 1
     done = 0
-    with _our_warnings():
+    with our_warnings():
         ready = [job for job in jobs if _went_well(partial(_check, job, asked), alone)]
         if ready or asked.list:
-            with _threads(int(asked.threads)):
+            with limited_threads(int(asked.threads)):
                 from gesticulator.pipeline import Gesticulator
 
                 system = Gesticulator.from_pretrained(asked.bundle)
@@ -150,7 +198,14 @@ def _went_well(step: Callable[[], None], alone: bool) -> bool:
 def _plan(asked: argparse.Namespace) -> list[Job]:
     if not asked.speech:
         raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
-    return plan(asked.speech, _asked_outputs(asked), asked.text)
+    jobs = plan(asked.speech, _asked_outputs(asked), asked.text)
+    if asked.plan is not None:
+        if len(jobs) > 1:
+            raise InputError("--plan", f"is of one recording, and {len(jobs)} are given", "give the one")
+        if asked.text is not None:
+            raise InputError("--text", "stands in the plan already", "leave it out")
+        _asked_plan(asked)  # what is wrong with it is found before the work
+    return jobs
 
 
 def _asked_outputs(asked: argparse.Namespace) -> dict[str, str]:
@@ -223,10 +278,10 @@ def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
 def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None,
             retargeter: Retargeter | None = None) -> None:
     """Do one recording and print its summary."""
-    speech = _load(job, asked)
+    speech = load(job, asked)
     begin = time.perf_counter()
     stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
-    made = _performed(job, speech, system, asked, controls, asked.legs or stands)
+    made = replace(performed(job, speech, system, asked, controls, asked.legs or stands), sound_name=job.name)
     if retargeter is not None:
         made = replace(made, character=retargeter(made.motion))
     spent = time.perf_counter() - begin
@@ -239,7 +294,7 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
               + "".join(f"\n  {note}" for note in made.notes), flush=True)
 
 
-def _load(job: Job, asked: argparse.Namespace) -> Speech:
+def load(job: Job, asked: argparse.Namespace) -> Speech:
     """The recording as it is; a warning where little of it will be heard, even amplified as was asked."""
     from data_module.speech.audio import amplified, level_note, load_speech
 
@@ -250,8 +305,9 @@ def _load(job: Job, asked: argparse.Namespace) -> Speech:
     return speech
 
 
-def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None,
-               legs: bool) -> Performance:
+def performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None,
+              legs: bool) -> Performance:
+    """What the command asks of a recording, with a bar on the terminal while it is drawn."""
     from tqdm import tqdm
 
     with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
@@ -260,14 +316,30 @@ def _performed(job: Job, speech: Speech, system: Gesticulator, asked: argparse.N
             bar.total = total
             bar.update()
 
-        return system(speech, text=job.text, on_block=on_block, speaker=asked.speaker, interpreter=asked.interpreter,
-                      seed=int(asked.seed), variation=int(asked.variation), temperature=asked.temperature,
-                      beta=asked.beta, activity=asked.activity, fps=asked.fps, gain=asked.gain, controls=controls,
-                      legs=legs, seated=asked.seated)
+        return system(speech, text=job.text, on_block=on_block, **asked_options(asked, controls, legs))
+
+
+def asked_options(asked: argparse.Namespace, controls: Controls | None, legs: bool) -> InferenceArguments:
+    """What the command asks of a performance."""
+    return {"speaker": asked.speaker, "interpreter": asked.interpreter, "seed": int(asked.seed),
+            "variation": int(asked.variation), "temperature": asked.temperature, "beta": asked.beta,
+            "activity": asked.activity, "fps": asked.fps, "gain": asked.gain, "controls": controls,
+            "intensity": asked.intensity, "mirror": asked.mirror, "energy": asked.energy,
+            "handedness": asked.handedness, "hold_still": tuple(asked.hold_still), "cues": tuple(asked.cue),
+            "plan": _asked_plan(asked), "legs": legs, "seated": asked.seated}
+
+
+def _asked_plan(asked: argparse.Namespace) -> GesturePlan | None:
+    """The plan to render, if any."""
+    if asked.plan is None:
+        return None
+    from gesticulator.export.bml import read_any_plan
+
+    return read_any_plan(asked.plan)
 
 
 @contextmanager
-def _threads(count: int) -> Iterator[None]:
+def limited_threads(count: int) -> Iterator[None]:
     """As many threads in torch and in numpy's matrix products, whatever the environment says: the order in which sums
     are added up, and with it the last bits of a result, depend on their number."""
     import numpy  # noqa: F401 - its library must be loaded to be told
@@ -303,7 +375,7 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
 
 
 @contextmanager
-def _our_warnings() -> Iterator[None]:
+def our_warnings() -> Iterator[None]:
     """Only our own warnings concern the user, a line each; those of libraries do not."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -455,6 +527,9 @@ COMMAND = Command(
         "infer recordings/ -o out/ --format fbx",
         "infer speech.wav --character rig.glb -o talk.glb",
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
+        "infer speech.wav -o gesture.bvh --plan-out plan.json --energy calm",
+        "infer speech.wav -o again.bvh --plan plan.json --intensity 1.3",
+        "infer speech.wav -o gesture.bvh --text speech.txt --cue bread=wave --hold-still 3.2-5.0",
         "infer recordings/ -o out/ --preview out/ --text texts/",
         "infer - -o gesture.bvh < speech.wav",
         "infer --list speakers",

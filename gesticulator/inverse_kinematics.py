@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.types import Array
-from gesticulator.characters.frames import Body
 
 _STRETCHED = 0.9995
 """Share of a limb's length beyond which it is not stretched: a knee that locks jumps."""
 
 
-def bend(turns: dict[int, Array], body: Body, chain: tuple[int, int, int], goal: Array, pole: Array,
+class Limbs(Protocol):
+    """A body whose nodes can be placed."""
+
+    def place(self, turns: Mapping[int, Array], node: int) -> Array:
+        """[T, 3] where a node is, from the hips, metres; turns: node -> [T, 3, 3] its axes to ours."""
+
+
+def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal: Array, pole: Array,
          where: NDArray[np.bool_] | None = None) -> None:
     """Two-bone inverse kinematics: turn the first two nodes of a chain so that the third is at `goal` [T, 3].
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -29,8 +30,11 @@ HISTORY = 60.0
 class MotionPath:
     """Normalised blocks of one performer, one after the other, to motion (RG 4.2.2, 7.1.2)."""
 
-    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, prompt: bool = False) -> None:
-        """options: of which fps, legs, seated and seed are taken; prompt: see `KnotPath`."""
+    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, prompt: bool = False,
+                 shaping: Callable[[Array, Array], Array] | None = None) -> None:
+        """options: of which fps, legs, seated, seed and mirror are taken; prompt: see `KnotPath`; shaping: poses
+        [K, D_m] at seconds [K] -> poses, what knobs make of them."""
+        self._shaping = shaping
         self._statistics, self._speaker, self._options = bundle.statistics, speaker, options
         self._representation = representation_of(bundle.config)
         first: Array = bundle.statistics.rest_pose[speaker]
@@ -72,7 +76,7 @@ class MotionPath:
 
         Positions of joints make rotations only together, so there all frames come at the end.
         """
-        frames = self._knots.push(times, self._poses(features), until)
+        frames = self._knots.push(times, self._poses(times, features), until)
         if self._whole is None:
             return self._motion(frames)
         self._whole.append(frames)
@@ -84,7 +88,7 @@ class MotionPath:
 
     def rewind(self, times: Array, features: NDArray[np.floating], first: int) -> None:
         """Go back to frame `first`, see `KnotPath.rewind`; features [M, D_m] at times [M] of all that is remembered."""
-        self._knots.rewind(times, self._poses(features), first)
+        self._knots.rewind(times, self._poses(times, features), first)
         self._last = None
         if self._stance is not None:
             while len(self._stances) > 1 and self._stances[-1][0] > first:
@@ -94,12 +98,21 @@ class MotionPath:
             if number < first:
                 self._stance.step(self._representation.motion(self._knots.frames(number, first), self._knots.fps))
 
-    def _poses(self, features: NDArray[np.floating]) -> Array:
-        return self._statistics.denormalise(features.astype(np.float64), self._speaker)
+    def _poses(self, times: Array, features: NDArray[np.floating]) -> Array:
+        poses = self._statistics.denormalise(features.astype(np.float64), self._speaker)
+        return poses if self._shaping is None or not len(poses) else self._shaping(poses, times)
 
     def _motion(self, frames: Array) -> Motion | None:
         if len(frames) == 0:
             return None
+        motion = self._moved(frames)
+        if not self._options.mirrored:
+            return motion
+        from gesticulator.shaping import mirrored_motion
+
+        return mirrored_motion(motion)
+
+    def _moved(self, frames: Array) -> Motion:
         body = self._representation.motion(frames, self._knots.fps)
         if self._stance is not None:
             first = self._knots.next - len(frames)

@@ -26,9 +26,14 @@ if TYPE_CHECKING:
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.rig import Character
+    from gesticulator.plan import GestureCue, GesturePlan, LexemeName
     from gesticulator.retarget import CharacterMotion
     from interpreters.base import LexemeInterpreter
 
+ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
+"""Energy -> what intensity and activity are multiplied by: calm is smaller gestures in six tenths of the phrases."""
+HANDS = ("left", "right", "both")
+"""What handedness may prefer."""
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
 
 FPS = 60.0
@@ -40,6 +45,7 @@ BEST = 5
 _END_TOLERANCE = 0.05
 
 WRITERS = {
+    ".bml": "gesticulator.export.bml:write_bml",
     ".bvh": "gesticulator.performance:write_bvh_file",
     ".csv": "gesticulator.export.table:write_csv",
     ".fbx": "gesticulator.export.fbx:write_fbx",
@@ -109,6 +115,7 @@ RANGES = {
     "activity": Range(0, 1, "0 (stillness) to 1 (never holds back)"),
     "fps": Range(1, 1000, "1 to 1000 frames per second"),
     # 64 dB bring the faintest speech that is listened for (-90 dBFS) to the usual level (-26 dBFS).
+    "intensity": Range(0, 2, "0 (hands held at their mean place) to 2 (largest)"),
     "gain": Range(-70, 70, "-70 to 70 decibels"),
     # Far above any machine's cores; beyond the system's limit on threads torch ends the process.
     "threads": Range(1, 256, "1 to 256 threads", whole=True),
@@ -153,18 +160,61 @@ class InferenceOptions:
     """Mean horizontal distance of both hands from the body's axis, metres."""
     controls: Controls | None = None
     """The three hand controls in one object, instead of them."""
+    intensity: float = 1.0
+    """How large gestures are, 0 (hands held at their mean place) to 2; 1 as they are drawn (`gesticulator.shaping`)."""
+    mirror: bool = False
+    """Exchange left and right."""
+    energy: str = "neutral"
+    """"calm", "neutral" or "lively": a named combination of intensity and activity, on top of them."""
+    handedness: str | None = None
+    """Which hand's lexemes are preferred: "left", "right" or "both"."""
+    hold_still: tuple[tuple[float, float], ...] = ()
+    """Ranges of seconds, each from and to, in which the hands rest."""
+    cues: tuple[GestureCue, ...] = ()
+    """Gestures asked for at words or times."""
+    plan: GesturePlan | None = None
+    """Render this plan: what was drawn is replayed, what was edited is drawn anew. Seed, variation, speaker,
+    interpreter and controls are the plan's."""
     legs: bool = False
     """Give her legs to stand on (54 joints): the weight shifts, the feet are planted (`gesticulator.stance`)."""
     seated: bool = False
     """Let her sit: with legs, they and the hips quite still."""
 
     def __post_init__(self) -> None:
-        for name in ("seed", "variation", "temperature", "beta", "activity", "fps", "gain"):
+        for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain"):
             value = getattr(self, name)
             if value is not None or name not in ("temperature", "beta", "activity"):
                 RANGES[name].check(name, value)
         if self.controls is not None and any(part is not None for part in self.hands):
             raise InputError("controls", "are given beside hand_height, hand_speed or hand_radius", "give one or other")
+        if self.energy not in ENERGIES:
+            raise InputError(f"energy {self.energy}", "is unknown", f"choose among {', '.join(ENERGIES)}")
+        if self.handedness not in (None, *HANDS):
+            raise InputError(f"handedness {self.handedness}", "is unknown", f"choose among {', '.join(HANDS)}")
+        for begin, stop in self.hold_still:
+            if not 0 <= begin < stop < math.inf:
+                raise InputError(f"hold_still {begin:g}-{stop:g}", "is no range of seconds", "write it as 3.2-5.0")
+
+    @property
+    def energy_share(self) -> float:
+        """What the energy multiplies activity by."""
+        return ENERGIES[self.energy][1]
+
+    @property
+    def directed(self) -> bool:
+        """Whether blocks are drawn otherwise than the models would."""
+        return bool(self.hold_still or self.cues or self.handedness)
+
+    @property
+    def shaped(self) -> bool:
+        """Whether drawn poses are changed."""
+        sized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
+        return bool(self.plan or self.cues or self.handedness or sized)
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the whole motion is mirrored; where a plan locks blocks, they are left as they are."""
+        return self.mirror and not (self.plan is not None and any(block.locked for block in self.plan.blocks))
 
     @property
     def hands(self) -> tuple[HandControl, ...]:
@@ -188,6 +238,13 @@ class InferenceArguments(TypedDict, total=False):
     hand_speed: HandControl
     hand_radius: HandControl
     controls: Controls | None
+    intensity: float
+    mirror: bool
+    energy: str
+    handedness: str | None
+    hold_still: tuple[tuple[float, float], ...]
+    cues: tuple[GestureCue, ...]
+    plan: GesturePlan | None
     legs: bool
     seated: bool
 
@@ -246,6 +303,12 @@ class Performance:
     """The same motion on a character of the user's, shown by .bvh, .glb, .fbx, .usda, .usdc, .csv, .parquet."""
     made_by: Mapping[str, Any] = field(default_factory=dict)
     """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
+    options: InferenceOptions | None = None
+    """What was asked, with nothing left to the bundle."""
+    names: Callable[[], tuple[LexemeName, ...]] | None = None
+    """The names of the lexemes, worked out when they are asked for."""
+    sound_name: str = ""
+    """The file of the sound."""
 
     def __post_init__(self) -> None:
         import numpy as np
@@ -314,43 +377,14 @@ class Performance:
 
         return replace(self, character=retarget(self, character, mapping, contacts=contacts))
 
+    def plan(self) -> GesturePlan:
+        """What was decided, as a plan that can be edited and rendered again (`InferenceOptions.plan`)."""
+        made: GesturePlan = import_module("gesticulator.export.plan").plan_of(self)
+        return made
+
     def explain(self) -> dict[str, Any]:
-        """Why each block got its gesture, ready for JSON.
-
-        {"made_by": what made it, "notes": what the user should know, "score": what a score is,
-         "blocks": [{"start", "end", "flag", "silent", "played", "lexemes": [{"id", "score"}, ... best first]}]};
-        seconds;
-        with the interpreter "advantage" a lexeme also has `prior` and `advantage` (see `LexemeWorth`), and the block
-        `chosen`, the same of the lexeme that was played, and `runner_up`;
-        `flag` is the lower-case name of the `BeatFlag` that closes the block; each block starts where the last
-        one ended; `played` is the lexeme that was taken, and `gate`, where the gate was asked, how likely it thought a
-        gesture.
-        """
-        import numpy as np
-
-        from data_module.types import BeatFlag
-
-        edges = self.blocks.edges.tolist()
-        worth = self.weighed
-        gates = np.full(len(self.blocks), np.nan) if self.gate is None else self.gate
-        return {"made_by": dict(self.made_by), "notes": list(self.notes), "score": self.score_is, "blocks": [
-            {
-                "start": start,
-                "end": end,
-                "flag": BeatFlag(int(flag)).name.lower(),
-                "silent": bool(silent),
-                "played": int(played),
-                **({} if np.isnan(gate) else {"gate": float(gate)}),
-                **({} if worth is None else {"chosen": worth.entry(block, -1),
-                                             "runner_up": worth.runner_up(best, int(played), block)}),
-                "lexemes": [{"id": int(lexeme), "score": float(score),
-                             **({} if worth is None else worth.entry(block, place))}
-                            for place, (lexeme, score) in enumerate(zip(best, scores, strict=True))],
-            }
-            for block, (start, end, flag, silent, played, gate, best, scores) in enumerate(zip(
-                edges[:-1], edges[1:], self.blocks.flags, self.blocks.silent, self.lexemes, gates, self.best,
-                self.scores, strict=True))
-        ]}
+        """Why each block got its gesture, ready for JSON: `plan` in plain values (docs/plan.md)."""
+        return self.plan().to_dict()
 
 
 # ---------------------------------------------------------------------------------------------------- its files

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,20 +17,23 @@ from torch import nn
 from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
-from data_module.types import Motion, Speech
+from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator import __version__
 from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle import load as load_bundle
 from gesticulator.cutter import BlockCutter, encode_speech
+from gesticulator.drawing import Direction
 from gesticulator.features import SpeechFeatures, front_end_for
 from gesticulator.motion_path import MotionPath
 from gesticulator.performance import FPS as FPS
 from gesticulator.performance import HandControl, InferenceArguments, InferenceOptions, Performance
-from gesticulator.rollout import Cast, OnBlock, Sampling, asked_rows
+from gesticulator.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_rows
 
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
+    from gesticulator.editing import PlanRenderer
+    from gesticulator.plan import LexemeName
     from gesticulator.stream import Stream
     from interpreters.base import LexemeInterpreter
 
@@ -151,23 +154,21 @@ class Gesticulator:
     def _perform(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
                  on_block: OnBlock | None) -> Performance:
         """`perform` for speech that is at `SAMPLE_RATE` and as loud as it was asked for."""
+        if options.plan is not None:
+            return self.render(speech, options, on_block=on_block)
         cast = self.cast(options, self._reads(speech))
         encoded = self.encode_speech(speech) if encoded is None else encoded
-        rows = self._control_rows(cast.controls, encoded)
-        made = cast.rollout(self.bundle).run(encoded, rows, on_block)
+        rows, said = self._control_rows(cast.controls, encoded), None
+        if options.directed:
+            from gesticulator import directing
+
+            said = directing.directions(self.bundle, options, speech, encoded.blocks)
+        made = cast.rollout(self.bundle).run(encoded, rows, on_block, said)
         if options.variation:
-            made = cast.varied(self.bundle).run(encoded, rows, on_block, made.lexemes)
-        motion = self.to_motion(made.motion, encoded, cast.speaker, options)
-        return Performance(motion=motion, speech=speech,
-                           blocks=encoded.blocks, lexemes=made.lexemes, best=made.best, scores=made.scores,
-                           codes=made.codes, gate=made.gate, weighed=made.worth,
-                           score_is="Q value" if cast.by_value else "log-probability",
-                           made_by=self._made_by(replace(
-                               options, speaker=self.speakers[cast.speaker],
-                               interpreter=options.interpreter or self.bundle.interpreters[0],
-                               temperature=cast.sampling.temperature, beta=cast.beta, activity=cast.activity,
-                               controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None),
-                               self._reads(speech)))
+            again = [replace(one, lexeme=int(lexeme)) for one, lexeme
+                     in zip(said or [Direction()] * len(encoded), made.lexemes, strict=True)]
+            made = cast.varied(self.bundle).run(encoded, rows, on_block, again)
+        return self._performance(speech, options, cast, encoded, made)
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
                **options: Unpack[InferenceArguments]) -> Stream:
@@ -188,33 +189,95 @@ class Gesticulator:
     def cast(self, options: InferenceOptions, text: bool) -> Cast:
         """Who gestures, and how, with nothing left to the bundle; text: words are read."""
         chosen = self.bundle.config.selection
-        activity = chosen.activity if options.activity is None else options.activity
+        activity = (chosen.activity if options.activity is None else options.activity) * options.energy_share
         self._check_activity(activity)
         self._check_variation(int(options.variation))
         controls = self.controls(options)
         who = self.speaker_index(options.speaker)
         name = options.interpreter or self.bundle.interpreters[0]
         system = self.interpreter(name, text) if isinstance(name, str) else name
-        by_value = getattr(system, "gives_values", False)
         temperature = options.temperature
         if temperature is None:
-            temperature = chosen.q_temperature if by_value else chosen.temperature
+            temperature = chosen.q_temperature if getattr(system, "gives_values", False) else chosen.temperature
         system, beta = _steered(system, options.beta, temperature)
         sampling = Sampling(temperature, chosen.top, int(options.seed))
         return Cast(system, who, sampling, activity, controls, int(options.variation), beta)
 
+    def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
+               on_block: OnBlock | None = None) -> Performance:
+        """The plan of the options (as `directing.planned` gives them) for a speech at 16 kHz, rendered.
+
+        renderer: what `plan_renderer` gave for this drawing, so that only edited blocks are drawn.
+        """
+        from gesticulator import directing
+
+        assert options.plan is not None
+        directing.check_plan_of(self.bundle, options.plan, speech)
+        redrawn = (renderer or self.plan_renderer(speech, options, on_block)).render(options.plan)
+        cast = self.cast(options, self._reads(speech))
+        return self._performance(speech, options, cast, redrawn.encoded, redrawn.result)
+
+    def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None) -> PlanRenderer:
+        """What renders the plans of one first drawing of a speech (at 16 kHz), each in the time of its edits.
+
+        options: with a plan of that drawing, as `directing.planned` gives them.
+        """
+        from gesticulator import directing
+        from gesticulator.editing import PlanRenderer, Redrawer
+
+        plan = options.plan
+        assert plan is not None
+        cast = self.cast(options, self._reads(speech))
+        cast = replace(cast, sampling=replace(cast.sampling, variation=plan.variation))
+        rhythm = self.bundle.config.rhythm
+        return PlanRenderer(Redrawer(
+            lambda activity: replace(cast, activity=activity).rollout(self.bundle),
+            lambda blocks: self.encode_speech(speech, blocks),
+            lambda encoded: self._control_rows(cast.controls, encoded),
+            lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block)
+
+    def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, encoded: SpeechFeatures,
+                     made: RolloutResult) -> Performance:
+        shaping = None
+        if options.shaped:
+            from gesticulator import directing
+
+            shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (),
+                                        encoded.blocks.edges)
+        motion = self.to_motion(made.motion, encoded, cast.speaker, options, shaping)
+        used = replace(options, speaker=self.speakers[cast.speaker],
+                       interpreter=options.interpreter or self.interpreters[0],
+                       temperature=cast.sampling.temperature, beta=cast.beta,
+                       activity=self.bundle.config.selection.activity if options.activity is None else options.activity,
+                       controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None)
+        return Performance(motion=motion, speech=speech, blocks=encoded.blocks, lexemes=made.lexemes, best=made.best,
+                           scores=made.scores, codes=made.codes, gate=made.gate, weighed=made.worth,
+                           score_is="Q value" if cast.by_value else "log-probability",
+                           made_by=self._made_by(used, self._reads(speech)), options=used,
+                           names=partial(_names, self.bundle))
+
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
-        spoken = _prepared(as_speech(speech, sample_rate), options)
-        if text is None:
-            return self._perform(spoken, options, encoded, on_block)
-        spoken, note = self.read(spoken, text)
-        return replace(self._perform(spoken, options, encoded, on_block), notes=(note,))
+        if options.plan is not None:
+            from gesticulator import directing
 
-    def encode_speech(self, speech: Speech) -> SpeechFeatures:
-        """A speech at 16 kHz cut into blocks and encoded, with its words where the bundle reads them."""
+            options = directing.planned(options)
+        spoken = _prepared(as_speech(speech, sample_rate), options)
+        notes: tuple[str, ...] = ()
+        if options.plan is not None:
+            spoken = directing.with_planned_words(spoken, options.plan)
+        elif text is not None:
+            spoken, note = self.read(spoken, text)
+            notes = (note,)
+        made = self._perform(spoken, options, encoded, on_block)
+        name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
+        return replace(made, notes=notes, sound_name=name)
+
+    def encode_speech(self, speech: Speech, blocks: Blocks | None = None) -> SpeechFeatures:
+        """A speech at 16 kHz cut into blocks (into these, where told) and encoded, with its words where the bundle
+        reads them."""
         words = self.word_encoder() if self._reads(speech) else None
-        return encode_speech(speech, self.bundle.config, self._front_end, words)
+        return encode_speech(speech, self.bundle.config, self._front_end, words, blocks)
 
     def _reads(self, speech: Speech) -> bool:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
@@ -278,14 +341,23 @@ class Gesticulator:
         return {"gesticulator": __version__, "bundle": bundle, "settings": settings}
 
     def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int,
-                  options: InferenceOptions) -> Motion:
-        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion (RG 4.2.2, 7.1.2)."""
-        path, blocks = MotionPath(self.bundle, speaker, options), encoded.blocks
+                  options: InferenceOptions, shaping: Callable[[Array, Array], Array] | None = None) -> Motion:
+        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion (RG 4.2.2, 7.1.2).
+
+        shaping: poses [K, D_m] at seconds [K] -> poses, what knobs make of them.
+        """
+        path, blocks = MotionPath(self.bundle, speaker, options, shaping=shaping), encoded.blocks
         parts = [path.push(at, block) for at, block in zip(blocks.knot_times.reshape(len(blocks), -1), features,
                                                            strict=True)]
         made = [part for part in (*parts, path.finish(float(blocks.edges[-1]))) if part is not None]
         return replace(made[0], rotations=np.concatenate([part.rotations for part in made]),
                        root_positions=np.concatenate([part.root_positions for part in made]))
+
+
+def _names(bundle: Bundle) -> tuple[LexemeName, ...]:
+    from gesticulator.lexeme_names import lexeme_names
+
+    return lexeme_names(bundle)
 
 
 def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequence[Text | None]:

@@ -17,6 +17,7 @@ on the way there.
 
 from __future__ import annotations
 
+import copy
 import math
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
@@ -53,7 +54,8 @@ RETREATS = 0.95
 LONGEST_PHRASE = 3.0
 """Seconds of speech without a pause after which a new phrase begins (talks: 2.6 s in the mean)."""
 
-_LONGEST_STOP, _SHORTEST_STOP = 0.42, 0.22
+LONGEST_STOP, _SHORTEST_STOP = 0.42, 0.22
+"""Seconds in which a moving hand stops."""
 _STOP_WITHIN = 0.12
 """Metres in which a hand stops, where the shortest stop allows it."""
 _RETRACTS = 0.42
@@ -173,6 +175,12 @@ class Phrases:
         self._order: deque[float] = deque()
         self._spoken = self._gestured = self._phrase = 0.0
         self._speaks, self._open = False, False
+
+    def fork(self) -> Phrases:
+        """A twin that goes on from here by itself."""
+        twin = copy.copy(self)
+        twin._ranked, twin._order = list(self._ranked), self._order.copy()
+        return twin
 
     def step(self, span: Span, rests: Flags, score: float) -> bool:
         """Whether the speech in this block is gestured; what holds for the phrase that its last speech belongs to.
@@ -319,14 +327,14 @@ class _Way:
 
     def stop(self, pose: Array, velocity: Array, rest: Array) -> tuple[Array, Array]:
         """Where it stops, [D], and in how many seconds, [D], from a pose with a velocity."""
-        seconds = np.full(len(pose), _LONGEST_STOP)
+        seconds = np.full(len(pose), LONGEST_STOP)
         if self._hands_of is None:
             return pose + velocity * seconds / 3.0, seconds
         tiny = 1e-3
         now, then, end = self._hands_of(np.stack([pose, pose + velocity * tiny, rest]))
         moves, ahead = (then - now) / tiny, end - now
         speeds, ways = np.linalg.norm(moves, axis=-1), np.linalg.norm(ahead, axis=-1)
-        seconds[:] = np.clip(3.0 * _STOP_WITHIN / max(float(speeds.max()), 1e-6), _SHORTEST_STOP, _LONGEST_STOP)
+        seconds[:] = np.clip(3.0 * _STOP_WITHIN / max(float(speeds.max()), 1e-6), _SHORTEST_STOP, LONGEST_STOP)
         stopped = pose + velocity * seconds / 3.0
         for side, columns in enumerate(self._hands_of.arms):
             cosine = float(moves[side] @ ahead[side]) / max(float(speeds[side] * ways[side]), 1e-9)
@@ -426,12 +434,27 @@ class Rest:
         self._rests: list[Flags] = []
         self._span: Span | None = None
 
-    def hear(self, span: Span, score: float = math.nan) -> bool:
-        """True where the hands have nothing to do for half of the block or more. score: the gate's probability."""
+    def fork(self) -> Rest:
+        """A twin that goes on from here by itself."""
+        twin = copy.copy(self)
+        twin._gains = [copy.copy(gain) for gain in self._gains]
+        twin._parts = [(columns, copy.copy(part)) for columns, part in self._parts]
+        twin._pauses, twin._phrases = copy.copy(self._pauses), self._phrases.fork()
+        return twin
+
+    def stand_as(self, other: Rest) -> None:
+        """Take over where the body is and how it moves from the rest of another performance by the same speaker."""
+        twin = other.fork()
+        self._parts, self._gains, self._shown = twin._parts, twin._gains, twin._shown
+
+    def hear(self, span: Span, score: float = math.nan, still: Flags | None = None) -> bool:
+        """True where the hands have nothing to do for half of the block or more. score: the gate's probability; still:
+        [K] frames in which the hands are told to rest."""
         pause = self._pauses.step(span)
         gestured = self._phrases.step(span, pause, score)
         self._span = span
-        self._rests = [pause, pause if gestured else np.ones_like(pause)]
+        hands = pause if gestured else np.ones_like(pause)
+        self._rests = [pause, hands if still is None else hands | still]
         return bool(self._rests[1].mean() >= 0.5)
 
     def rest(self, span: Span) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from data_module.controls import Controls, Levels
 from data_module.errors import InputError
 from data_module.layers import without_after
 from gesticulator.bundle import Bundle
-from gesticulator.drawing import Keys, drawer_for
+from gesticulator.drawing import FREE, Direction, Keys, drawer_for
 from gesticulator.features import SpeechBlock, SpeechFeatures, control_rows, representation_of
 from gesticulator.performance import BEST, LexemeWorth
 from gesticulator.rest import Rest, RestKnots, Span, span_of
@@ -190,19 +191,22 @@ class Rollout:
             self._resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
 
     @torch.inference_mode()
-    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, lexeme: int | None = None
+    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
              ) -> DrawnBlock:
-        """The next block. asked: [K, 2 F] rows of the control, or None; lexeme: to play, whatever the interpreter
-        says, or None."""
+        """The next block. asked: [K, 2 F] rows of the control, or None; direction: what a director says of it."""
         b = self.bundle
         features = self._features(speech, asked, self._past[0])
-        closed, probability = self._closed(speech, features)
+        closed, probability = self._closed(speech, features, direction.still)
         scores = self._scores(features)
         quiet = closed or (features.silent and b.config.silence.mask)
-        self._previous = self._select(scores, b.silent if quiet else None) if lexeme is None else lexeme
+        if direction.lexeme is None:
+            self._previous = self._select(direction.biased(scores), b.silent if quiet else None)
+        else:
+            self._previous = direction.lexeme
         if closed and self.life is None and self._quiet_low is not None:
             # A block on which nothing is to be done is one on which nothing is said.
             features = replace(features, low=self._quiet_low, silent=True)
+        self._drawer.keys = direction.keys or self.sampling.keys
         block, code = self._drawer.block(speech, features, self._previous, self._past)
         self._resting = self._resting + 1 if quiet else 0
         rest_decay = b.config.silence.rest_decay
@@ -240,14 +244,14 @@ class Rollout:
         return np.asarray(self._past[0].cpu().numpy())
 
     def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
-            lexemes: NDArray[np.int64] | None = None) -> RolloutResult:
-        """Every block of a speech from the start. asked: [N, K, 2 F] rows of the control, or None; lexemes: [N] to
-        play, whatever the interpreter says, or None."""
+            directions: Sequence[Direction] | None = None) -> RolloutResult:
+        """Every block of a speech from the start. asked: [N, K, 2 F] rows of the control, or None; directions: [N], or
+        None where nothing is directed."""
         self.begin(encoded.text is not None)
         drawn, count = [], len(encoded)
         for i in range(count):
             drawn.append(self.step(encoded.block(i), None if asked is None else asked[i],
-                                   None if lexemes is None else int(lexemes[i])))
+                                   FREE if directions is None else directions[i]))
             if on_block is not None:
                 on_block(i + 1, count)
         return self.result(drawn)
@@ -256,14 +260,33 @@ class Rollout:
         """All blocks of a performance together."""
         return RolloutResult.of(drawn)
 
-    def _closed(self, speech: SpeechBlock, features: BlockFeatures) -> tuple[bool, float]:
-        """Whether nothing is to be done on the block, and the gate's probability."""
+    def fork(self) -> Rollout:
+        """A twin that goes on from here by itself: blocks can be drawn from one place in several ways."""
+        twin = copy.copy(self)
+        twin.rng, twin._inner, twin._free = (copy.deepcopy(own) for own in (self.rng, self._inner, self._free))
+        if self.bundle.config.tokens == "lexicon":
+            twin._gate_state, twin._drawer = copy.deepcopy(self._gate_state), self._drawer.fork()
+            twin.life = None if self.life is None else self.life.fork()
+        return twin
+
+    def stand_as(self, other: Rollout) -> None:
+        """Take over where the body is, and what it did last, from another rollout of the same bundle."""
+        self._past, self._previous, self._resting = other._past, other._previous, other._resting
+        if self.life is not None and other.life is not None:
+            self.life.stand_as(other.life)
+
+    def _closed(self, speech: SpeechBlock, features: BlockFeatures, still: NDArray[np.bool_] | None
+                ) -> tuple[bool, float]:
+        """Whether nothing is to be done on the block, and the gate's probability. still: [K] frames in which the hands
+        are told to rest."""
         closed, probability = self.activity == 0, math.nan
         if self._gate is not None and self._gate_state is not None:
             probability, self._gate_state = self._gate.step(self._gate_state, features)
             closed = not self._gate.opened(probability, self.activity)
         if self.life is not None:
-            closed = self.life.hear(span_of(speech), probability)
+            closed = self.life.hear(span_of(speech), probability, still)
+        elif still is not None:
+            closed = closed or bool(still.mean() >= 0.5)
         return closed, probability
 
     def _scores(self, features: BlockFeatures) -> NDArray[np.float64]:
@@ -310,11 +333,11 @@ class CodecRollout(Rollout):
     """
 
     @torch.inference_mode()
-    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, lexeme: int | None = None
+    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
              ) -> DrawnBlock:
         """The next code, without motion; see `Rollout.step`. Nothing can be asked of the style."""
         scores, self._inner = self.interpreter.step(self._inner, self._features(speech, asked), self._previous)
-        chosen = self._select(scores) if lexeme is None else lexeme
+        chosen = self._select(direction.biased(scores)) if direction.lexeme is None else direction.lexeme
         self._previous = self.bundle.rest_lexeme(self.speaker) if self.activity == 0 else chosen
         return DrawnBlock.of(np.empty((0, 0), np.float32), self._previous, scores, self._inner, np.empty(0, np.float32))
 

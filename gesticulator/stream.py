@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,16 @@ from data_module.speech.audio import SAMPLE_RATE, SampleFeed
 from data_module.types import Array, Blocks, Motion, Samples, Skeleton, Word
 from gesticulator.bundle import Bundle
 from gesticulator.cutter import TICK, BlockCutter
+from gesticulator.drawing import FREE
 from gesticulator.features import SpeechBlock
 from gesticulator.head_turns import HeadTurns
 from gesticulator.motion_path import HISTORY, MotionPath
 from gesticulator.performance import InferenceOptions
 from gesticulator.rest import RestKnots
 from gesticulator.rollout import Cast, asked_rows
+
+if TYPE_CHECKING:
+    from gesticulator.directing import Director
 
 _KNOT = 0.04
 """Seconds between the poses of idling."""
@@ -118,7 +122,16 @@ class Stream:
         self._rollouts = [cast.rollout(bundle), *([cast.varied(bundle)] if cast.variation else [])]
         for one in self._rollouts:
             one.begin(self._text)
-        self._path = MotionPath(bundle, cast.speaker, options, prompt=self._cutter.latency == "low")
+        if options.plan is not None:
+            raise InputError("plan", "is of a whole recording", "render it without a stream")
+        self._director: Director | None = None
+        shaping = None
+        if options.shaped or options.directed:
+            from gesticulator import directing
+
+            self._director = directing.Director(bundle, options, (), math.inf)
+            shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))
+        self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
@@ -308,9 +321,10 @@ class Stream:
             levels, controls = self._bundle.levels, self._cast.controls
             asked = None if levels is None or controls == Controls.free() else asked_rows(levels, controls, times)
             drawn, *varied = self._rollouts
-            last = drawn.step(speech, asked)
+            said = FREE if self._director is None else self._director.direction(times, speech.start)
+            last = drawn.step(speech, asked, said)
             for one in varied:
-                last = one.step(speech, asked, last.lexeme)
+                last = one.step(speech, asked, replace(said, lexeme=last.lexeme))
             self._past_blocks += 1
             made.append((self._show(times, last.motion),
                          StreamBlock(speech.start, speech.end, last.lexeme, speech.silent[1])))

@@ -25,6 +25,8 @@ NAMED = {"twist", "roll"}
 """Words in the names of such bones."""
 _ENDS = (0.1, 0.95)
 """Shares of the way from elbow to wrist within which a bone's place tells its share of the roll."""
+_FARTHEST = 2.6
+"""Radians (149 degrees) beyond which no wrist is rolled, and the way back is as near as the way there."""
 _ASIDE = 0.1
 """A bone between elbow and wrist that lies off the line by more of the forearm's length is none to turn about it."""
 
@@ -82,11 +84,16 @@ def forearms(body: Body) -> list[Forearm]:
 
 
 def roll(turns: dict[int, Array], forearm: Forearm) -> Array:
-    """[T] radians by which the hand is rolled about its forearm, against the bind pose; without jumps."""
+    """[T] radians by which the hand is rolled about its forearm, against the bind pose; each frame by itself.
+
+    Half a turn to either side is the same: towards it the roll that is told fades, so that nothing jumps there.
+    """
     apart = np.swapaxes(turns[forearm.node], -1, -2) @ turns[forearm.hand] @ forearm.base.T
     q = Rotation.from_matrix(apart).as_quat(scalar_first=True)
-    angle = np.unwrap(2.0 * np.arctan2(q[:, 1:] @ forearm.axis, q[:, 0]))
-    return np.asarray(angle - 2.0 * np.pi * np.round(np.median(angle) / (2.0 * np.pi)))
+    angle = 2.0 * np.arctan2(q[:, 1:] @ forearm.axis, q[:, 0])
+    angle = np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+    left = np.clip((np.pi - np.abs(angle)) / (np.pi - _FARTHEST), 0.0, 1.0)
+    return np.where(np.abs(angle) > _FARTHEST, np.sign(angle) * left * _FARTHEST, angle)
 
 
 def share_roll(turns: dict[int, Array], body: Body) -> None:

@@ -22,6 +22,19 @@ def curves_of(action: Any) -> list[Any]:
             for curve in bag.fcurves]
 
 
+def refuses_a_rig_without_fk(addon: Any, rig: Any) -> None:
+    """What cannot be moved is told in one line, before anything is made."""
+    rig.data.bones["forearm_fk.L"].name = "taken away"
+    said = ""
+    try:
+        addon.is_generated(rig)
+    except RuntimeError as error:
+        said = str(error)
+    finally:
+        rig.data.bones["taken away"].name = "forearm_fk.L"
+    assert "lacks forearm_fk.L" in said
+
+
 def main(rig: str, sound: str, program: str, fps: str, target: str) -> None:
     """Places are in Blender's metres, Z up."""
     import bpy
@@ -45,6 +58,7 @@ def main(rig: str, sound: str, program: str, fps: str, target: str) -> None:
             metarig = bpy.context.object
             bpy.ops.pose.rigify_generate()
             bpy.data.objects.remove(metarig)
+            refuses_a_rig_without_fk(addon, bpy.context.object)
     else:
         bpy.ops.import_scene.gltf(filepath=rig)
     armature = next(thing for thing in bpy.data.objects if thing.type == "ARMATURE")

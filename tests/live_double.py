@@ -17,6 +17,7 @@ from gesticulator.serve.protocol import StreamRequest
 from gesticulator.serve.server import LiveServer, Page, ServerAddress
 from gesticulator.serve.session import Session, SessionFacts
 from gesticulator.serve.settings import ServerLimits
+from gesticulator.serve.vmc import VmcOutput
 from gesticulator.stream import StreamBlock, StreamFrames, StreamState
 
 LOOK_AHEAD = 0.5
@@ -93,13 +94,22 @@ def opener(limits: ServerLimits, seconds: float = 0.0) -> Callable[[str, StreamR
 
 
 @contextmanager
-def served(limits: ServerLimits, pages: Mapping[str, Page]) -> Iterator[tuple[LiveServer, int]]:
-    """A server of telling streams in a thread of its own, and its port."""
+def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = None
+           ) -> Iterator[tuple[LiveServer, int]]:
+    """A server of telling streams in a thread of its own, and its port; vmc: where poses are sent, too."""
     address = ServerAddress(port=0)
     listening = address.listen()
-    server = LiveServer(address, limits, opener(limits), pages=pages)
+    output = None if vmc is None else VmcOutput(vmc)
+    server = LiveServer(address, limits, opener(limits), output, pages)
     loop = asyncio.new_event_loop()
-    thread = threading.Thread(target=lambda: loop.run_until_complete(server.run(listening)))
+
+    async def serve() -> None:
+        playing = None if output is None else asyncio.create_task(output.run())
+        await server.run(listening)
+        if playing is not None:
+            playing.cancel()
+
+    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()))
     thread.start()
     try:
         yield server, listening.getsockname()[1]

@@ -247,7 +247,7 @@ def test_positions_are_those_of_the_file(tmp_path: Path) -> None:
 
 
 def test_saving_picks_the_format_and_makes_no_folder_for_an_unknown_one(tmp_path: Path) -> None:
-    assert json.loads(perform().save(tmp_path / "g.JSON").read_text())["score"] == "log-probability"
+    assert json.loads(perform().save(tmp_path / "g.JSON").read_text())["score_is"] == "log-probability"
     with pytest.raises(InputError, match="fbx"):
         perform().save(tmp_path / "new" / "g.fbx")
     assert not (tmp_path / "new").exists()
@@ -258,14 +258,17 @@ def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:
              interpreter="cql", text="тяжёлый хлеб")
     told = json.loads(json.dumps(made.explain()))
     levels = g.bundle.levels
-    assert levels is not None and told["score"] == "Q value" and told["notes"] == list(made.notes)
+    assert levels is not None and told["score_is"] == "Q value" and told["notes"] == list(made.notes)
     assert told["made_by"]["gesticulator"] == gesticulator.__version__
     assert told["made_by"]["settings"] == {
-        "speaker": "ann", "interpreter": "cql", "words": True, "seed": 3, "variation": 0, "activity": 0.5, "fps": 25.0,
-        "gain": 0.0,
+        "words": True, "fps": 25.0, "gain": 0.0,
         "temperature": g.bundle.config.selection.q_temperature, "hand_height": levels.value("height", "low"),
         "hand_speed": {"times": [0.0, 1.0], "values": [0.2, 0.4]}}
+    assert {name: told[name] for name in ("speaker", "interpreter", "seed", "variation")} == {
+        "speaker": "ann", "interpreter": "cql", "seed": 3, "variation": 0}
+    assert told["knobs"]["activity"] == told["drawn"]["knobs"]["activity"] == 0.5
     # What was done can be done again from it.
-    again = {name: value for name, value in told["made_by"]["settings"].items() if name != "words"}
+    again = {"speaker": "ann", "interpreter": "cql", "seed": 3, "activity": 0.5, **told["made_by"]["settings"]}
+    del again["words"]
     again["hand_speed"] = Curve(*map(tuple, again["hand_speed"].values()))
     assert same(g(made.speech, **again), made)

@@ -23,11 +23,12 @@ from eval.table import load
 from gesticulator import Gesticulator
 from gesticulator.config import Schedules
 from gesticulator.export.blender import check_blender, run_in_blender
+from gesticulator.plan import edited_blocks, read_plan
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
-RUN = {"direct", "file_to_bvh", "folder", "own_engine", "samples", "score", "to_blender", "to_character", "to_vrm",
-       "train"}
+RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_at_words", "own_engine", "samples",
+       "score", "to_blender", "to_character", "to_vrm", "train", "two_takes"}
 NEEDS_MORE = {"make_speech"}
 """Examples that need a program that is not installed with the tests."""
 
@@ -107,6 +108,44 @@ def test_a_character_and_a_vrm_animation(recording: Path, tmp_path: Path) -> Non
         assert np.ptp(hand, axis=0).max() > 0.05 > np.ptp(foot, axis=0).max(), "hands move, feet stand"
     example("to_vrm")(str(recording), str(tmp_path / "talk.vrma"))
     assert "VRMC_vrm_animation" in GlbFile.parse((tmp_path / "talk.vrma").read_bytes()).document["extensions"]
+
+
+def test_two_takes_on_one_page(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("two_takes")(str(recording), "lstm", "statistical", str(tmp_path / "two.html"))
+    page = (tmp_path / "two.html").read_text(encoding="utf-8")
+    told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
+    takes = {take["name"]: [block["lexeme"] for block in take["plan"]["blocks"]] for take in told["takes"]}
+    assert list(takes) == ["lstm", "statistical"] and told["together"]
+    same = np.mean(np.equal(takes["lstm"], takes["statistical"]))
+    assert same < 0.9 and f"{same:.0%} of the blocks" in capsys.readouterr().out
+
+
+def test_a_plan_is_edited(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("edit_plan")(str(recording), str(tmp_path / "edited.bvh"), str(tmp_path / "plan.json"))
+    edited, plan = read_bvh(tmp_path / "edited.bvh"), read_plan(tmp_path / "plan.json")
+    first = Gesticulator.from_pretrained()(recording).save(tmp_path / "first.bvh")
+    differs = np.abs(edited.rotations - read_bvh(first).rotations).max(axis=(1, 2)) > 1e-6
+    assert sum(edited_blocks(plan)) >= 1 and 0.0 < differs.mean() < 0.9, "a part of it"
+    assert "drawn anew" in capsys.readouterr().out
+
+
+def test_gestures_at_words(recording: Path, tmp_path: Path) -> None:
+    example("gestures_at_words")(str(recording), "Heavy bread rises slowly", "bread=wave,slowly=open palms",
+                                 str(tmp_path / "cued.bvh"))
+    motion = read_bvh(tmp_path / "cued.bvh")
+    hand, shoulder = (positions_of(motion)[:, motion.skeleton.index(name), 1] for name in ("RightHand", "RightArm"))
+    assert (hand > shoulder + 0.05).mean() > 0.1, "she waves beside her head"
+
+
+def test_a_calmer_take(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("calmer_take")(str(recording), str(tmp_path / "first.bvh"), str(tmp_path / "calm.bvh"))
+    speeds = []
+    for name in ("first", "calm"):
+        motion = read_bvh(tmp_path / f"{name}.bvh")
+        hands = positions_of(motion)[:, [motion.skeleton.index(side + "Hand") for side in ("Left", "Right")]]
+        speeds.append(np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean() * motion.fps)
+    assert speeds[1] < 0.85 * speeds[0]
+    assert capsys.readouterr().out.count("m/s") == 2
 
 
 def test_a_scene_for_blender(recording: Path, tmp_path: Path) -> None:

@@ -55,8 +55,8 @@ def test_explanation_tiles_the_sound(seed: int, seconds: float) -> None:
     assert {block["flag"] for block in blocks} <= {"onset", "loud_pseudo", "even_pseudo", "boundary"}
     assert blocks[-1]["flag"] == "boundary"
     for block, best in zip(blocks, performance.best, strict=True):
-        assert [entry["id"] for entry in block["lexemes"]] == best.tolist()
-        values = [entry["score"] for entry in block["lexemes"]]
+        assert [entry["lexeme"] for entry in block["alternatives"]] == best.tolist()
+        values = [entry["score"] for entry in block["alternatives"]]
         assert values == sorted(values, reverse=True)
     assert [block["silent"] for block in blocks] == performance.blocks.silent.tolist()
 

@@ -19,7 +19,7 @@ from data_module.errors import InputError
 from data_module.motion import rotation, smplx
 from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import global_rotations, positions_of, resample
-from data_module.motion.skeletons import CHARACTERS, FINGERED, HIP_HEIGHT, to_character
+from data_module.motion.skeletons import CHARACTERS, FINGER_JOINTS, FINGERED, HIP_HEIGHT, to_character
 from data_module.types import Array
 from gesticulator.export.nodes import of_performance
 from gesticulator.export.vrma import BONES
@@ -279,7 +279,7 @@ def test_a_gif_shows_what_the_film_shows(tmp_path: Path) -> None:
     from gesticulator.export.figure import figure_points
 
     made = perform(1.0)
-    drawn = list(film.pictures(figure_points(made.motion, np.arange(25) / film.GIF_FPS), film.GIF_SIZE))
+    drawn = list(film.pictures(figure_points(made.motion, np.arange(25) / film.GIF_FPS, fingers=True), film.GIF_SIZE))
     with image.open(write(tmp_path / "a.gif", made)) as shown:
         assert (shown.n_frames, shown.size, shown.info["loop"]) == (25, film.GIF_SIZE, 0)
         for frame in (0, 7, 24):
@@ -287,3 +287,26 @@ def test_a_gif_shows_what_the_film_shows(tmp_path: Path) -> None:
             assert shown.info["duration"] == 40
             apart = np.abs(np.array(shown.convert("RGB")).astype(int) - np.array(drawn[frame]).astype(int))
             assert apart.mean() < 2 and np.percentile(apart, 99) < 30
+
+
+def test_films_show_fingers_that_move() -> None:
+    pytest.importorskip("PIL.Image")
+    from gesticulator.export import film
+    from gesticulator.export.figure import figure_points
+
+    made = perform(0.5, skeleton=FINGERED).motion
+    flat, fist = made.rotations.copy(), made.rotations.copy()
+    for turns, degrees in ((flat, 0.0), (fist, 80.0)):
+        for name in FINGER_JOINTS:
+            sign = 1.0 if name.startswith("Left") else -1.0
+            half = np.radians(0.0 if "Thumb" in name else -sign * degrees) / 2.0
+            turns[:, FINGERED.index(name)] = [np.cos(half), 0.0, 0.0, np.sin(half)]
+    points = [figure_points(replace(made, rotations=turns), np.zeros(1), fingers=True) for turns in (flat, fist)]
+    reach = [np.linalg.norm(one["LeftHandMiddle3Tip"] - one["LeftHand"]) for one in points]
+    assert reach[0] > 0.16 > 0.1 > reach[1], "metres from the wrist to the tip of the middle finger"
+    shots = [np.array(next(film.pictures(one))).astype(int) for one in points]
+    assert (np.abs(shots[0] - shots[1]).max(axis=-1) > 60).sum() > 60, "pixels"
+    plain = [figure_points(replace(made, rotations=turns), np.zeros(1)) for turns in (flat, fist)]
+    assert not [name for name in plain[0] if "Index" in name]
+    assert np.array_equal(*(np.array(next(film.pictures(one))) for one in plain)), "not asked for, not drawn"
+    assert figure_points(perform(0.5).motion, np.zeros(1), fingers=True).keys() == plain[0].keys(), "has none"

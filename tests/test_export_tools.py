@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gltf_reader import GlbFile
 from performances import perform
 from small_characters import write_character
 
@@ -25,6 +26,7 @@ from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY, stand
 from data_module.types import Array
 from gesticulator.export.blender import check_blender, run_in_blender
 from gesticulator.export.nodes import of_performance
+from gesticulator.export.own_fbx import SCRIPT
 from gesticulator.export.vrma import BONES, humanoid
 from gesticulator.performance import Performance, write
 from gesticulator.retarget import retarget
@@ -210,3 +212,29 @@ def test_blender_takes_a_character_with_her_skin(tmp_path: Path, suffix: str) ->
     got = np.array([[frame[joint] for joint in nodes.names] for frame in told["frames"]])
     np.testing.assert_allclose(got, nodes.positions(), atol=1e-3)
     assert sum(told["meshes"].values()) >= 3 * len(nodes.names)
+
+
+@pytest.mark.usefixtures("blender")
+@pytest.mark.parametrize("suffix", [".fbx", ".glb"])
+def test_a_character_from_fbx_keeps_her_mesh(tmp_path: Path, suffix: str) -> None:
+    before = GlbFile.parse(write_character(tmp_path / "her.glb").read_bytes())
+    run_in_blender(tmp_path, SCRIPT, str(tmp_path / "her.glb"), str(tmp_path / "her.fbx"), "30")
+    plain = perform(0.4, 25.0, skeleton=FINGERED)
+    made = replace(plain, character=retarget(plain.motion, tmp_path / "her.fbx"))
+    assert made.character is not None
+    told = in_blender(write(tmp_path / f"out{suffix}", made), 25.0, IMPORT[suffix])
+    nodes = made.character.character.names[1:]
+    got = np.array([[frame[joint] for joint in nodes] for frame in told["frames"]])
+    x, y, z = np.moveaxis(made.character.world_matrices()[:, 1:, :3, 3], -1, 0)  # as Blender has it
+    np.testing.assert_allclose(got, np.stack([x, z, -y], axis=-1), atol=1e-3)
+    corners = before.numbers(before.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"])
+    assert told["meshes"]["Body"] == len(corners)
+    if suffix == ".glb":
+        after = GlbFile.parse((tmp_path / "out.glb").read_bytes())
+        (animation,) = after.document["animations"]
+        times = after.numbers(animation["samplers"][0]["input"])[:, 0]
+        assert animation["name"] == "gesture" and times.tolist() == pytest.approx(list(np.arange(10) / 25.0), abs=1e-6)
+        (material,) = after.document["materials"]
+        assert material["name"] == "skin" and "baseColorTexture" in material["pbrMetallicRoughness"]
+        assert after.document["images"][0]["mimeType"] == "image/png"
+        assert len(after.document["skins"][0]["joints"]) == len(before.document["skins"][0]["joints"])

@@ -59,7 +59,7 @@ def test_a_recording_becomes_motion_page_and_plan(recording: Path, tiny_bundle: 
     blocks = json.loads(out[".json"].read_text())["blocks"]
     assert blocks[0]["start"] == 0 and blocks[-1]["end"] == pytest.approx(8.0)
     assert all(a["end"] == b["start"] for a, b in pairwise(blocks))
-    assert all(len(b["lexemes"]) == 5 for b in blocks)
+    assert all(len(b["alternatives"]) == 5 for b in blocks)
     assert any(b["silent"] for b in blocks) and not all(b["silent"] for b in blocks)
     assert "<html" in out[".html"].read_text()[:2000].lower()
     summary = capsys.readouterr().out
@@ -341,7 +341,7 @@ def test_gain_is_heard_and_kept_in_the_explanation(recording: Path, tiny_bundle:
                     "--quiet", "--gain", gain], tiny_bundle) == 0
         plans.append(json.loads((tmp_path / "o.json").read_text()))
     assert [plan["made_by"]["settings"]["gain"] for plan in plans] == [12.0, 0.0]
-    faint, loud = ([block["played"] for block in plan["blocks"]] for plan in plans)
+    faint, loud = ([block["lexeme"] for block in plan["blocks"]] for plan in plans)
     assert faint == loud, "amplified it is the recording that it was"
 
 
@@ -510,8 +510,8 @@ def test_every_interpreter_is_explained(name: str, score: str, recording: Path, 
                 "--interpreter", name, "--temperature", "0"], tiny_bundle) == 0
     plan = json.loads((tmp_path / "o.json").read_text())
     silent = set(bundles.load(tiny_bundle).silent.tolist())
-    assert plan["score"] == score and plan["blocks"]
+    assert plan["score_is"] == score and plan["blocks"]
     for block in plan["blocks"]:
-        told = [entry["id"] for entry in block["lexemes"]]
+        told = [entry["lexeme"] for entry in block["alternatives"]]
         # Taken is the best, or in silence the best of the silent ones.
-        assert block["played"] in silent if block["silent"] else block["played"] == told[0]
+        assert block["lexeme"] in silent if block["silent"] else block["lexeme"] == told[0]

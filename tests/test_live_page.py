@@ -105,7 +105,7 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
 
 def test_a_character_is_dropped_on_the_page(opened: tuple[Any, list[str], list[str]], tmp_path: Path) -> None:
     page, complaints, _ = opened
-    vrm = write_character(tmp_path / "small.vrm", vrm=True).read_bytes()
+    vrm = write_character(tmp_path / "small.vrm", vrm="1.0").read_bytes()
     page.evaluate("""(bytes) => {
         const transfer = new DataTransfer();
         transfer.items.add(new File([new Uint8Array(bytes)], "small.vrm"));
@@ -135,4 +135,4 @@ def test_the_committed_script_is_the_build_of_its_sources(tmp_path: Path) -> Non
     subprocess.run([node, str(viewer / "build_live.mjs")], check=True, env={**os.environ, "LIVE_OUT": str(tmp_path)})
     for name in ("live.min.js", "licences.txt"):
         committed = ROOT / "gesticulator" / "assets" / "live" / name
-        assert (tmp_path / name).read_bytes() == committed.read_bytes(), f"{name}: run npm run build --prefix viewer"
+        assert (tmp_path / name).read_bytes() == committed.read_bytes(), f"{name}: npm run build:live"

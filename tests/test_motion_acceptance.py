@@ -470,8 +470,8 @@ def test_the_plan_of_a_performance_has_no_fault_and_broken_ones_are_told() -> No
     assert "end at" in steering.plan_faults(plan, made.duration + 1.0)[0]
     assert steering.plan_faults({}, 1.0) == ["no blocks"]
     for block, told in ((plan["blocks"][1] | {"start": 0.01}, "begin"),
-                        (plan["blocks"][1] | {"lexemes": plan["blocks"][1]["lexemes"][:4]}, "no 5 lexemes"),
-                        (plan["blocks"][1] | {"lexemes": plan["blocks"][1]["lexemes"][::-1]}, "do not fall"),
+                        (plan["blocks"][1] | {"alternatives": plan["blocks"][1]["alternatives"][:4]}, "no 5 lexemes"),
+                        (plan["blocks"][1] | {"alternatives": plan["blocks"][1]["alternatives"][::-1]}, "do not fall"),
                         ({"start": 0.0}, "lacks")):
         broken = plan | {"blocks": [plan["blocks"][0], block, *plan["blocks"][2:]]}
         assert told in steering.plan_faults(broken, made.duration)[0]

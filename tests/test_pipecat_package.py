@@ -73,7 +73,8 @@ def test_its_own_tests_pass_in_a_real_pipeline() -> None:
         pytest.skip("pipecat-ai is not installed, and PIPECAT_PYTHON names no Python that has it")
     if shutil.which("espeak-ng") is None:
         pytest.skip("espeak-ng is not installed")
-    server = f"{sys.executable} -c 'import sys; from gesticulator.cli import main; sys.exit(main())'"
+    run = "import sys; from gesticulator.serve.command import COMMAND as C; sys.exit(C.main(sys.argv[1], sys.argv[2:]))"
+    server = f'{sys.executable} -c "{run}"'
     done = subprocess.run([python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"], cwd=FOLDER, text=True,
                           env={**os.environ, "PYTHONPATH": str(FOLDER), "GESTICULATOR_COMMAND": server,
                                "GESTICULATOR_ROOT": str(ROOT)}, capture_output=True, timeout=200)

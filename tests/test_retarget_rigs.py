@@ -189,3 +189,20 @@ def _twist_bones(rig: Rig) -> list[tuple[int, str, float]]:
     names = rig.character.names
     return [(node, side, 0.5) for side in ("Left", "Right") for node, name in enumerate(names) if name in (
         f"lowerarm_twist_01_{side[0].lower()}", f"{side[0].lower()}ForearmTwist", f"DEF-forearm.{side[0]}.001")]
+
+
+def test_a_hand_that_goes_all_the_way_round_makes_no_twist_bone_jump() -> None:
+    rig = next(rig for rig in (draw(seed, "manny", "T") for seed in range(20)) if _twist_bones(rig))
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (721, len(WHOLE_BODY), 1))
+    turns[:, WHOLE_BODY.index("LeftHand")] = Rotation.from_euler(
+        "X", np.linspace(-360.0, 360.0, 721)[:, None], degrees=True).as_quat(scalar_first=True)
+    motion = Motion(WHOLE_BODY, turns, np.zeros((721, 3)), 30.0)
+    moved = Retargeter(rig.character, contacts=False)(motion)
+    node = _twist_bones(rig)[0][0]
+    steps = Rotation.from_quat(moved.rotations[1:, node], scalar_first=True) * Rotation.from_quat(
+        moved.rotations[:-1, node], scalar_first=True).inv()
+    assert np.degrees(steps.magnitude()).max() < 4.0, "half of a degree a frame, and faster past 149 degrees"
+    part = Retargeter(rig.character, contacts=False)(replace(
+        motion, rotations=turns[100:101], root_positions=np.zeros((1, 3))))
+    apart = np.abs(np.sum(part.rotations[0] * moved.rotations[100], axis=-1))
+    np.testing.assert_allclose(apart, 1.0, atol=1e-9, err_msg="one frame alone is as it is in the whole")

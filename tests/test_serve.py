@@ -11,6 +11,7 @@ import urllib.request
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -563,6 +564,34 @@ def test_no_message_ends_the_server() -> None:
             assert str(int(CloseCode.FAILED)) not in at.server.metrics.coded["closed_total"]
 
     asyncio.run(test())
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not tell memory in /proc")
+def test_a_quarter_of_an_hour_of_silence_leaves_nothing_behind() -> None:
+    """Sent as fast as it is worked on; every frame comes, and memory is what it was after the first minutes."""
+    def pages() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1])
+
+    async def test() -> None:
+        async with running(ServerLimits()) as at, connect(at.url, Hello(8000, fps=2)) as stream:
+            minute, numbers, before = bytes(2 * 8000 * 60), [], 0
+            answers = aiter(stream)
+            for passed in range(1, 16):
+                await stream.send(minute)
+                while len(numbers) < 2 * (60 * passed - 1):
+                    message = await anext(answers)
+                    if isinstance(message, Poses):
+                        numbers += range(message.first, message.first + len(message))
+                before = before if passed > 5 else pages()
+            assert (pages() - before) * 4096 < 20e6
+            await stream.finish()
+            async for message in answers:
+                if isinstance(message, Poses):
+                    numbers += range(message.first, message.first + len(message))
+            assert numbers == list(range(2 * 900))
+            assert at.server.metrics.numbers["waiting_seconds"] == pytest.approx(0, abs=1e-6)
+
+    run(test)
 
 
 # ---------------------------------------------------------------- health, figures, the end

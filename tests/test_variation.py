@@ -33,7 +33,7 @@ def test_a_variation_keeps_blocks_and_lexemes_and_moves_otherwise(system: Gestic
     for other in others:
         np.testing.assert_array_equal(other.lexemes, first.lexemes)
         np.testing.assert_array_equal(other.blocks.edges, first.blocks.edges)
-        assert other.explain()["made_by"]["settings"]["variation"] > 0
+        assert other.plan().variation > 0
     drawn = [first, *others]
     for one in range(3):
         for two in range(one):

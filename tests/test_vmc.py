@@ -11,7 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from live_double import TURN, served
 from performances import perform
+from pipecat_gesticulator import Hello, connect
 from pythonosc.osc_bundle import OscBundle
 
 from data_module.errors import InputError
@@ -20,6 +22,7 @@ from data_module.motion.skeletons import FINGERED, standing
 from data_module.types import Motion
 from gesticulator.export.vrma import BONES
 from gesticulator.serve import vmc
+from gesticulator.serve.settings import ServerLimits
 from gesticulator.stream import StreamFrames
 
 # HumanBodyBones of Unity, each with the bone above it that a character of ours has.
@@ -183,6 +186,35 @@ def test_frames_are_sent_when_they_are_due(motion: Motion) -> None:
         late.append(at - frame / motion.fps)
     # A second's worth of slack: the test machine may be busy; the middle is what counts.
     assert abs(np.median(late)) < 0.06
+
+
+def test_a_stream_on_the_server_is_sent_as_it_plays() -> None:
+    """Sound that a synthesiser delivers at once: frame k comes k / fps seconds after the first."""
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    receiver.bind(("127.0.0.1", 0))
+    receiver.settimeout(5)
+
+    async def talk(port: int) -> None:
+        async with connect(f"ws://127.0.0.1:{port}/stream", Hello(16000, fps=30)) as stream:
+            await stream.send(bytes(2 * 16000 * 3))
+            await stream.finish()
+            assert [message async for message in stream]
+
+    got: list[tuple[float, Received]] = []
+    with served(ServerLimits(), {}, f"127.0.0.1:{receiver.getsockname()[1]}") as (_, port):
+        asyncio.run(talk(port))
+        while len(got) < 60:
+            one = receive(receiver.recv(65536))
+            if one.loaded:
+                got.append((one.time, one))
+    receiver.close()
+    times = np.array([at for at, _ in got])
+    # The double turns the hips by TURN a frame; mirrored in X, a turn about Y goes the other way.
+    frames = np.array([-2 * np.arctan2(one.bones["Hips"][4], one.bones["Hips"][6]) / TURN for _, one in got])
+    np.testing.assert_allclose(frames, np.round(frames), atol=0.01)
+    late = times - frames / 30
+    assert np.abs(late - np.median(late)).max() < 0.3 and np.median(np.abs(late - np.median(late))) < 0.04
+    assert frames[-1] - frames[0] > 45
 
 
 def test_an_interruption_replaces_what_was_not_played(motion: Motion) -> None:

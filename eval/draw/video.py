@@ -38,7 +38,8 @@ def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: floa
         stretch = f"from {start:g} s" + ("" if seconds is None else f", {seconds:g} s long,")
         raise InputError("video", f"the stretch {stretch} holds no frame: the motion lasts {motion.duration:.2f} s and "
                          f"the sound {speech.duration:.2f} s", "give another start or length")
-    points = figure_points(motion, start + np.arange(math.floor((end - start) * FPS)) / FPS, legs)
+    points = figure_points(motion, start + np.arange(math.floor((end - start) * FPS)) / FPS, legs,
+                           fingers=True)
     samples = speech.samples[round(start * speech.sample_rate):]
     write_bytes(target, encode(points, Speech(samples, speech.sample_rate), target.suffix, size=size))
 

@@ -26,5 +26,6 @@ PROBES: dict[str, Plugin] = {
     "rewards": Plugin("eval.probes.rewards", "does RACER's reward rank?"),
     "speech-levels": Plugin("eval.probes.speech_levels", "what does each level of the speech encoder know?"),
     "style-editing": Plugin("eval.probes.style_editing", "does the motion do what is asked of its style?"),
+    "knobs": Plugin("eval.probes.knobs", "what do the knobs do? Response curves, inside the band of real people?"),
     "lexicon-rhythm": Plugin("eval.probes.lexicon_rhythm", "do lexemes carry the rhythm?"),
 }

@@ -1,4 +1,4 @@
-"""`.fbx`: the GLB, converted by Blender in a process of its own."""
+"""`.fbx`: the GLB, converted by Blender in a process of its own; or a character's own FBX file, moved."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ from data_module.files import write_bytes
 from data_module.motion.kinematics import resample
 from gesticulator.export.blender import run_in_blender
 from gesticulator.export.glb import write_glb
+from gesticulator.export.own_fbx import SCRIPT, own_character, write_animated
 
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
-
-SCRIPT = Path(__file__).with_name("fbx_child.py")
 
 
 def write_fbx(path: Path, performance: Performance) -> Path:
     """Write the motion as binary FBX, whole or not at all. Returns `path`.
 
-    Blender keeps whole frames per second alone: another rate is brought to the nearest. `InputError` where there is no
-    Blender, or it fails.
+    Our own skeleton moves at whole frames per second: another rate is brought to the nearest. `InputError` where there
+    is no Blender, or it fails.
     """
+    own = own_character(performance)
+    if own is not None:
+        return write_animated(path, own)
     rate = max(1, round(performance.fps))
     if performance.fps != rate:
         performance = replace(performance, motion=resample(performance.motion, float(rate)))

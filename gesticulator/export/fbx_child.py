@@ -1,7 +1,9 @@
-"""Run inside Blender: a GLB file becomes an FBX file.
+"""Run inside Blender: a GLB file becomes an FBX file; or a character's FBX file becomes a GLB or an FBX that moves.
 
     python fbx_child.py IN.glb OUT.fbx FRAMES_PER_SECOND
+    python fbx_child.py IN.fbx OUT.glb|fbx FRAMES_PER_SECOND MOTION.npz
 
+MOTION.npz holds poses of bones, as `gesticulator.export.own_fbx.pose` tells them.
 It imports nothing of ours: Blender has a Python of its own.
 """
 
@@ -25,16 +27,64 @@ class FixedDay(datetime.datetime):
         return MOMENT
 
 
-def convert(source: str, target: str, fps: int) -> None:
-    """Import a GLB into an empty scene at `fps` frames per second, and export all of it as FBX."""
+def convert(source: str, target: str, fps: float, motion: str = "") -> None:
+    """Import a file into an empty scene at `fps` frames per second, move it, and export all of it."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene: Any = bpy.context.scene
-    scene.render.fps, scene.render.fps_base = fps, 1.0
-    bpy.ops.import_scene.gltf(filepath=source, disable_bone_shape=True, bone_heuristic="BLENDER")
+    rate = max(1, round(fps)), max(1, round(fps)) / fps
+    scene.render.fps, scene.render.fps_base = rate
+    if source.lower().endswith(".fbx"):
+        bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
+        scene.render.fps, scene.render.fps_base = rate  # the importer takes that of the file
+    else:
+        bpy.ops.import_scene.gltf(filepath=source, disable_bone_shape=True, bone_heuristic="BLENDER")
+    if motion:
+        animate(motion)
     ends = [action.frame_range[1] for action in bpy.data.actions]
     scene.frame_start, scene.frame_end = 0, max(1, round(max(ends, default=1)))
+    if target.endswith(".glb"):
+        bpy.ops.export_scene.gltf(filepath=target, export_format="GLB", export_animation_mode="ACTIONS",
+                                  export_force_sampling=True, export_optimize_animation_size=False)
+    else:
+        export_fbx(target)
+
+
+def animate(motion: str) -> None:
+    """Give the largest armature an action of the poses in a file."""
+    import bpy
+    import numpy as np
+
+    told = np.load(motion)
+    armature: Any = max((thing for thing in bpy.data.objects if thing.type == "ARMATURE"),
+                        key=lambda thing: len(thing.data.bones))
+    action: Any = bpy.data.actions.new("gesture")
+    armature.animation_data_create().action = action
+    for place, name in enumerate(told["names"].tolist()):
+        bone = armature.pose.bones[name]
+        bone.rotation_mode = "QUATERNION"
+        keys(action, armature, bone.path_from_id("rotation_quaternion"), told["turns"][:, place])
+    if len(told["shifts"]):
+        keys(action, armature, armature.pose.bones[told["hips"].tolist()[0]].path_from_id("location"), told["shifts"])
+
+
+def keys(action: Any, armature: Any, path: str, values: Any) -> None:
+    """Keys of a property [T, n], one a frame from 0 on."""
+    for index, track in enumerate(values.T.tolist()):
+        if hasattr(action, "fcurve_ensure_for_datablock"):  # since Blender 4.5
+            curve = action.fcurve_ensure_for_datablock(armature, path, index=index)
+        else:
+            curve = action.fcurves.new(path, index=index)
+        curve.keyframe_points.add(len(track))
+        curve.keyframe_points.foreach_set("co", [number for pair in enumerate(track) for number in pair])
+        curve.keyframe_points.foreach_set("interpolation", [1] * len(track))  # linear
+        curve.update()
+
+
+def export_fbx(target: str) -> None:
+    """Export the scene with its animation, a key a frame."""
+    import bpy
     from io_scene_fbx import export_fbx_bin  # type: ignore[import-not-found, unused-ignore]
 
     export_fbx_bin.datetime = types.SimpleNamespace(datetime=FixedDay)
@@ -49,4 +99,4 @@ def convert(source: str, target: str, fps: int) -> None:
 if __name__ == "__main__":
     # Blender, given this file, passes what stands behind "--"; a Python with bpy passes all.
     given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
-    convert(given[0], given[1], int(given[2]))
+    convert(given[0], given[1], float(given[2]), *given[3:])

@@ -52,11 +52,12 @@ class View(NamedTuple):
 VIEWS = {"front": View(from_front, 1.0), "side": View(from_side, 0.72)}
 
 
-def figure_points(motion: Motion, times: Array, legs: bool = False) -> dict[str, Array]:
+def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: bool = False) -> dict[str, Array]:
     """Where everything that is drawn lies: joint (or "LeftHandTip", "HeadTip", "Nose") -> [len(times), 3] metres.
 
     Any upper body is brought onto the 16-joint character, faces +Z, and stands at `skeletons.HIP_HEIGHT`. With `legs`,
-    a motion that has them is drawn on them, where it stands; InputError for one that has none.
+    a motion that has them is drawn on them, where it stands; InputError for one that has none. With `fingers`, those
+    that the motion has are there, too ("LeftHandIndex1" ... "LeftHandIndex3Tip").
     """
     if legs and not skeletons.has_legs(motion):
         raise InputError("--legs", "are not in this motion", "make it with infer --legs, or leave them out")
@@ -69,7 +70,8 @@ def figure_points(motion: Motion, times: Array, legs: bool = False) -> dict[str,
         near = skeletons.to_character(near, skeleton=skeletons.WHOLE_BODY)
         root = np.stack([np.interp(frames - first, np.arange(len(near)), axis) for axis in near.root_positions.T], -1)
     else:
-        near = skeletons.facing(skeletons.to_character(near))
+        near = skeletons.facing(skeletons.to_character(
+            near, skeleton=skeletons.FINGERED if fingers else skeletons.CHARACTER))
     rotations = rotation.interpolate(near.rotations, frames - first)
     skeleton = near.skeleton
     places = kinematics.joint_positions(skeleton, rotations, root)
@@ -80,6 +82,9 @@ def figure_points(motion: Motion, times: Array, legs: bool = False) -> dict[str,
     for hand in ("LeftHand", "RightHand"):  # of the character without fingers
         tip = skeletons.CHARACTER.end_sites[skeleton.index(hand)]
         points[hand + "Tip"] = points[hand] + rotation.rotate(world[:, skeleton.index(hand)], tip)
+    if not fingers or set(skeletons.FINGER_JOINTS) & set(near.absent):
+        points = {name: track for name, track in points.items() if name.removesuffix("Tip") not in
+                  skeletons.FINGER_JOINTS}
     head = skeleton.index("Head")
     points["Nose"] = places[:, head] + rotation.rotate(world[:, head], _NOSE)
     return points
@@ -146,7 +151,20 @@ def _trunk(now: Mapping[str, Array], share: float) -> list[BodyPart]:
 def _arm(now: Mapping[str, Array], side: str) -> list[BodyPart]:
     shoulder, elbow, wrist, tip = (now[side + name] for name in ("Arm", "ForeArm", "Hand", "HandTip"))
     return [BodyPart((Limb(shoulder, elbow, 0.118, 0.09, SHIRT),), 0.04),
-            BodyPart((Limb(elbow, wrist, 0.084, 0.054, SKIN), Limb(wrist, tip, 0.07, 0.044, SKIN)), 0.06, side)]
+            BodyPart((Limb(elbow, wrist, 0.084, 0.054, SKIN), *(_hand(now, side) or (
+                Limb(wrist, tip, 0.07, 0.044, SKIN),))), 0.06, side)]
+
+
+def _hand(now: Mapping[str, Array], side: str) -> tuple[Limb, ...]:
+    """A palm and its fingers, of `figure_points` that have them; the last two joints of a finger bend as one."""
+    if f"{side}HandIndex1" not in now:
+        return ()
+    wrist = now[side + "Hand"]
+    limbs = [Limb(wrist, now[f"{side}Hand{finger}1"], 0.046, 0.034, SKIN) for finger in ("Index", "Middle", "Pinky")]
+    for finger in skeletons.FINGERS:
+        knuckle, joint, tip = (now[f"{side}Hand{finger}{place}"] for place in ("1", "2", "3Tip"))
+        limbs += [Limb(knuckle, joint, 0.02, 0.018, SKIN), Limb(joint, tip, 0.018, 0.013, SKIN)]
+    return tuple(limbs)
 
 
 def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:

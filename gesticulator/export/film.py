@@ -324,9 +324,9 @@ def write_gif(path: Path, performance: Performance) -> Path:
 
 
 def _moments(motion: Motion, duration: float, fps: int) -> dict[str, Array]:
-    """What is drawn at each frame of a film; on her own legs where she has them."""
+    """What is drawn at each frame of a film; on her own legs and with her own fingers where she has them."""
     times = np.arange(max(1, math.floor(duration * fps + 1e-9))) / fps
-    return figure_points(motion, times, skeletons.has_legs(motion))
+    return figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
 
 
 def gif(points: dict[str, Array]) -> bytes:

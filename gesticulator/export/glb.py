@@ -10,6 +10,7 @@ import numpy as np
 from data_module.files import write_bytes
 from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion, of_performance
+from gesticulator.export.own_fbx import own_character, write_animated
 from gesticulator.export.stick_figure import figure
 
 if TYPE_CHECKING:
@@ -23,7 +24,10 @@ _COLOUR = [0.24, 0.45, 0.47, 1.0]
 
 
 def write_glb(path: Path, performance: Performance) -> Path:
-    """Write the motion as GLB, whole or not at all. Returns `path`."""
+    """Write the motion as GLB, whole or not at all. Returns `path`. A character that came as FBX needs Blender."""
+    from_fbx = own_character(performance)
+    if from_fbx is not None:
+        return write_animated(path, from_fbx)
     character = performance.character
     own = character is not None and character.character.kind == "glb"
     write_bytes(path, character_glb(character) if character is not None and own

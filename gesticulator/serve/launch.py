@@ -21,9 +21,14 @@ from data_module.errors import InputError
 from gesticulator.serve.settings import ServerLimits
 
 if TYPE_CHECKING:
+    from gesticulator.pipeline import Gesticulator
     from gesticulator.serve.server import Page
 
 LOG = logging.getLogger("gesticulator.serve")
+SAMPLE_RATE = 16000
+"""Hertz that the models work at."""
+_WARM_UP = 2
+"""Seconds of sound: a block or two."""
 _MOST_WORKERS = 256
 _SHORT_LIFE = 5.0
 """Seconds: a worker that dies sooner did not do any work."""
@@ -92,6 +97,7 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
 
     torch.set_num_threads(asked.threads)
     system = Gesticulator.from_pretrained(asked.bundle)
+    _warm_up(system)
 
     async def serve() -> None:
         output = None
@@ -108,6 +114,17 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
             playing.cancel()
 
     asyncio.run(serve())
+
+
+def _warm_up(system: Gesticulator) -> None:
+    """Have everything loaded that is loaded when it is first used, so that no client waits for it."""
+    import numpy as np
+
+    noise = np.random.default_rng(0).normal(0, 0.05, _WARM_UP * SAMPLE_RATE).astype(np.float32)
+    stream = system.stream()
+    stream.feed(noise)
+    stream.idle(0.5)
+    stream.finish()
 
 
 def _tell_ready(asked: Launch, listening: socket.socket, worker: int) -> None:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from gesticulator.serve.vmc import VmcOutput
 
 LOG = logging.getLogger("gesticulator.serve")
+ANSWER_SECONDS = 10.0
+"""How long the answer to what was received may take, at least, once a server stops."""
 SAVE_SECONDS = 1.0
 """How often a worker writes its figures for the others."""
 _BACKLOG = 512
@@ -188,7 +190,7 @@ class LiveServer:
         await self._wait_for_streams(self.limits.drain_seconds)
         for connection in list(self.connections):
             await connection.leave()
-        await self._wait_for_streams(self.limits.drain_seconds)
+        await self._wait_for_streams(max(self.limits.drain_seconds, ANSWER_SECONDS))
         for connection in self.connections:
             connection.socket.transport.abort()
 

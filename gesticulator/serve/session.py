@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from data_module.errors import InputError
 from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Word
 from gesticulator.serve.protocol import VERSION, CloseCode, RefusedError, StreamRequest, joints, pack
@@ -81,11 +82,12 @@ class Session:
         if kind == "interrupt":
             at = message.get("time")
             self._words = [word for word in self._words if at is not None and word.start < at]
-            return self._answer(self._stream.interrupt(None if at is None else min(float(at), self._stream.time)))
+            return self._answer(self._interrupt(None if at is None else float(at)))
         if kind == "words":
             return self._add_words(message["words"])
         if kind == "finish":
-            answer = self._answer(self._stream.finish())
+            # A stream that took nothing in has no rest to give.
+            answer = self._answer(self._stream.finish()) if self._stream.time > 0 else SessionAnswer()
             answer.say("done", frames=self._stream.made)
             return answer
         return SessionAnswer()  # listen and speak: the sound that follows tells the stream
@@ -93,6 +95,13 @@ class Session:
     def wait(self, kind: str, seconds: float) -> SessionAnswer:
         """Media time goes on without sound. kind: "idle" or "think"."""
         return self._answer(self._stream.think(seconds) if kind == "think" else self._stream.idle(seconds))
+
+    def _interrupt(self, at: float | None) -> StreamFrames:
+        stream = self._stream
+        try:
+            return stream.interrupt(None if at is None else min(at, stream.time))
+        except InputError:  # longer ago than the stream remembers: what was sent is played, and then she stops
+            return stream.interrupt(None)
 
     def _add_words(self, told: list[dict[str, Any]]) -> SessionAnswer:
         if not self.request.options.get("text", False):

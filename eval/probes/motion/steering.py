@@ -50,22 +50,22 @@ def order_clauses(realised_by: Mapping[tuple[str, str], Array]) -> list[Clause]:
 
 
 def plan_faults(plan: Mapping[str, Any], duration: float) -> list[str]:
-    """What is wrong with what `--explain` writes: blocks that tile the sound, each with `BEST` lexemes, best first."""
+    """What is wrong with what `--plan-out` writes: blocks that tile the sound, each with `BEST` lexemes, best first."""
     faults = []
     blocks = plan.get("blocks")
     if not isinstance(blocks, list) or not blocks:
         return ["no blocks"]
     last = 0.0
     for number, block in enumerate(blocks):
-        if not {"start", "end", "lexemes"} <= set(block):
-            faults.append(f"block {number} lacks start, end or lexemes")
+        if not {"start", "end", "alternatives"} <= set(block):
+            faults.append(f"block {number} lacks start, end or alternatives")
             continue
         if abs(block["start"] - last) > _EPS or block["end"] <= block["start"]:
             faults.append(f"block {number} does not begin where the last one ended")
         last = block["end"]
-        lexemes = block["lexemes"]
-        if len(lexemes) != BEST or any(set(one) != {"id", "score"} for one in lexemes):
-            faults.append(f"block {number} has no {BEST} lexemes with id and score")
+        lexemes = block["alternatives"]
+        if len(lexemes) != BEST or any(not {"lexeme", "score"} <= set(one) for one in lexemes):
+            faults.append(f"block {number} has no {BEST} lexemes with their scores")
             continue
         scores = [one["score"] for one in lexemes]
         if not all(math.isfinite(score) for score in scores) or any(a < b for a, b in itertools.pairwise(scores)):

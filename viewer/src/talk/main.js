@@ -134,7 +134,7 @@ function bind() {
 readTheme();
 try {
   stage = new Stage($("figure"));
-  stage.look("front");
+  stage.look("close");
   bindStage(stage, () => {});
   bind();
   await change(new Idle());

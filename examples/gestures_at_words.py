@@ -1,0 +1,26 @@
+"""Ask for gestures at words.
+
+    python examples/gestures_at_words.py examples/speech.flac examples/speech.txt "bread=wave,slowly=shrug" o.bvh
+"""
+
+from __future__ import annotations
+
+import sys
+
+from gesticulator import Gesticulator
+from gesticulator.plan import GESTURES, GestureCue
+
+
+def main(sound: str, said: str, wanted: str, output: str) -> None:
+    """A gesture for each WORD=GESTURE; the others are left to the models."""
+    cues = []
+    for one in wanted.split(","):
+        word, _, gesture = one.partition("=")
+        cues.append(GestureCue(gesture, word))
+    made = Gesticulator.from_pretrained()(sound, text=said, cues=tuple(cues))
+    print(f"{made.save(output)}: {wanted}; there are {', '.join(GESTURES)}, and the names of the lexicon, "
+          f"such as {made.plan().lexicon[0].name}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

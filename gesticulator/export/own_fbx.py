@@ -1,0 +1,55 @@
+"""A character that came as FBX, moved in her own file: mesh, skin and materials as Blender reads and writes them."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from data_module.files import write_bytes
+from data_module.motion import rotation
+from gesticulator.export.blender import run_in_blender
+
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
+    from gesticulator.retarget import CharacterMotion
+
+SCRIPT = Path(__file__).with_name("fbx_child.py")
+
+
+def own_character(performance: Performance) -> CharacterMotion | None:
+    """The performance's character where she came as FBX."""
+    character = performance.character
+    return character if character is not None and character.character.kind == "fbx" else None
+
+
+def write_animated(path: Path, moved: CharacterMotion) -> Path:
+    """Write the character's file with our animation as `.glb` or `.fbx`, whole or not at all. Returns `path`.
+
+    Animations that were in it are left out. `InputError` where there is no Blender, or it fails.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        target, motion = Path(folder) / f"out{path.suffix.lower()}", Path(folder) / "motion.npz"
+        np.savez(motion, **pose(moved))
+        run_in_blender(path, SCRIPT, str(moved.character.path.resolve()), str(target), repr(moved.fps), str(motion))
+        write_bytes(path, target.read_bytes())
+    return path
+
+
+def pose(moved: CharacterMotion) -> dict[str, Any]:
+    """What Blender calls the pose of bones, against their rest and in their own axes.
+
+    names: [n] bones; turns: [T, n, 4] w first; hips: [1] the bone that is shifted; shifts: [T, 3], empty for none.
+    """
+    character = moved.character
+    nodes = [node for node in moved.moved if node]  # node 0 is the armature's object
+    back = rotation.conjugate(character.rotations[nodes])
+    shifts = np.zeros((0, 3))
+    if moved.translations is not None:
+        away = moved.translations - character.translations[moved.hips]
+        shifts = rotation.rotate(rotation.conjugate(character.rotations[moved.hips]), away)
+    return {"names": np.array([character.names[node] for node in nodes]),
+            "turns": rotation.multiply(back, moved.rotations[:, nodes]),
+            "hips": np.array([character.names[moved.hips]]), "shifts": shifts}

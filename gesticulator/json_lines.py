@@ -1,0 +1,144 @@
+"""JSON with the line of every value, so that a mistake in a file that somebody edits can be pointed at."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from json.decoder import scanstring  # type: ignore[attr-defined] # not in the stubs
+from typing import Any
+
+from data_module.errors import InputError, shown
+
+Path = tuple[str | int, ...]
+"""The way to a value: names of members and places in lists."""
+
+_SPACE = re.compile(r"[ \t\r\n]*")
+_NUMBER = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][+-]?\d+)?")
+_WORDS = {"true": True, "false": False, "null": None}
+_DEEPEST = 64
+"""Lists within lists: a plan has five."""
+
+
+@dataclass(frozen=True)
+class LinedJson:
+    """A value that was read. source: the file's name, for messages; lines: the line, from 1, of each value in it."""
+
+    source: str
+    value: Any
+    lines: Mapping[Path, int]
+
+    def error(self, path: Path, wrong: str, advice: str) -> InputError:
+        """An error that names the file, the line of the value (or of what should hold it) and its place."""
+        line = next((self.lines[path[:end]] for end in range(len(path), -1, -1) if path[:end] in self.lines), 1)
+        return InputError(f"{self.source}, line {line}", f"{place_of(path)} {wrong}", advice)
+
+
+def place_of(path: Path) -> str:
+    """Such as blocks[3].lexeme; "the file" for the whole."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).lstrip(".")
+    return shown(text, 80) or "the file"
+
+
+def parse(text: str, source: str) -> LinedJson:
+    """A text of JSON (RFC 8259); `InputError` with the line where it is none, or names a member twice."""
+    reader = _Reader(text, source)
+    value = reader.value(reader.skip(0), ())
+    if reader.at < len(text):
+        raise reader.error(reader.at, "holds something after its end", "take it away")
+    return LinedJson(source, value, reader.lines)
+
+
+class _Reader:
+    """One pass over a text; `at` is where the next token begins."""
+
+    def __init__(self, text: str, source: str) -> None:
+        self.text, self.source = text, source
+        self.at = 0
+        self.lines: dict[Path, int] = {}
+        self._line, self._seen = 1, 0
+
+    def error(self, at: int, wrong: str, advice: str) -> InputError:
+        return InputError(f"{self.source}, line {self.text.count(chr(10), 0, at) + 1}", wrong, advice)
+
+    def skip(self, at: int) -> int:
+        found = _SPACE.match(self.text, at)
+        self.at = found.end() if found else at
+        return self.at
+
+    def _line_of(self, at: int) -> int:
+        self._line += self.text.count("\n", self._seen, at)
+        self._seen = at
+        return self._line
+
+    def value(self, at: int, path: Path) -> Any:
+        """The value that begins at a place; `at` is then behind it and the space that follows."""
+        self.lines[path] = self._line_of(at)
+        if len(path) > _DEEPEST:
+            raise self.error(at, "is nested too deeply", "write it as the schema says")
+        start = self.text[at:at + 1]
+        if start == "{":
+            return self._object(at, path)
+        if start == "[":
+            return self._array(at, path)
+        if start == '"':
+            return self._string(at)
+        for word, meaning in _WORDS.items():
+            if self.text.startswith(word, at):
+                self.skip(at + len(word))
+                return meaning
+        found = _NUMBER.match(self.text, at)
+        if not found:
+            raise self.error(at, "holds something that is no JSON" if start else "ends too early",
+                             "check quotes, commas and brackets")
+        self.skip(found.end())
+        try:
+            return json.loads(found.group())
+        except ValueError:
+            raise self.error(at, "holds a number of too many digits", "write fewer") from None
+
+    def _string(self, at: int) -> str:
+        try:
+            text, end = scanstring(self.text, at + 1)
+        except json.JSONDecodeError as error:
+            raise self.error(error.pos, f"holds a text that is none ({error.msg})", "check its quotes") from None
+        self.skip(end)
+        return text
+
+    def _object(self, at: int, path: Path) -> dict[str, Any]:
+        out: dict[str, Any] = {}
+        self.skip(at + 1)
+        while self._more(len(out), "}"):
+            if self.text[self.at:self.at + 1] != '"':
+                raise self.error(self.at, "lacks a name in quotes", "write \"name\": value")
+            name_at = self.at
+            name = self._string(self.at)
+            if name in out:
+                raise self.error(name_at, f"names {shown(name)} twice", "keep one")
+            if self.text[self.at:self.at + 1] != ":":
+                raise self.error(self.at, f"lacks the colon after \"{shown(name)}\"", "write \"name\": value")
+            out[name] = self.value(self.skip(self.at + 1), (*path, name))
+        return out
+
+    def _array(self, at: int, path: Path) -> list[Any]:
+        out: list[Any] = []
+        self.skip(at + 1)
+        while self._more(len(out), "]"):
+            out.append(self.value(self.at, (*path, len(out))))
+        return out
+
+    def _more(self, count: int, closing: str) -> bool:
+        """Whether a member follows the `count` that were read; steps over the comma or the closing bracket."""
+        found = self.text[self.at:self.at + 1]
+        if found == closing:
+            self.skip(self.at + 1)
+            return False
+        if count:
+            if found != ",":
+                raise self.error(self.at, "ends too early" if not found else f"lacks a comma or a {closing}",
+                                 "check commas and brackets")
+            self.skip(self.at + 1)
+            if self.text[self.at:self.at + 1] == closing:
+                raise self.error(self.at, "has a comma before the closing bracket", "take the comma away")
+        return True

@@ -1,0 +1,204 @@
+"""The file of a gesture plan: it is read as it was written, mistakes are told with their line, the schema agrees."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module.errors import InputError
+from gesticulator.export.bml import bml_of, parse_bml
+from gesticulator.json_lines import parse
+from gesticulator.plan import (
+    FORMAT,
+    GESTURES,
+    BlockDraw,
+    DrawnBlocks,
+    GestureCue,
+    GestureName,
+    GesturePlan,
+    LexemeChoice,
+    LexemeName,
+    PlanBlock,
+    PlanKnobs,
+    PlanSound,
+    PlanWord,
+    edited_blocks,
+    parse_plan,
+    schema,
+)
+
+SCHEMA = Path(__file__).resolve().parent.parent / "docs" / "schema" / "plan.schema.json"
+NAMES = ("both hands up", "right hand out", "rest")
+
+
+def a_plan(count: int = 4, seed: int = 7) -> GesturePlan:
+    rng = np.random.default_rng(seed)
+    edges = tuple(np.round(np.concatenate([[0.0], np.cumsum(rng.uniform(0.2, 0.5, count))]), 3).tolist())
+    lexemes = tuple(rng.integers(0, 3, count).tolist())
+    flags = (*("onset",) * (count - 1), "boundary")
+    blocks = tuple(PlanBlock(edges[i], edges[i + 1], lexemes[i], i == 0, BlockDraw(seed, 0, i), flags[i],
+                             NAMES[lexemes[i]], alternatives=(LexemeChoice(1, NAMES[1], -0.5),)) for i in range(count))
+    return GesturePlan(
+        FORMAT, 1, {"gesticulator": "0", "settings": {"temperature": 1.0}}, PlanSound("a.wav", edges[-1], 16000, "00"),
+        seed, 0, "ann", "lstm", DrawnBlocks(edges, flags, (True, *(False,) * (count - 1)), lexemes, PlanKnobs()),
+        blocks,
+        cues=(GestureCue("wave", "Hello"), GestureCue("nod", time=0.5, mirror=True)),
+        words=(PlanWord("Hello", 0.1, 0.4), PlanWord('<"there">&', 0.4, 0.6)),
+        lexicon=tuple(LexemeName(n, name, n == 2) for n, name in enumerate(NAMES)),
+        gestures=(GestureName("wave", "waves"),), notes=("one",))
+
+
+@given(st.integers(1, 12), st.integers(0, 99))
+def test_what_is_written_is_read_as_json_and_as_bml(count: int, seed: int) -> None:
+    plan = a_plan(count, seed)
+    plan = replace(plan, cues=plan.cues[:1])
+    assert parse_plan(plan.to_json()) == plan and parse_plan(plan.to_json()).to_json() == plan.to_json()
+    assert parse_bml(bml_of(plan).encode()) == plan
+    assert not any(edited_blocks(plan))
+
+
+def test_the_published_schema_is_that_of_the_classes_and_takes_a_plan() -> None:
+    published = json.loads(SCHEMA.read_text())
+    assert published == schema(), "write it anew: gesticulator plan schema > docs/schema/plan.schema.json"
+    jsonschema.Draft202012Validator.check_schema(published)
+    jsonschema.validate(json.loads(a_plan().to_json()), published)
+
+
+BROKEN: list[tuple[tuple[str | int, ...], Any]] = [
+    (("seed",), -1), (("seed",), 1.5), (("seed",), True), (("speaker",), 3), (("blocks", 1, "intensity"), 2.01),
+    (("blocks", 1, "mirror"), 1), (("blocks", 1, "lexeme"), "up"), (("blocks", 1, "flag"), "loud"),
+    (("blocks", 1, "draw"), None), (("blocks", 1, "extra"), 1), (("knobs", "energy"), "wild"),
+    (("knobs", "hold_still"), [[1.0]]), (("knobs", "handedness"), "none"), (("words", 0, "start"), -0.1),
+    (("cues", 0, "occurrence"), 0), (("drawn", "lexemes", 0), None), (("lexicon", 0, "silent"), "no"),
+    (("blocks",), {}),
+]
+
+
+@pytest.mark.parametrize(("place", "value"), BROKEN)
+def test_what_the_schema_refuses_is_refused_with_its_line(place: tuple[str | int, ...], value: Any) -> None:
+    plain = json.loads(a_plan().to_json())
+    part = plain
+    for step in place[:-1]:
+        part = part[step]
+    part[place[-1]] = value
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(plain, json.loads(SCHEMA.read_text()))
+    text = json.dumps(plain, indent=1)
+    # The line on which the value stands, found by a mark that is put in its place.
+    part[place[-1]] = "M\N{WHITE HEAVY CHECK MARK}"
+    marked = json.dumps(plain, indent=1, ensure_ascii=False).split("\n")
+    line = next(n for n, row in enumerate(marked, 1) if "\N{WHITE HEAVY CHECK MARK}" in row)
+    with pytest.raises(InputError, match="plan, line") as told:
+        parse_plan(text)
+    # What is wrong within a value may stand a few lines below where it begins.
+    assert abs(int(str(told.value).split("line ")[1].split(":")[0]) - line) <= 2 and told.value.advice
+
+
+@pytest.mark.parametrize(("old", "new", "told"), [
+    ('"seed": 7,', '"seed": 7,,', "lacks a name"), ('"seed": 7,', '"seed": 7 "x": 1,', "lacks a comma"),
+    ('"seed": 7,', '"seed": 7, "seed": 8,', "twice"), ('"seed": 7,', '"seed": NaN,', "no JSON"),
+    ('"seed": 7,', '"seed" 7,', "lacks the colon"), ('"seed": 7,', '"seed": 07,', "lacks a comma"),
+    ('"version": 1', '"version": 2', "this version reads 1"), (FORMAT, "other", "--plan-out"),
+    ('"wave"', '"wavy"', "one of wave, point left"), ('"word": "Hello"', '"word": null', "a word or a time"),
+    ('"time": 0.5', '"time": 99', "0 to "), ('"lexeme": 1, "silent": true', '"lexeme": 9, "silent": true', "0 to 2"),
+])
+def test_mistakes_are_told_with_what_is_allowed(old: str, new: str, told: str) -> None:
+    text = replace(a_plan(), blocks=(replace(a_plan().blocks[0], lexeme=1), *a_plan().blocks[1:])).to_json()
+    assert old in text
+    line = text[:text.index(old)].count("\n") + 1
+    with pytest.raises(InputError, match=told) as error:
+        parse_plan(text.replace(old, new, 1), "mine.json")
+    assert str(error.value).startswith(f"mine.json, line {line}:")
+
+
+def test_blocks_must_tile_the_sound_and_last_as_long_as_blocks_may() -> None:
+    plan = a_plan()
+    one, two, *more = plan.blocks
+    for blocks, told in (((one, replace(two, start=two.start + 0.01), *more), "where the block before ends"),
+                         ((replace(one, end=0.05), replace(two, start=0.05), *more), "seconds"),
+                         (plan.blocks[:-1], "the end of the sound"), ((), "is empty")):
+        with pytest.raises(InputError, match=told):
+            parse_plan(replace(plan, blocks=blocks).to_json())
+
+
+def test_what_is_edited_is_found_and_a_lock_keeps_knobs_away() -> None:
+    plan = a_plan()
+    b = plan.blocks
+    moved = (replace(b[0], end=b[0].end + 0.02), replace(b[1], start=b[0].end + 0.02), *b[2:])
+    for blocks, wanted in (((replace(b[0], silent=False), *b[1:]), [True, False, False, False]),
+                           ((b[0], replace(b[1], lexeme=None), *b[2:]), [False, True, False, False]),
+                           ((b[0], replace(b[1], draw=BlockDraw(7, 1, 1)), *b[2:]), [False, True, False, False]),
+                           (moved, [True, True, False, False]),
+                           ((replace(b[0], end=b[1].end), *b[2:]), [True, False, False]),
+                           ((replace(b[0], intensity=0.5, mirror=True), *b[1:]), [False] * 4)):
+        assert list(edited_blocks(replace(plan, blocks=blocks))) == wanted
+    locked = (replace(b[0], locked=True), *b[1:])
+    calm = PlanKnobs(energy="calm")
+    assert list(edited_blocks(replace(plan, blocks=locked, knobs=calm))) == [False, True, True, True]
+    assert not any(edited_blocks(replace(plan, knobs=PlanKnobs(intensity=0.3, mirror=True))))
+    still = PlanKnobs(hold_still=((b[3].start + 0.5, b[3].end + 1.0),))
+    assert list(edited_blocks(replace(plan, knobs=still)))[:2] == [False, False]
+
+
+def test_bml_is_read_with_lines_and_without_documents_of_their_own() -> None:
+    text = bml_of(a_plan())
+    row = next(line for line in text.split("\n") if 'id="b2"' in line)
+    for new, told in ((row.replace("<gesture", "<gestur", 1).replace("/>", ">", 1), "no XML"),
+                      (row.replace('start="', 'start="x', 1), "start of a gesture"),
+                      (row.replace('lexeme="', 'lexeme="q', 1), "a name of the lexicon"),
+                      (row.replace('g:mirror="false"', 'g:mirror="3"'), "true or false")):
+        with pytest.raises(InputError, match=told) as error:
+            parse_bml(text.replace(row, new).encode(), "my.bml")
+        assert str(error.value).startswith("my.bml, line ")
+    with pytest.raises(InputError, match="type of document"):
+        parse_bml(b'<!DOCTYPE bml [<!ENTITY a "b">]><bml/>')
+    with pytest.raises(InputError, match="no BML"):
+        parse_bml(b"<bml/>")
+
+
+def test_a_lexeme_is_changed_by_its_name_in_bml() -> None:
+    plan = a_plan()
+    other = NAMES[(int(plan.blocks[2].lexeme or 0) + 1) % 3]
+    lines = bml_of(plan).split("\n")
+    at = next(n for n, line in enumerate(lines) if 'id="b2"' in line)
+    lines[at] = lines[at].replace(f'lexeme="{plan.blocks[2].name}"', f'lexeme="{other}"', 1)
+    assert parse_bml("\n".join(lines).encode()).blocks[2].lexeme == NAMES.index(other)
+
+
+JSON = st.recursive(st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
+                    | st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=20)
+
+
+@given(JSON, st.sampled_from([None, 1, 3]))
+def test_our_reader_of_json_reads_what_pythons_does(value: Any, indent: int | None) -> None:
+    text = json.dumps(value, indent=indent)
+    assert parse(text, "t").value == json.loads(text)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    return dict(pairs) if len(dict(pairs)) == len(pairs) else 1 / 0  # type: ignore[return-value]
+
+
+@given(st.text(alphabet='{}[]",:0123456789.-+eEtruefalsn \n\\u', max_size=40))
+def test_our_reader_of_json_refuses_what_pythons_does(text: str) -> None:
+    try:
+        wanted = json.loads(text, object_pairs_hook=_once)
+    except (ValueError, ZeroDivisionError, RecursionError):
+        with pytest.raises(InputError):
+            parse(text, "t")
+    else:
+        assert parse(text, "t").value == wanted
+
+
+def test_every_gesture_has_a_script() -> None:
+    from gesticulator.named_gestures import SCRIPTS
+
+    assert set(SCRIPTS) == set(GESTURES)

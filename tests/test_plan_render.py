@@ -1,0 +1,334 @@
+"""A plan rendered: untouched stretches come back bit for bit, edits do what they say, knobs keep to the body."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from data_module.errors import InputError
+from data_module.motion import rotation
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import resized
+from data_module.types import Array, Speech, Word
+from gesticulator import Gesticulator, infer
+from gesticulator.contacts import MARGIN, our_distances, pose_of
+from gesticulator.directing import cues_at
+from gesticulator.editing import BLEND
+from gesticulator.live_plans import LivePlans
+from gesticulator.named_gestures import laid_over, span_of_gesture
+from gesticulator.performance import InferenceOptions, Performance
+from gesticulator.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
+from gesticulator.shaping import FADE, MIRROR_FADE, Shaper, levels_at, mirrored_motion
+
+SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
+SECONDS, SEED = 7.0, 3
+REACH = 0.13
+"""Seconds: the smoothing's kernel and two frames of a block to either side of what was changed."""
+
+
+@pytest.fixture(scope="module")
+def system() -> Gesticulator:
+    return Gesticulator.from_pretrained()
+
+
+@pytest.fixture(scope="module")
+def speech() -> Speech:
+    samples, rate = soundfile.read(SPEECH, frames=round(SECONDS * 16000), dtype="float32")
+    return Speech(samples, rate)
+
+
+@pytest.fixture(scope="module")
+def drawn(system: Gesticulator, speech: Speech) -> Performance:
+    return system(speech, seed=SEED)
+
+
+@pytest.fixture(scope="module")
+def plan(drawn: Performance) -> GesturePlan:
+    return drawn.plan()
+
+
+@pytest.fixture(scope="module")
+def plans(system: Gesticulator, drawn: Performance) -> LivePlans:
+    return LivePlans(system, drawn)
+
+
+def changed(one: Performance, other: Performance) -> tuple[float, float]:
+    """From and to which second two performances differ at all."""
+    frames = np.flatnonzero((one.rotations != other.rotations).any(axis=(1, 2)))
+    assert len(frames), "nothing differs"
+    return frames[0] / one.fps, frames[-1] / one.fps
+
+
+def with_block(plan: GesturePlan, at: int, **edits: object) -> GesturePlan:
+    blocks = list(plan.blocks)
+    blocks[at] = replace(blocks[at], **edits)  # type: ignore[arg-type]
+    return replace(plan, blocks=tuple(blocks))
+
+
+def hand_speeds(made: Performance) -> Array:
+    """[T - 1, 2] m/s, the right hand first."""
+    hands = made.positions()[:, [made.joints.index(side + "Hand") for side in ("Right", "Left")]]
+    return np.linalg.norm(np.diff(hands, axis=0), axis=-1) * made.fps
+
+
+def test_a_plan_that_nobody_edited_gives_the_same_bytes_whatever_the_seed(
+        system: Gesticulator, speech: Speech, drawn: Performance, plan: GesturePlan) -> None:
+    again = system(speech, plan=plan, seed=99)
+    np.testing.assert_array_equal(again.rotations, drawn.rotations)
+    assert again.plan() == plan
+
+
+@pytest.mark.parametrize("what", ["lexeme", "silence", "draw", "intensity", "mirror", "moved", "deleted"])
+def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePlans, drawn: Performance,
+                                                       plan: GesturePlan) -> None:
+    at = 8
+    block, after = plan.blocks[at], plan.blocks[at + 1]
+    begin, end, blend = block.start, block.end, BLEND
+    if what == "lexeme":
+        edited = with_block(plan, at, lexeme=next(one.lexeme for one in block.alternatives
+                                                  if one.lexeme != block.lexeme))
+    elif what == "silence":
+        edited = with_block(plan, at, silent=True)
+    elif what == "draw":
+        edited = with_block(plan, at, draw=replace(block.draw, variation=5))
+    elif what in ("intensity", "mirror"):
+        edited, blend = with_block(plan, at, **{what: True if what == "mirror" else 1.7}), 0.0
+        begin -= MIRROR_FADE if what == "mirror" else FADE
+        end += MIRROR_FADE if what == "mirror" else FADE
+    else:
+        end = after.end
+        middle = block.end + 0.04
+        two = [replace(block, end=middle), replace(after, start=middle)] if what == "moved" \
+            else [replace(block, end=after.end)]
+        edited = replace(plan, blocks=(*plan.blocks[:at], *two, *plan.blocks[at + 2:]))
+    made = plans.render(edited)
+    first, last = changed(made, drawn)
+    assert begin - REACH <= first < block.end and first < last <= end + blend + REACH
+    assert hand_speeds(made).max() < 3.5, "no jump: real hands have 3.1 at 99 %"
+    if what == "silence":
+        inside = slice(round((block.start + 0.3) * 60), round(block.end * 60))
+        assert hand_speeds(made)[inside].mean() < 0.5 * hand_speeds(drawn)[inside].mean()
+    # What was made can be written and made again.
+    np.testing.assert_array_equal(plans.render(made.plan()).rotations, made.rotations)
+
+
+def test_edits_do_not_know_of_each_other(plans: LivePlans, plan: GesturePlan) -> None:
+    def lexeme(block: PlanBlock) -> int:
+        return next(one.lexeme for one in block.alternatives if one.lexeme != block.lexeme)
+
+    early = with_block(plan, 5, lexeme=lexeme(plan.blocks[5]))
+    both = with_block(early, 15, lexeme=lexeme(plan.blocks[15]))
+    one, two = plans.render(early), plans.render(both)
+    first, _ = changed(one, two)
+    assert first >= plan.blocks[15].start - REACH
+    late = plans.render(with_block(plan, 15, lexeme=lexeme(plan.blocks[15])))
+    after = round((plan.blocks[5].end + BLEND + REACH) * 60) + 1
+    np.testing.assert_array_equal(late.rotations[after:], two.rotations[after:])
+
+
+def test_locked_blocks_stay_whatever_knob_is_turned(system: Gesticulator, speech: Speech, drawn: Performance,
+                                                    plan: GesturePlan) -> None:
+    locked = replace(plan, blocks=tuple(replace(block, locked=block.end <= 4.0) for block in plan.blocks))
+    until = max(block.end for block in locked.blocks if block.locked)
+    calm = system(speech, plan=locked, energy="calm", mirror=True, handedness="left", hold_still=((1.0, 3.0),))
+    assert changed(calm, drawn)[0] >= until - REACH
+    assert np.abs(calm.rotations - drawn.rotations)[round((until + 0.5) * 60):].max() > 0.1
+
+
+def test_the_mirror_exchanges_the_sides_exactly(system: Gesticulator, speech: Speech, drawn: Performance) -> None:
+    mirror = system(speech, seed=SEED, mirror=True)
+    np.testing.assert_array_equal(mirrored_motion(mirror.motion).rotations, drawn.rotations)
+    places, theirs = drawn.positions(), mirror.positions()
+    for side, other in (("Left", "Right"), ("Right", "Left")):
+        own, seen = drawn.joints.index(side + "Hand"), mirror.joints.index(other + "Hand")
+        np.testing.assert_allclose(places[:, own] * [-1, 1, 1], theirs[:, seen], atol=1e-9)
+
+
+@pytest.mark.parametrize("intensity", [0.0, 0.5, 1.5, 2.0])
+def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
+        intensity: float, system: Gesticulator, speech: Speech, drawn: Performance) -> None:
+    made = system(speech, seed=SEED, intensity=intensity)
+    np.testing.assert_array_equal(made.lexemes, drawn.lexemes)
+    rests = drawn.blocks.silent.nonzero()[0][:1]
+    assert len(rests) and drawn.blocks.edges[1] > 0.2
+    spread = [np.std(one.positions()[120:, one.joints.index("RightHand")], axis=0).sum() for one in (made, drawn)]
+    assert spread[0] < 0.9 * spread[1] if intensity < 1 else spread[0] > 1.1 * spread[1]
+    speaker = system.speaker_index(None)
+    low, high = (system.bundle.statistics.denormalise(bound, speaker) for bound in system.bundle.statistics.bounds)
+    arms = [j for j, name in enumerate(made.joints) if name.endswith(("Shoulder", "Arm", "ForeArm"))]
+    angles = rotation.unroll(rotation.to_exponential_map(made.rotations[:, arms])).reshape(len(made.rotations), -1)
+    columns = (3 * np.array(arms)[:, None] + np.arange(3)).ravel()
+    before = rotation.unroll(rotation.to_exponential_map(drawn.rotations[:, arms])).reshape(angles.shape)
+    beyond = np.maximum(angles - high[columns], low[columns] - angles).max()
+    # Idle life and smoothing bring the drawing itself to the edge; pushing a hand out of the trunk may take a little.
+    assert beyond <= max(np.maximum(before - high[columns], low[columns] - before).max(), 0.0) + 0.12
+    gaps, were = our_distances(pose_of(made.motion)), our_distances(pose_of(drawn.motion))
+    for side, gap in gaps.items():
+        assert (gap - np.minimum(were[side], MARGIN)).min() > -0.02, "no deeper than it was, but for smoothing"
+
+
+def test_shaping_needs_no_other_frames(system: Gesticulator, drawn: Performance) -> None:
+    from gesticulator.features import representation_of
+
+    shaper = Shaper(system.bundle.statistics, representation_of(system.bundle.config), 0)
+    poses = rotation.unroll(rotation.to_exponential_map(drawn.rotations[::6])).reshape(-1, 138)
+    sizes = np.full((len(poses), 2), 1.6)
+    whole = shaper.scaled(poses, sizes)
+    for part in (slice(0, 7), slice(30, 41)):
+        np.testing.assert_allclose(shaper.scaled(poses[part], sizes[part]), whole[part], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(shaper.scaled(poses, np.ones((len(poses), 2))), poses)
+    twice = shaper.mirrored(shaper.mirrored(poses, np.ones(len(poses))), np.ones(len(poses)))
+    np.testing.assert_array_equal(twice, poses)
+
+
+def test_levels_are_the_blocks_own_and_change_without_a_jump() -> None:
+    edges, levels = np.array([0.0, 0.4, 0.7, 1.2, 1.3]), np.array([1.0, 1.0, 0.2, 0.7])
+    times = np.linspace(0.0005, 1.3, 2600)
+    got = levels_at(edges, levels, times, 0.15)
+    assert (got[times < 0.55] == 1.0).all() and (got[(times > 0.85) & (times < 1.1)] == 0.2).all()
+    assert np.abs(np.diff(got)).max() < 0.02 and got[-1] == 0.7
+    kept = levels_at(edges, levels, times, 0.15, np.array([True, True, False, False]))
+    assert (kept[times <= 0.7] == 1.0).all()
+
+
+def test_hands_hold_still_where_they_are_told_and_wake(system: Gesticulator, speech: Speech, drawn: Performance
+                                                       ) -> None:
+    held = system(speech, seed=SEED, hold_still=((4.0, 5.5),))
+    # From the block on in which they begin to settle.
+    settles = drawn.blocks.edges[np.searchsorted(drawn.blocks.edges, 4.0 - 0.42) - 1]
+    assert changed(held, drawn)[0] >= settles - REACH
+    speeds = hand_speeds(held)
+    still = slice(round(4.05 * 60), round(5.45 * 60))
+    assert speeds[still].max() < 0.15 < hand_speeds(drawn)[still].mean()
+    assert speeds[round(5.8 * 60):].max() > 0.5, "they wake"
+    jerks = [np.abs(np.diff(hand_speeds(one), axis=0)).max() * 60 for one in (held, drawn)]
+    assert jerks[0] < 1.2 * jerks[1], "no jump into rest or out of it"
+
+
+def test_handedness_moves_the_work_to_a_hand(system: Gesticulator, speech: Speech) -> None:
+    shares = {}
+    for hand in ("left", "right"):
+        right, left = hand_speeds(system(speech, seed=SEED, handedness=hand)).mean(axis=0)
+        shares[hand] = right / (right + left)
+    assert shares["right"] > shares["left"] + 0.1
+
+
+def test_energy_is_a_named_combination(system: Gesticulator, speech: Speech) -> None:
+    named = system(speech, seed=SEED, energy="calm")
+    np.testing.assert_array_equal(named.rotations, system(speech, seed=SEED, intensity=0.6, activity=0.6).rotations)
+
+
+def test_a_stream_gets_the_frames_of_a_file_whatever_knobs_are_turned(system: Gesticulator, speech: Speech) -> None:
+    turned = InferenceOptions(seed=SEED, intensity=1.5, mirror=True, handedness="right", hold_still=((2.0, 3.0),),
+                              cues=(GestureCue("wave", time=1.5),))
+    names = ("seed", "intensity", "mirror", "handedness", "hold_still", "cues")
+    asked = {name: getattr(turned, name) for name in names}
+    short = replace(speech, samples=speech.samples[:round(4.0 * speech.sample_rate)])
+    stream = system.stream(speech.sample_rate, **asked)
+    parts = [stream.feed(short.samples[at:at + 1600]) for at in range(0, len(short.samples), 1600)] + [stream.finish()]
+    got = np.concatenate([part.rotations for part in parts])
+    np.testing.assert_array_equal(got, system.perform(short, turned).rotations)
+    with pytest.raises(InputError, match="whole recording"):
+        system.stream(plan=system.perform(short, turned).plan())
+
+
+# --------------------------------------------------------------------------------------------------------- cues
+
+def test_a_wave_is_a_wave(system: Gesticulator, speech: Speech, drawn: Performance) -> None:
+    made = system(speech, seed=SEED, cues=(GestureCue("wave", time=3.0),))
+    before, after = span_of_gesture("wave")
+    first, last = changed(made, drawn)
+    assert 3.0 - before - REACH <= first and last <= 3.0 + after + REACH
+    places = made.positions()[round(3.0 * 60):round(4.3 * 60)]
+    hand, shoulder = (places[:, made.joints.index(name)] for name in ("RightHand", "RightArm"))
+    assert (hand[:, 1] > shoulder[:, 1]).all(), "beside the head"
+    tip = places[:, made.joints.index("RightHandMiddle3"), 0] - places[:, made.joints.index("RightForeArm"), 0]
+    swings = np.flatnonzero(np.diff(np.sign(np.diff(tip))))
+    assert len(swings) >= 4 and np.ptp(tip) > 0.12, "to and fro"
+    assert hand_speeds(made).max() < 3.5, "no jump"
+
+
+@pytest.mark.parametrize("name", list(GESTURES))
+def test_named_gestures_are_poses_of_a_body(name: str, drawn: Performance) -> None:
+    times = np.arange(len(drawn.rotations)) / 60
+    poses = rotation.unroll(rotation.to_exponential_map(drawn.rotations)).reshape(len(times), -1)
+    out = laid_over(poses, times, [(GestureCue(name), 4.0)])
+    flipped = laid_over(poses, times, [(GestureCue(name, mirror=True), 4.0)])
+    both = name in ("shrug", "open palms", "nod")
+    assert not np.array_equal(out, poses) and (both or not np.allclose(out, flipped))
+    before, after = span_of_gesture(name)
+    far = (times <= 4.0 - before) | (times >= 4.0 + after)
+    np.testing.assert_array_equal(out[far], poses[far])
+    assert np.abs(np.diff(out, axis=0)).max() < max(np.abs(np.diff(poses, axis=0)).max(), 0.25), "no jump in any joint"
+    motion = replace(drawn.motion, rotations=rotation.from_exponential_map(out.reshape(len(out), -1, 3)))
+    at = slice(round(4.05 * 60), round(4.3 * 60))
+    names, bends = drawn.joints, rotation.to_exponential_map(motion.rotations[at])
+    for side in ("Left", "Right"):
+        places = positions_of(motion)[at]
+        shoulder, elbow, wrist = (places[:, names.index(side + part)] for part in ("Arm", "ForeArm", "Hand"))
+        upper, fore = elbow - shoulder, wrist - elbow
+        cosine = np.sum(upper * fore, axis=-1) / np.linalg.norm(upper, axis=-1) / np.linalg.norm(fore, axis=-1)
+        assert np.degrees(np.arccos(cosine)).max() < 150, "an elbow closes by 150 degrees at most"
+        # Of the wrist what is not turned about the forearm: a hand bends by 80 degrees at most.
+        bend = np.linalg.norm(bends[:, names.index(side + "Hand"), 1:], axis=-1)
+        assert np.degrees(bend).max() < 85
+    assert min(gap[at].min() for gap in our_distances(pose_of(motion)).values()) > 0.0, "outside the body"
+    assert resized(motion, motion.skeleton) is motion
+
+
+def test_cues_find_their_words_and_say_what_is_said() -> None:
+    words = (Word("Hello,", 0.2, 0.5), Word("you", 0.5, 0.8), Word("hello", 2.0, 2.3))
+    cues = [GestureCue("wave", "HELLO"), GestureCue("nod", "hello", 2), GestureCue("stop", time=1.0)]
+    due = cues_at(cues, words, 3.0, tuple)
+    assert [round(one.time, 3) for one in due] == [0.3, 2.1, 1.0]
+    for cue, told in ((GestureCue("wave", "hello", 3), "hello, you"), (GestureCue("wave", "red"), "0 times"),
+                      (GestureCue("wavy", "you"), "wave, point left"), (GestureCue("wave", time=4.0), "not in the 3")):
+        with pytest.raises(InputError, match=told):
+            cues_at([cue], words, 3.0, tuple)
+    with pytest.raises(InputError, match="--text"):
+        cues_at([GestureCue("wave", "hello")], (), 3.0, tuple)
+
+
+def test_a_lexeme_is_asked_for_by_its_name(system: Gesticulator, speech: Speech, plan: GesturePlan) -> None:
+    wanted = next(one for one in plan.lexicon if one.name.startswith("both hands"))
+    assert len({one.name for one in plan.lexicon}) == len(plan.lexicon) == len(system.bundle.vectors)
+    made = system(speech, seed=SEED, cues=(GestureCue(wanted.name, time=5.0),))
+    assert made.lexemes[np.searchsorted(made.blocks.edges[1:], 5.0)] == wanted.lexeme
+    again = system(speech, plan=plan, cues=(GestureCue(wanted.name, time=5.0),))
+    assert again.lexemes[np.searchsorted(again.blocks.edges[1:], 5.0)] == wanted.lexeme
+
+
+# ----------------------------------------------------------------------------------------------------- mistakes
+
+def test_a_plan_of_something_else_is_refused(system: Gesticulator, speech: Speech, plan: GesturePlan) -> None:
+    with pytest.raises(InputError, match="not the one that was given"):
+        system(replace(speech, samples=speech.samples * np.float32(0.5)), plan=plan)
+    other = replace(plan, made_by={**plan.made_by, "bundle": {"preset": "x", "lexicon": "0"}})
+    with pytest.raises(InputError, match="another bundle"):
+        system(speech, plan=other)
+    with pytest.raises(InputError, match="belongs to what the plan replays"):
+        system(speech, plan=plan, speaker="brad")
+
+
+def test_a_plan_is_written_edited_and_rendered_on_the_command_line(
+        speech: Speech, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sound, out, told = tmp_path / "a.wav", tmp_path / "a.bvh", tmp_path / "plan.json"
+    soundfile.write(sound, speech.samples[:48000], 16000, subtype="FLOAT")
+    assert infer.main([str(sound), "-o", str(out), "--plan-out", str(told), "--quiet"]) == 0
+    first, text = out.read_bytes(), told.read_text()
+    assert json.loads(text)["sound"]["name"] == "a.wav"
+    assert infer.main([str(sound), "-o", str(out), "--plan", str(told), "--seed", "8", "--quiet"]) == 0
+    assert out.read_bytes() == first
+    row = next(number for number, line in enumerate(text.split("\n"), 1) if '"start": 0.0' in line)
+    told.write_text(text.replace('"silent": true', '"silent": 3', 1))
+    out.unlink()
+    with pytest.raises(SystemExit) as left:
+        infer.main([str(sound), "-o", str(out), "--plan", str(told), "--quiet"])
+    assert left.value.code == 2 and not out.exists()
+    said = capsys.readouterr().err
+    assert f"plan.json, line {row}: blocks[0].silent is 3; give true or false" in said

@@ -1,0 +1,453 @@
+"""The preview page in a real browser: it loads, plays, edits, saves, swaps the character, and fits a phone."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import OpenedPage, chromium
+from gltf_reader import GlbFile
+from performances import perform
+from scipy.spatial.transform import Rotation
+from small_characters import write_character
+
+from data_module.motion import kinematics
+from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, standing
+from gesticulator.export import html
+from gesticulator.export.vrma import vrm_animation
+from gesticulator.performance import write
+
+SECONDS = 4.0
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium; the test is skipped, with the reason, where there is none."""
+    with chromium() as window:
+        yield window
+
+
+@pytest.fixture(scope="module")
+def shown(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenedPage]:
+    path = write(tmp_path_factory.mktemp("preview") / "talk.html", perform(seconds=SECONDS))
+    page = OpenedPage(browser, path.as_uri())
+    yield page
+    page.page.close()
+
+
+@pytest.fixture
+def opened(shown: OpenedPage) -> Iterator[OpenedPage]:
+    """The page at the start of the recording, with nothing focused and nothing edited."""
+    shown.page.evaluate("""() => {
+        document.activeElement.blur();
+        const { clock, session } = preview;
+        document.getElementById("own-figure").click();
+        clock.pause(); clock.setRange(null); clock.seek(0);
+        while (session.lane.history.past.length) session.undo();
+        session.select(null);
+    }""")
+    shown.settle(0.0)
+    yield shown
+    shown.check_quiet()
+
+
+def _drawn(page: OpenedPage, joint: str) -> int:
+    """How many meshes hang on a bone."""
+    bone = f"preview.stage.performers[0].figure.bone('{joint}')"
+    return int(page.page.evaluate(f"() => {bone}.children.filter((c) => c.isMesh).length"))
+
+
+def test_two_takes_stand_side_by_side(browser: Any, opened: OpenedPage, tmp_path: Path) -> None:
+    first, second = perform(), perform(skeleton=FINGERED, seed=3)
+    path = tmp_path / "two.html"
+    html.write_comparison(path, {"lstm": first, "<img src=x onerror=broken=1>": second})
+    page = OpenedPage(browser, path.as_uri())
+    page.go_to(1.0)
+    assert page.page.locator("#labels span").all_text_contents() == ["lstm", "<img src=x onerror=broken=1>"]
+    left, right = page.page.evaluate("() => preview.stage.performers.map((one) => one.group.position.x)")
+    assert right - left > 1.0
+    page.page.keyboard.press("d")  # one alone,
+    page.page.keyboard.press("a")  # and then the other one: with fingers, each where the motion has it
+    truth = kinematics.positions_of(standing(second.motion))[25]
+    page.page.wait_for_function("() => preview.session.active === 1")
+    page.go_to(1.0)
+    assert np.abs(np.array(page.joints()) - truth).max() < 2e-3
+    assert all(_drawn(page, joint) == 1 for joint in FINGER_JOINTS)
+    # The other page has hands of one piece, with fingers that do not move: more of them than a wrist and a palm.
+    assert _drawn(page, "LeftHand") == 7 and _drawn(opened, "LeftHand") == 0
+    assert page.page.locator("img").count() == 0
+    page.check_quiet()
+    page.page.close()
+
+
+def test_playing_moves_time_and_figure_and_stays_in_its_range(opened: OpenedPage) -> None:
+    page = opened.page
+    before = np.array(opened.joints())
+    page.keyboard.press("Space")
+    page.wait_for_function("() => preview.clock.time > 0.6")
+    page.keyboard.press("Space")
+    stopped = page.evaluate("preview.clock.time")
+    opened.settle(stopped)
+    assert np.abs(np.array(opened.joints()) - before).max() > 0.01
+    assert len([url for url in opened.requests if url.startswith("file:")]) == 1
+    # From I to O: played to the end of it, and with L from its start again.
+    opened.go_to(1.0)
+    page.keyboard.press("i")
+    opened.go_to(1.4)
+    page.keyboard.press("o")
+    assert page.evaluate("preview.clock.range") == pytest.approx([1.0, 1.4], abs=0.02)
+    page.keyboard.press("Space")
+    page.wait_for_function("() => !preview.clock.playing")
+    opened.settle(1.4, near=0.05)
+    page.keyboard.press("l")
+    page.keyboard.press("Space")
+    page.wait_for_function("() => preview.clock.playing && preview.clock.time > 1.1 && preview.clock.time < 1.3")
+    page.wait_for_function("() => { const t = preview.clock.time, b = window.last; window.last = t; return t < b; }")
+    assert 0.9 < page.evaluate("preview.clock.time") < 1.45
+    page.keyboard.press("Space")
+    page.keyboard.press("l")
+    page.keyboard.press("x")
+    assert page.evaluate("preview.clock.range") is None
+
+
+def test_figure_stands_where_kinematics_says(opened: OpenedPage) -> None:
+    """The page's scene graph and our forward kinematics agree on every joint of a frame reached by the arrow keys."""
+    motion = standing(perform(seconds=SECONDS).motion)
+    for _ in range(10):
+        opened.page.keyboard.press("ArrowRight")
+    opened.settle(10 / motion.fps, near=0.003)
+    assert "frame 10" in opened.page.inner_text("#clock")
+    np.testing.assert_allclose(opened.joints(), kinematics.positions_of(motion)[10], atol=4e-3)
+    opened.page.keyboard.press("ArrowLeft")
+    opened.settle(9 / motion.fps, near=0.003)
+
+
+def test_buttons_and_keys(opened: OpenedPage) -> None:
+    page = opened.page
+    page.keyboard.press("End")
+    opened.settle(SECONDS)
+    page.keyboard.press("Home")
+    opened.settle(0.0)
+    page.click("[data-view=side]")
+    page.wait_for_function("() => Math.abs(preview.stage.view.yaw - Math.PI / 2) < 0.01")
+    page.click("#trails")
+    assert page.get_attribute("#trails", "aria-pressed") == "false"
+    page.select_option("#speed", "0.25")
+    assert page.evaluate("preview.clock.sound.playbackRate") == 0.25
+    page.select_option("#speed", "1")
+    page.click("#mute")
+    assert page.evaluate("preview.clock.sound.muted") is True
+    page.click("#mute")
+    page.keyboard.press("Space")  # plays, and does not press the button again
+    page.wait_for_function("() => preview.clock.playing")
+    assert page.evaluate("preview.clock.sound.muted") is False
+    page.keyboard.press("Space")
+    page.click("#file-menu summary")
+    assert page.is_visible("#export-vrma")
+    page.click("#facts")
+    assert page.is_hidden("#export-vrma")
+    assert page.text_content("#score-is") == "score: log-probability"
+    page.click("#help")
+    assert "side by side" in page.inner_text("#sheet")
+    page.keyboard.press("Escape")
+    unnamed = page.evaluate("""() => [...document.querySelectorAll('button, input, select')].filter((b) => !(
+        b.hidden || b.getAttribute('aria-label') || b.labels?.length || b.textContent.trim())).length""")
+    assert unnamed == 0
+    # A recording that fits shows whole: the middle of the timeline is the middle of the sound.
+    box = page.locator("#timeline").bounding_box()
+    page.mouse.move(box["x"] + 5, box["y"] + 70)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 70, steps=3)
+    page.mouse.up()
+    opened.settle(SECONDS / 2)
+
+
+def test_a_plan_is_edited_saved_and_opened(opened: OpenedPage, tmp_path: Path) -> None:
+    page, first = opened.page, opened.plan()
+    row = {name: page.evaluate(f"preview.timeline.rows.{name}.top + 9") for name in ("beats", "blocks")}
+    box = page.locator("#timeline").bounding_box()
+
+    def at(time: float, row: float) -> tuple[float, float]:
+        return box["x"] + time / SECONDS * box["width"], box["y"] + row
+
+    blocks = first["blocks"]
+    # Block 2 gets the second of its alternatives, block 3 a silence, mirrored and a little larger.
+    page.mouse.click(*at((blocks[2]["start"] + blocks[2]["end"]) / 2, row["blocks"]))
+    page.keyboard.press("2")
+    page.mouse.click(*at((blocks[3]["start"] + blocks[3]["end"]) / 2, row["blocks"]))
+    was_silent = blocks[3]["silent"]
+    for key in "hm]":
+        page.keyboard.press(key)
+    # The beat between blocks 5 and 6 is dragged, the one between 7 and 8 deleted.
+    span = blocks[5]["end"] - blocks[5]["start"]
+    page.mouse.move(*at(blocks[6]["start"], row["beats"]))
+    page.mouse.down()
+    page.mouse.move(*at(blocks[6]["start"] - span / 4, row["beats"]), steps=3)
+    page.mouse.move(*at(blocks[6]["start"] - span / 3, row["beats"]), steps=3)
+    page.mouse.up()
+    page.mouse.click(*at(blocks[8]["start"], row["beats"]))
+    page.keyboard.press("Delete")
+    edited = opened.plan()
+    new = edited["blocks"]
+    assert new[2] == {**blocks[2], "lexeme": blocks[2]["alternatives"][1]["lexeme"], "silent": False, "name": None}
+    assert new[3] == {**blocks[3], "silent": not was_silent, "mirror": True, "intensity": 1.1}
+    moved = new[5]["end"]
+    assert moved == pytest.approx(max(blocks[6]["start"] - span / 3, blocks[5]["start"] + 0.1), abs=0.02)
+    assert new[5] == {**blocks[5], "end": moved, "flag": "edited"} and new[6] == {**blocks[6], "start": moved}
+    assert new[7] == {**blocks[7], "end": blocks[8]["end"], "flag": blocks[8]["flag"]}
+    untouched = [k for k in range(len(blocks)) if k not in (2, 3, 5, 6, 7, 8)]
+    assert [new[k if k < 8 else k - 1] for k in untouched] == [blocks[k] for k in untouched]
+    assert "5 edits" in page.inner_text("#status")
+    # What is saved is that; each step goes back and forth; what was saved can be opened.
+    plan = tmp_path / "talk.plan.json"
+    plan.write_bytes(opened.saved("Control+s").read_bytes())
+    assert json.loads(plan.read_text()) == edited
+    for _ in range(6):  # a drag is one step
+        page.keyboard.press("Control+z")
+    assert opened.plan() == first and page.is_disabled("#undo")
+    for _ in range(6):
+        page.keyboard.press("Control+Shift+z")
+    assert opened.plan() == edited and page.is_disabled("#redo")
+    page.evaluate("() => { while (preview.session.lane.history.past.length) preview.session.undo(); }")
+    page.set_input_files("#pick-plan", str(plan))
+    page.wait_for_function("() => preview.session.lane.history.past.length === 1")
+    assert opened.plan() == edited
+    for text, said in (('{"blocks": [}', "no JSON"),
+                       ('{"blocks": [{"start": 0, "end": 9, "lexeme": 1}]}', "another recording")):
+        (tmp_path / "wrong.json").write_text(text)
+        page.set_input_files("#pick-plan", str(tmp_path / "wrong.json"))
+        page.wait_for_function("(said) => document.getElementById('notice').textContent.includes(said)", arg=said)
+    assert opened.plan() == edited
+    page.click("#notice")
+
+
+BREAKS_OUT = "</script><img src=x onerror=broken=1>"
+
+
+def test_gestures_are_asked_for_and_names_are_text(browser: Any, tmp_path: Path) -> None:
+    made = replace(perform(seconds=SECONDS), score_is=BREAKS_OUT, sound_name=BREAKS_OUT,
+                   made_by={"settings": {"speaker": BREAKS_OUT, "interpreter": BREAKS_OUT}})
+    (tmp_path / "talk.html").write_text(html.page({BREAKS_OUT: made, "b": made}, BREAKS_OUT, together=True))
+    page = OpenedPage(browser, (tmp_path / "talk.html").as_uri())
+    assert page.page.inner_text("h1") == page.page.locator("#labels span").first.inner_text() == BREAKS_OUT
+    page.page.keyboard.press("d")
+    page.page.evaluate("""() => {
+        const { session } = preview;
+        session.lane.history.refine({ ...session.plan, knobs: {}, gestures: [{ name: "wave" }, { name: "shrug" }],
+            lexicon: [{ lexeme: 7, name: "<b>low sweep</b>", silent: false }] });
+        session.tell("edited");
+    }""")
+    # A plan told in more detail: what can be asked for is listed when it is first shown.
+    page.page.evaluate("() => { delete preview.inspector.names; preview.session.tell('edited'); }")
+    page.go_to(0.6)
+    page.page.wait_for_selector("#gesture option:nth-child(2)", state="attached")
+    page.page.select_option("#gesture", "shrug")
+    page.page.click("#add-cue")
+    page.go_to(1.5)
+    page.page.click("#add-cue")
+    page.page.select_option("#knob-energy", "calm")
+    page.page.select_option("#lexeme", "7")
+    plan = page.plan()
+    assert plan["cues"] == [{"gesture": "shrug", "word": "zwei", "occurrence": 1}, {"gesture": "shrug", "time": 1.5}]
+    assert plan["knobs"] == {"energy": "calm"}
+    block = next(block for block in plan["blocks"] if block["start"] <= 1.5 < block["end"])
+    assert (block["lexeme"], block["name"]) == (7, "<b>low sweep</b>")
+    assert page.page.inner_text("#card-name") == "<b>low sweep</b>"
+    page.page.click("#cues li button")
+    assert page.plan()["cues"] == [{"gesture": "shrug", "time": 1.5}]
+    assert page.saved("Control+s").read_text().count(json.dumps(BREAKS_OUT)) == 4
+    assert BREAKS_OUT in page.page.inner_text("#notice")
+    assert page.page.locator("img, b").count() == 0 and page.page.evaluate("window.broken === undefined")
+    page.check_quiet()
+    page.page.close()
+
+
+def _direction(places: Any) -> np.ndarray:
+    """[..., 3] from the first place to the second, of length 1."""
+    way = np.array(places[1]) - np.array(places[0])
+    return way / np.linalg.norm(way, axis=-1, keepdims=True)
+
+
+ARMS = [("LeftArm", "LeftForeArm"), ("LeftForeArm", "LeftHand"), ("RightArm", "RightForeArm"),
+        ("RightForeArm", "RightHand")]
+BONES = {"LeftArm": "leftUpperArm", "LeftForeArm": "leftLowerArm", "LeftHand": "leftHand", "RightArm": "rightUpperArm",
+         "RightForeArm": "rightLowerArm", "RightHand": "rightHand"}
+PLACES = """async (names) => {
+    const { group } = preview.stage.performers[0], character = preview.worn.first, found = {};
+    group.updateWorldMatrix(true, true);
+    for (const [name, bone] of names) {
+        const node = character.vrm ? character.vrm.humanoid.getRawBoneNode(bone) : character.byJoint.get(name);
+        found[name] = node.matrixWorld.elements.slice(12, 15);
+    }
+    return found;
+}"""
+
+
+def _places(file: GlbFile, frame: int = 25) -> dict[str, np.ndarray]:
+    """Node -> where its last animation has it in a frame, metres."""
+    worlds = file.worlds(len(file.document["animations"]) - 1)
+    return dict(zip(file.names(), worlds[frame, :, :3, 3], strict=True))
+
+
+def _rewrite(path: Path, file: GlbFile) -> None:
+    """Write a GLB whose document was changed."""
+    text = json.dumps(file.document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(file.binary), 0x4E4942)
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(file.binary)) + chunks + file.binary)
+
+
+def _in_a_pose(path: Path) -> None:
+    """Lower her arms by 50 degrees, write them as matrices, and let her face +X."""
+    file = GlbFile.parse(path.read_bytes())
+    worlds = file.worlds()[0]
+    for side, angle in (("Left", -50), ("Right", 50)):
+        arm = file.names().index(f"mixamorig:{side}Arm")
+        above = file.names().index(f"mixamorig:{side}Shoulder")
+        back = Rotation.from_matrix(worlds[above, :3, :3] / np.linalg.norm(worlds[above, :3, :3], axis=0)).inv()
+        own = Rotation.from_quat(file.document["nodes"][arm]["rotation"])
+        lowered = back * Rotation.from_euler("Z", angle, degrees=True) * back.inv() * own
+        node, matrix = file.document["nodes"][arm], np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = lowered.as_matrix(), node.pop("translation")
+        del node["rotation"]
+        node["matrix"] = matrix.T.ravel().tolist()
+    stand = Rotation.from_quat(file.document["nodes"][0]["rotation"])
+    file.document["nodes"][0]["rotation"] = (Rotation.from_euler("Y", 90, degrees=True) * stand).as_quat().tolist()
+    _rewrite(path, file)
+
+
+@pytest.mark.parametrize("kind", ["GLB", "A-pose", "VRM 1.0", "VRM 0.x"])
+def test_a_character_of_the_users_makes_the_gestures(opened: OpenedPage, tmp_path: Path, kind: str) -> None:
+    page, motion = opened.page, standing(perform(seconds=SECONDS).motion)
+    rig = tmp_path / ("rig.vrm" if "VRM" in kind else "rig.glb")
+    write_character(rig, vrm=kind.removeprefix("VRM ") if "VRM" in kind else "")
+    if kind == "A-pose":
+        _in_a_pose(rig)
+    (tmp_path / "x.glb").write_bytes(b"<b>")
+    page.set_input_files("#pick-character", str(tmp_path / "x.glb"))
+    page.wait_for_function("() => document.getElementById('notice').textContent.includes('no GLB')")
+    page.set_input_files("#pick-character", str(rig))
+    page.wait_for_function("() => preview.stage.performers[0].character !== null")
+    assert page.inner_text("#notice") == f"{rig.name}: a character of kind {kind.replace('A-pose', 'GLB')}."
+    opened.go_to(1.0)
+    page.evaluate("() => preview.stage.draw(1.0)")
+    places = page.evaluate(PLACES, list(BONES.items()))
+    truth = dict(zip(motion.skeleton.names, kinematics.positions_of(motion)[25], strict=True))
+    for a, b in ARMS:
+        straight = _direction((places[a], places[b])) @ _direction((truth[a], truth[b]))
+        assert straight > 0.999, f"{a} points {np.degrees(np.arccos(straight)):.1f} degrees elsewhere"
+    # Her own file with one animation more: what it holds besides is as it was.
+    made = tmp_path / "made.glb"
+    made.write_bytes(opened.saved("#export-glb").read_bytes())
+    before, after = (GlbFile.parse(path.read_bytes()) for path in (rig, made))
+    assert [a["name"] for a in after.document["animations"]][-1] == "gesture"
+    assert np.abs(after.worlds() - before.worlds()).max() < 1e-5
+    for part in ("nodes", "meshes", "skins", "materials", "images", "extensions", "asset"):
+        if part != "nodes" or kind != "A-pose":  # a node that moves has no matrix
+            assert after.document.get(part) == before.document.get(part), part
+    played = _places(after)
+    names = {joint: next(name for name in played if name.endswith(joint)) for joint in BONES}
+    faces = Rotation.from_euler("Y", {"VRM 0.x": 180, "A-pose": 90}.get(kind, 0), degrees=True)
+    for a, b in ARMS:
+        assert _direction((played[names[a]], played[names[b]])) @ faces.apply(_direction((truth[a], truth[b]))) > 0.999
+    page.evaluate("() => document.getElementById('own-figure').click()")
+    page.wait_for_function("() => preview.stage.performers[0].character === null")
+
+
+def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> None:
+    motion = standing(perform(seconds=SECONDS).motion)
+    ours, theirs, figure = tmp_path / "ours.vrma", tmp_path / "page.vrma", tmp_path / "figure.glb"
+    ours.write_bytes(vrm_animation(motion))
+    theirs.write_bytes(opened.saved("#export-vrma").read_bytes())
+    a, b = (GlbFile.parse(path.read_bytes()) for path in (ours, theirs))
+    told, made = (file.document["extensions"]["VRMC_vrm_animation"] for file in (a, b))
+    assert made["specVersion"] == "1.0"
+    assert made["humanoid"]["humanBones"].keys() == told["humanoid"]["humanBones"].keys()
+    for frame in (0, 25, 99):
+        mine, made = _places(a, frame), _places(b, frame)
+        assert mine.keys() == made.keys()
+        assert max(np.abs(mine[bone] - made[bone]).max() for bone in mine) < 2e-3
+    figure.write_bytes(opened.saved("#export-glb").read_bytes())
+    file, truth = GlbFile.parse(figure.read_bytes()), kinematics.positions_of(motion)[25]
+    played, rest = _places(file), dict(zip(file.names(), file.worlds()[0, :, :3, 3], strict=True))
+    for name, place in zip(motion.skeleton.names, truth, strict=True):
+        assert np.abs(played[name] - place).max() < 3e-3
+    assert np.abs(_direction((rest["LeftArm"], rest["LeftHand"])) - [1, 0, 0]).max() < 1e-5, "at rest in a T-pose"
+    # What the page wrote is a character that the page takes, and makes the same gestures.
+    opened.page.set_input_files("#pick-character", str(figure))
+    opened.page.wait_for_function("() => preview.stage.performers[0].character !== null")
+    opened.go_to(1.0)
+    opened.page.evaluate("() => preview.stage.draw(1.0)")
+    places = opened.page.evaluate(PLACES, list(BONES.items()))
+    at = dict(zip(motion.skeleton.names, truth, strict=True))
+    assert max(np.abs(places[name] - at[name]).max() for name in BONES) < 5e-3
+
+
+def test_a_motion_from_a_file_stands_beside_ours(browser: Any, tmp_path: Path) -> None:
+    other = standing(perform(seconds=SECONDS, seed=9).motion)
+    (tmp_path / "<i>.vrma").write_bytes(vrm_animation(other))
+    page = OpenedPage(browser, write(tmp_path / "talk.html", perform(seconds=SECONDS)).as_uri())
+    page.page.set_input_files("#pick-motion", str(tmp_path / "<i>.vrma"))
+    page.page.wait_for_function("() => preview.stage.performers.length === 2")
+    assert page.page.locator("#labels span").all_text_contents() == ["take", "<i>.vrma"]
+    page.go_to(1.2)
+    turned = page.page.evaluate("""() => {
+        const { figure } = preview.stage.performers[1];
+        figure.group.updateWorldMatrix(true, true);
+        return figure.bones.map((bone) => bone.getWorldQuaternion(bone.quaternion.clone()).toArray());
+    }""")
+    world = kinematics.global_rotations(other.skeleton, other.rotations)[30]
+    for joint in ("Hips", "Spine3", "Head", "LeftArm", "RightForeArm", "RightHand"):
+        row = other.skeleton.index(joint)
+        away = Rotation.from_quat(turned[row]).inv() * Rotation.from_quat(world[row], scalar_first=True)
+        assert away.magnitude() < 0.02, joint
+    before = page.plan()
+    page.page.keyboard.press("a")
+    page.page.keyboard.press("2")
+    assert "no plan" in page.page.inner_text("#notice") and page.plan() == before
+    (tmp_path / "no.vrma").write_bytes(b"none")
+    page.page.set_input_files("#pick-motion", str(tmp_path / "no.vrma"))
+    page.page.wait_for_function("() => document.getElementById('notice').textContent.includes('cannot be played')")
+    page.check_quiet()
+    page.page.close()
+
+
+def test_a_long_recordings_page_plays_on_a_phone(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(html, "LONG", 2.0)
+    path = write(tmp_path / "a name that is much too long for the width of a phone.html", perform(seconds=20.0))
+    shown = OpenedPage(browser, path.as_uri(), 360, 640, has_touch=True, is_mobile=True, device_scale_factor=2)
+    page = shown.page
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    outside = page.evaluate("""() => [...document.querySelectorAll('button, select, canvas')].filter((node) => {
+        const box = node.getBoundingClientRect();
+        const out = box.left < 0 || box.right > innerWidth + .5 || box.bottom > innerHeight + .5;
+        return box.width && !node.closest('#inspector, details > div') && out;
+    }).map((node) => node.id || node.textContent)""")
+    assert outside == []
+    assert page.evaluate("document.getElementById('figure').clientHeight") > 140
+    page.tap("#play")
+    page.wait_for_function("() => preview.clock.time > 0.3")
+    page.tap("#play")
+    # A finger on a block selects it; two fingers on the timeline zoom it.
+    row = page.evaluate("preview.timeline.rows.blocks.top + 10")
+    box = page.locator("#timeline").bounding_box()
+    page.touchscreen.tap(box["x"] + 100, box["y"] + row)
+    page.wait_for_function("() => preview.session.selection !== null")
+    before = page.evaluate("preview.timeline.scale")
+    page.evaluate("""() => {
+        const canvas = document.getElementById('timeline'), { left, top } = canvas.getBoundingClientRect();
+        canvas.setPointerCapture = () => {};
+        const touch = (type, pointerId, x) => canvas.dispatchEvent(new PointerEvent(type, {
+            pointerId, pointerType: 'touch', clientX: left + x, clientY: top + 70, bubbles: true }));
+        touch('pointerdown', 1, 100); touch('pointerdown', 2, 150); touch('pointermove', 2, 200);
+        touch('pointerup', 1, 100); touch('pointerup', 2, 200);
+    }""")
+    assert page.evaluate("preview.timeline.scale") == pytest.approx(2 * before, rel=0.01)
+    shown.check_quiet()
+    page.close()

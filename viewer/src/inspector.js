@@ -1,0 +1,190 @@
+// The panel beside the stage: what the selected blocks do, what they could do, and the knobs of the whole take.
+
+import { addCue, cuesOf, cueTime, removeCue } from "./cues.js";
+import { $, element } from "./dom.js";
+import { minutes } from "./numbers.js";
+import * as edits from "./plan.js";
+import { signPicture, TITLES } from "./signs.js";
+import { colours, lexemeColour } from "./theme.js";
+
+const tenth = (value) => Number(value).toFixed(1);
+
+export class Inspector {
+  constructor(session, clock) {
+    Object.assign(this, { session, clock, shown: "" });
+    this.bind();
+  }
+
+  get stretch() { return this.session.stretch(this.clock.time); }
+  edit(how, ...rest) { this.session.edit(how(this.session.plan, ...this.stretch, ...rest)); }
+
+  bind() {
+    const flag = (id, how, key) => $(id).addEventListener("click", () => this.edit(how, !this.every(key)));
+    flag("silence", edits.setSilent, "silent");
+    flag("mirror", edits.setMirror, "mirror");
+    flag("lock", edits.setLocked, "locked");
+    $("lock-rest").addEventListener("click", () => this.edit(edits.lockTheRest));
+    $("draw-again").addEventListener("click", () => this.edit(edits.drawAgain));
+    $("restore").addEventListener("click", () => this.session.edit(edits.restored(this.session.plan, this.session.original, ...this.stretch)));
+    this.slide("intensity", (value) => edits.setIntensity(this.session.plan, ...this.stretch, value));
+    this.slide("knob-intensity", (value) => edits.setKnob(this.session.plan, "intensity", value));
+    this.slide("knob-activity", (value) => edits.setKnob(this.session.plan, "activity", value));
+    for (const name of ["energy", "handedness"]) {
+      $(`knob-${name}`).addEventListener("change", (event) => this.session.edit(edits.setKnob(this.session.plan, name, event.target.value || null)));
+    }
+    $("knob-mirror").addEventListener("click", () => this.session.edit(edits.setKnob(this.session.plan, "mirror", !this.session.plan.knobs?.mirror)));
+    $("hold-still").addEventListener("click", () => this.holdStill());
+    $("lexeme").addEventListener("change", (event) => this.choose(Number(event.target.value)));
+    $("add-cue").addEventListener("click", () => this.session.edit(addCue(this.session.plan, $("gesture").value, this.clock.time)));
+    $("delete-beat").addEventListener("click", () => this.deleteBeat());
+    $("add-beat").addEventListener("click", () => this.addBeat());
+  }
+
+  slide(id, how) {
+    const slider = $(id);
+    slider.addEventListener("input", () => this.session.edit(how(Number(slider.value)), id));
+    slider.addEventListener("change", () => this.session.lane.history.settle());
+  }
+
+  every(key) {
+    const [first, last] = this.stretch;
+    return this.session.plan.blocks.slice(first, last + 1).every((block) => block[key]);
+  }
+
+  nameOf(lexeme) { return this.names?.get(lexeme) ?? null; }
+
+  choose(lexeme) { this.edit((plan, first, last) => edits.setLexeme(plan, first, last, lexeme, this.nameOf(lexeme))); }
+
+  /** The alternative of a rank, from 1. */
+  chooseRank(rank) {
+    const other = this.session.plan.blocks[this.stretch[0]].alternatives?.[rank - 1];
+    if (other) this.choose(other.lexeme);
+  }
+
+  nudge(by) {
+    const { plan } = this.session, [first, last] = this.stretch, now = plan.blocks[first].intensity ?? 1;
+    this.session.edit(edits.setIntensity(plan, first, last, now + by));
+  }
+
+  beat() {
+    if (this.session.beat !== null) return this.session.beat;
+    return this.session.selection ? this.session.selection[0] : edits.blockAt(this.session.plan, this.clock.time);
+  }
+
+  deleteBeat() {
+    const { session } = this, [first, last] = this.stretch;
+    if (session.beat === null && session.selection && last > first) {
+      let { plan } = session;
+      for (let k = last; k > first; k--) plan = edits.deleteBeat(plan, k);
+      session.edit(plan);
+    } else session.edit(edits.deleteBeat(session.plan, this.beat()));
+  }
+
+  addBeat() { this.session.edit(edits.addBeat(this.session.plan, this.clock.time)); }
+
+  holdStill() {
+    const { plan } = this.session, [first, last] = this.stretch, still = plan.knobs?.hold_still ?? [];
+    const range = this.clock.range ?? [plan.blocks[first].start, plan.blocks[last].end];
+    this.session.edit(edits.setKnob(plan, "hold_still", [...still, range]));
+  }
+
+  /** Show the blocks that an edit would mean. */
+  update() {
+    const { session } = this, { plan } = session, [first, last] = this.stretch;
+    if (this.names === undefined) this.fillLists(plan);
+    const block = plan.blocks[first];
+    this.head(plan, first, last);
+    this.alternatives(block);
+    for (const [id, key] of [["silence", "silent"], ["mirror", "mirror"], ["lock", "locked"]]) $(id).setAttribute("aria-pressed", String(Boolean(this.every(key))));
+    this.setSlider("intensity", block.intensity ?? 1);
+    $("delete-beat").disabled = !(last > first && session.beat === null) && !edits.canDelete(plan, this.beat());
+    $("restore").disabled = !plan.blocks.slice(first, last + 1).some((one) => edits.differs(one, session.original));
+    $("draw-again").disabled = !block.draw;
+    this.knobs(plan.knobs);
+    this.cues(plan);
+  }
+
+  setSlider(id, value) {
+    if (document.activeElement !== $(id)) $(id).value = value;
+    $(`${id}-is`).textContent = tenth(value);
+  }
+
+  head(plan, first, last) {
+    const block = plan.blocks[first], chip = $("chip"), many = last > first;
+    const seconds = (plan.blocks[last].end - block.start).toFixed(2);
+    chip.textContent = many ? `${last - first + 1} blocks` : block.lexeme === null ? "chosen anew" : `lexeme ${block.lexeme}`;
+    chip.style.background = block.silent || many ? colours.track : lexemeColour(block.lexeme ?? 0);
+    chip.style.color = block.silent || many ? colours.ink : "#16181d";
+    $("card-block").textContent = `${many ? `blocks ${first + 1} to ${last + 1}` : `block ${first + 1}`}, ${seconds} s from ${minutes(block.start, 2)}`;
+    $("card-name").textContent = many ? "" : block.name ?? "";
+    const flag = $("card-flag"), kind = plan.blocks[last].flag ?? "edited";
+    flag.replaceChildren(signPicture(kind), `ends on: ${TITLES[kind] ?? kind}${block.silent ? " · silent" : ""}`);
+    const worth = many ? null : worthInWords(block);
+    $("worth").hidden = !worth;
+    $("worth").textContent = worth ?? "";
+    $("score-is").textContent = `score: ${plan.score_is ?? "log-probability"}`;
+  }
+
+  /** The lexemes that were considered, best first, as a list to choose from. */
+  alternatives(block) {
+    const rows = block.alternatives ?? [], scores = rows.map((row) => row.score);
+    const high = Math.max(...scores), low = Math.min(...scores), share = low >= 0 && high <= 1;
+    // Scores may be probabilities or values of any size: the bar spans from the least to the best of them.
+    const part = (score) => (share ? score / (high || 1) : (score - low) / (high - low || 1)) * 0.94 + 0.06;
+    $("best").replaceChildren(...rows.map(({ lexeme, name, score }, rank) => {
+      const gauge = element("i");
+      gauge.style.width = `${(part(score) * 100).toFixed(1)}%`;
+      const button = element("button", {
+        "type": "button", "aria-pressed": String(lexeme === block.lexeme && !block.silent), "title": `Play lexeme ${lexeme} here (${rank + 1})`,
+        "onclick": () => this.choose(lexeme),
+      }, element("span", { className: "id" }, String(lexeme)), element("span", { className: "called" }, name ?? this.nameOf(lexeme) ?? ""),
+      element("span", { className: "gauge" }, gauge), element("span", { className: "value" }, String(Number(score.toPrecision(3)))));
+      return element("li", {}, button);
+    }));
+    const select = $("lexeme");
+    if (document.activeElement !== select) select.value = String(block.lexeme ?? "");
+  }
+
+  fillLists(plan) {
+    const lexicon = plan.lexicon ?? [];
+    this.names = new Map(lexicon.map(({ lexeme, name }) => [lexeme, name]));
+    $("lexeme").replaceChildren(...lexicon.map(({ lexeme, name, silent }) => (
+      element("option", { value: String(lexeme) }, `${lexeme} · ${name}${silent ? " (still)" : ""}`))));
+    $("any-lexeme").hidden = !lexicon.length;
+    const gestures = plan.gestures ?? [];
+    $("gesture").replaceChildren(...gestures.map(({ name, about }) => element("option", { value: name, title: about ?? "" }, name)));
+    $("ask").hidden = !gestures.length;
+  }
+
+  knobs(knobs = {}) {
+    this.setSlider("knob-intensity", knobs.intensity ?? 1);
+    this.setSlider("knob-activity", knobs.activity ?? 1);
+    $("knob-energy").value = knobs.energy ?? "neutral";
+    $("knob-handedness").value = knobs.handedness ?? "";
+    $("knob-mirror").setAttribute("aria-pressed", String(Boolean(knobs.mirror)));
+    const { plan } = this.session, still = knobs.hold_still ?? [];
+    $("still").replaceChildren(...still.map(([from, to], k) => removable(`still ${minutes(from, 1)} to ${minutes(to, 1)}`, () => (
+      this.session.edit(edits.setKnob(plan, "hold_still", still.filter((_, other) => other !== k)))))));
+  }
+
+  cues(plan) {
+    $("cues").replaceChildren(...cuesOf(plan).map((cue, k) => {
+      const time = cueTime(plan, cue), where = cue.word ? `at “${cue.word}”` : `at ${minutes(cue.time ?? 0, 1)}`;
+      return removable(`${cue.gesture} ${where}${time === null ? " (not said)" : ""}`, () => this.session.edit(removeCue(this.session.plan, k)));
+    }));
+  }
+}
+
+function removable(text, remove) {
+  return element("li", {}, element("span", {}, text), element("button", { "type": "button", "aria-label": `Remove ${text}`, "onclick": remove }, "×"));
+}
+
+/** What the reward weighed, in a sentence: how likely people make the lexeme, what it is worth, and the runner-up. */
+function worthInWords({ lexeme, chosen, runner_up: other }) {
+  if (!chosen || !other) return null;
+  const percent = chosen.prior < 0.01 ? "under 1 %" : `${Math.round(chosen.prior * 100)} %`;
+  const sized = (value) => (Math.abs(value) < 0.05 ? "as much" : `${Math.abs(value).toFixed(1)} sd ${value > 0 ? "more" : "less"}`);
+  const usual = Math.abs(chosen.advantage) < 0.05 ? "as much as the usual choice" : `${sized(chosen.advantage)} than the usual choice`;
+  return `Lexeme ${lexeme}: people choose it here in ${percent} of cases; by the reward it is worth ${usual}. `
+    + `Runner-up ${other.id}: it would have been worth ${sized(other.worth_more)}.`;
+}

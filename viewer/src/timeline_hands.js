@@ -1,0 +1,149 @@
+// What a pointer does on the timeline: scrub, select blocks, move beats, drag the range, pinch and wheel to zoom.
+
+import { cuesOf, cueTime } from "./cues.js";
+import { clamp } from "./numbers.js";
+import { blockAt, moveBeat } from "./plan.js";
+import { sizes } from "./theme.js";
+
+/** CSS pixels around a handle in which it is taken, for a mouse and for a finger. */
+const NEAR = { mouse: 6, pen: 8, touch: 16 };
+
+export class TimelineHands {
+  constructor(timeline, session, clock, changed) {
+    Object.assign(this, { timeline, session, clock, changed });
+    this.pointers = new Map();
+    this.drag = null;
+    const { canvas, overview } = timeline;
+    canvas.addEventListener("pointerdown", (event) => this.down(event));
+    canvas.addEventListener("pointermove", (event) => this.move(event));
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => this.up(event));
+    canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+    this.bindOverview(overview);
+  }
+
+  place(event, canvas = this.timeline.canvas) {
+    const box = canvas.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  }
+
+  /** What lies under a place: { kind, ... }. */
+  hit(x, y, pointer) {
+    const { timeline, session, clock } = this, { rows } = timeline, near = (NEAR[pointer] ?? 8) * sizes.unit;
+    const within = (row) => y >= row.top && y < row.top + row.tall;
+    if (within(rows.ruler) && clock.range) {
+      const handle = clock.range.findIndex((time) => Math.abs(timeline.x(time) - x) < near + 4);
+      if (handle >= 0) return { kind: "range", handle };
+    }
+    if (within(rows.cues)) {
+      const cues = cuesOf(session.plan), cue = cues.findIndex((one) => {
+        const time = cueTime(session.plan, one);
+        return time !== null && x >= timeline.x(time) - 4 && x < timeline.x(time) + 70 * sizes.unit;
+      });
+      if (cue >= 0) return { kind: "cue", cue };
+    }
+    if (within(rows.beats)) {
+      const time = timeline.timeAt(x), { blocks } = session.plan, k = blockAt(session.plan, time);
+      const beat = [k, k + 1].filter((b) => b > 0 && b < blocks.length)
+        .sort((a, b) => Math.abs(blocks[a].start - time) - Math.abs(blocks[b].start - time))[0];
+      if (beat && Math.abs(timeline.x(blocks[beat].start) - x) < near) return { kind: "beat", beat };
+    }
+    if (y >= rows.gap.top) return { kind: "block", block: blockAt(session.plan, timeline.timeAt(x)) };
+    return { kind: "time" };
+  }
+
+  down(event) {
+    if (event.button > 0) return;
+    const { timeline, clock, session } = this, [x, y] = this.place(event);
+    timeline.canvas.setPointerCapture(event.pointerId);
+    this.pointers.set(event.pointerId, x);
+    if (this.pointers.size > 1) { this.drag = { kind: "pinch", spread: this.spread(), resume: false }; return; }
+    const hit = this.hit(x, y, event.pointerType);
+    this.drag = { ...hit, resume: hit.kind === "time" && clock.playing };
+    if (this.drag.resume) clock.pause();
+    timeline.held = true;
+    if (hit.kind === "block") this.pick(hit.block, event.shiftKey);
+    else if (hit.kind === "beat") session.selectBeat(hit.beat);
+    else if (hit.kind === "cue") clock.seek(cueTime(session.plan, cuesOf(session.plan)[hit.cue]));
+    else if (hit.kind === "time") this.scrub(x);
+    this.changed();
+  }
+
+  /** Select a block, or with shift all up to it; a stopped playhead goes there. */
+  pick(block, extend) {
+    const { session, clock } = this;
+    if (extend && session.selection) session.select(session.selection[0], block);
+    else {
+      this.drag.from = block;
+      session.select(block);
+      if (!clock.playing) clock.seek(session.plan.blocks[block].start + 0.002);
+    }
+  }
+
+  scrub(x) { this.clock.seek(this.timeline.timeAt(x)); }
+
+  move(event) {
+    const { timeline, session, clock } = this, [x, y] = this.place(event);
+    if (!this.pointers.has(event.pointerId)) {
+      const { kind, block } = this.hit(x, y, event.pointerType);
+      timeline.canvas.title = kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
+      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", cue: "pointer" }[kind] ?? "text";
+      return;
+    }
+    this.pointers.set(event.pointerId, x);
+    const time = timeline.timeAt(x), { drag } = this;
+    if (drag.kind === "pinch") this.pinch();
+    else if (drag.kind === "time") this.scrub(x);
+    else if (drag.kind === "beat") {
+      session.edit(moveBeat(session.plan, drag.beat, time), `beat ${drag.beat}`);
+      session.beat = drag.beat;
+    } else if (drag.kind === "block" && drag.from !== undefined) {
+      const to = blockAt(session.plan, time);
+      if (to !== (session.selection ?? [])[1] || to !== drag.from) session.select(drag.from, to);
+    } else if (drag.kind === "range") {
+      const range = [...clock.range];
+      range[drag.handle] = clamp(time, 0, clock.duration);
+      if (range[1] - range[0] > 0.1) clock.setRange(...range);
+    }
+    this.changed();
+  }
+
+  up(event) {
+    if (!this.pointers.delete(event.pointerId) || this.pointers.size) return;
+    this.timeline.held = false;
+    this.session.lane.history.settle();
+    if (this.drag.kind === "beat") this.session.tell("settled");
+    if (this.drag.resume) this.clock.play();
+    this.drag = null;
+    this.changed();
+  }
+
+  spread() {
+    const [a, b] = [...this.pointers.values()];
+    return Math.max(Math.abs(a - b), 10);
+  }
+
+  pinch() {
+    const spread = this.spread(), [a, b] = [...this.pointers.values()];
+    this.timeline.zoom(spread / this.drag.spread, this.timeline.timeAt((a + b) / 2));
+    this.drag.spread = spread;
+  }
+
+  wheel(event) {
+    event.preventDefault();
+    const { timeline } = this;
+    if (event.ctrlKey || event.metaKey) timeline.zoom(Math.exp(-clamp(event.deltaY, -120, 120) * 0.003), timeline.timeAt(event.offsetX));
+    else {
+      timeline.left += (event.deltaX + event.deltaY) / timeline.scale;
+      timeline.fit();
+    }
+    this.changed();
+  }
+
+  bindOverview(overview) {
+    let down = false;
+    const go = (event) => this.clock.seek((this.place(event, overview)[0] / overview.clientWidth) * this.clock.duration);
+    overview.addEventListener("pointerdown", (event) => { overview.setPointerCapture(event.pointerId); down = true; go(event); });
+    overview.addEventListener("pointermove", (event) => { if (down) go(event); });
+    for (const end of ["pointerup", "pointercancel"]) overview.addEventListener(end, () => { down = false; });
+  }
+}
