@@ -207,10 +207,10 @@ def positional_block(frames: int, width: int, beta: float = 10_000.0, direction:
         raise ValueError(f"direction must be forward or to_beat, not {direction!r}")
     if width % 2:
         raise ValueError("the positional block needs an even width")
-    k = torch.arange(frames, dtype=torch.float64, device="cpu")  # also where a model is built for its shapes alone
+    k = torch.arange(frames, dtype=torch.float64)
     if direction == "to_beat":
         k = k.flip(0)
-    rates = beta ** (-torch.arange(0, width, 2, dtype=torch.float64, device="cpu") / width)
+    rates = beta ** (-torch.arange(0, width, 2, dtype=torch.float64) / width)
     angles = k[:, None] * rates
     return torch.stack([angles.sin(), angles.cos()], dim=-1).flatten(1).float()
 

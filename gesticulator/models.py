@@ -9,11 +9,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
-from torch.overrides import TorchFunctionMode
 
 from data_module.errors import InputError
 from gesticulator.config import Config, RewardConfig
@@ -230,25 +229,13 @@ def codebook_name(config: Config) -> str:
     return "vectors" if movement else "quantizer.vectors"
 
 
-class _Unfilled(TorchFunctionMode):
-    """Tensors are not given first values. Without memory there is nothing to fill, and torch loads its compiler (a
-    second) to find that out."""
-
-    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Of `torch.nn.init` nothing is done."""
-        named = kwargs or {}
-        if getattr(func, "__module__", "") == "torch.nn.init":
-            return named["tensor"] if "tensor" in named else args[0]
-        return func(*args, **named)
-
-
 def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
     """The shape of every tensor of a part, found without taking memory for one; InputError where the settings do not
     go together."""
     on_meta = replace(sizes, present=sizes.present.to("meta"),
                       vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
     try:
-        with torch.device("meta"), _Unfilled(), warnings.catch_warnings(action="ignore", category=UserWarning):
+        with torch.device("meta"), warnings.catch_warnings(action="ignore", category=UserWarning):
             return {key: tuple(value.shape) for key, value in BUILDERS[name](on_meta).state_dict().items()}
     except (ValueError, RuntimeError, IndexError, OverflowError, ZeroDivisionError) as error:
         raise InputError("settings", f"no {name} can be built of them ({str(error).splitlines()[0][:200]})",
