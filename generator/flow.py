@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -127,7 +128,7 @@ class FlowHead(nn.Module):
 
     def forward(self, noisy: Tensor, time: Tensor, conditions: list[Tensor]) -> Tensor:
         """noisy: [..., n]; time: [..., 1] from 0 (noise) to 1; conditions: of `conditions`. Gives v [..., n]."""
-        rates = 1.5 * 2.0 ** (0.5 * torch.arange(_FREQUENCIES, device=noisy.device, dtype=noisy.dtype))
+        rates = _rates(noisy.device, noisy.dtype)
         angles, variance = time * rates, time**2 + (1 - time) ** 2
         x = self.enter(torch.cat([noisy / variance.sqrt(), angles.sin(), angles.cos()], -1))
         for condition, inner, outer in zip(conditions, self.inner, self.outer, strict=True):
@@ -321,6 +322,13 @@ class FlowGenerator(nn.Module):
             first = v(u, i * step)
             u = u + step * (first + v(u + step * first, (i + 1) * step)) / 2
         return self.stretch(u)
+
+
+@lru_cache(maxsize=4)
+def _rates(device: torch.device, dtype: torch.dtype) -> Tensor:
+    """[F] radians by which the time of the flow is told."""
+    with torch.inference_mode(False):
+        return 1.5 * 2.0 ** (0.5 * torch.arange(_FREQUENCIES, device=device, dtype=dtype))
 
 
 def _fade(frames: int, like: Tensor) -> Tensor:

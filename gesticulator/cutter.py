@@ -150,6 +150,11 @@ class BlockCutter:
         return self._words is not None
 
     @property
+    def lacking(self) -> float:
+        """Seconds of sound until the next tick is full; less than that changes nothing."""
+        return (TICK - self._waiting) / SAMPLE_RATE
+
+    @property
     def duration(self) -> float:
         """Seconds of sound so far."""
         return (self._heard + self._waiting) / SAMPLE_RATE

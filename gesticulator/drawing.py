@@ -55,11 +55,16 @@ class Direction:
 FREE = Direction()
 """Says nothing."""
 
+HURRIED_STEPS = 2
+"""Of Heun's method where a block must cost less; one alone draws the mean of what could be drawn."""
+
 
 class Drawer(Protocol):
-    """Draws one block after the other; it keeps what it must remember between them. keys: of the next block's noise."""
+    """Draws one block after the other; it keeps what it must remember between them. keys: of the next block's noise;
+    hurried: it is to cost less, where it can."""
 
     keys: Keys
+    hurried: bool
 
     def fork(self) -> Drawer:
         """A twin that goes on from here by itself."""
@@ -83,6 +88,7 @@ class RegressionDrawer:
 
     def __init__(self, bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool) -> None:
         self.bundle, self.keys = bundle, keys  # it draws a block in one way, whatever the keys
+        self.hurried = False  # and it costs little anyhow
         self.generator = cast("Generator", bundle.generator)
         self.style = (bundle.style_text if text else None) or bundle.style
         self.style_state = None if self.style is None else self.style.start(speaker)
@@ -123,6 +129,9 @@ class FlowDrawer:
         self.noise = self.chosen.noise * self._of_trunk(self.chosen.trunk_noise)
         self.state: tuple[Tensor, Tensor] | None = None
         self.told: Pasts | None = None
+        self.base = torch.zeros(0)
+        """[1, K, D_m] what the body would do in the last block if nothing new came."""
+        self.hurried = False
 
     def fork(self) -> FlowDrawer:
         """See `Drawer.fork`."""
@@ -134,20 +143,26 @@ class FlowDrawer:
         """See `Drawer.block`; the code is empty."""
         added = past.new_zeros(1, self.generator.basis.width)
         if self.told is not None:  # what was shown may be other than what was drawn
-            added = self.generator.squeeze(self.generator.basis.coefficients(past, self.told))
+            added = self.generator.squeeze(self.generator.basis.project(past - self.base))
         before, own, _ = torch.tensor(speech.durations, dtype=torch.float32, device=self.device)
         self.told = Pasts(past[:, -PAST:], (own / before)[None])
+        self.base = self.generator.basis.base(self.told)
         place = self.place.step(speech.durations, speech.silent).to(self.device)
         if speech.foreseen and self.generator.config.after_dropout:
             place = alone(place)
         given, gains = self._given(place, features, lexeme, past)
         context, self.state = self.generator.contexts(given, added.expand(len(given.audio), 1, -1), self.state)
-        noise = self.keys.noise(speech.number, (self.chosen.candidates, self.generator.basis.width))
-        noise = noise.to(self.device) * self.noise
+        candidates, steps = self.chosen.candidates, self.chosen.flow_steps
         pull = torch.tensor(gains, device=self.device)[:, None] * self.share
-        drawn = self.generator.draw(context[:, 0], pull, noise, self.chosen.flow_steps)
+        if self.hurried:
+            # One candidate, in few steps, without guidance. The states of what guides go on, for when there is time.
+            candidates, steps = 1, min(steps, HURRIED_STEPS)
+            context, pull = context[:1], pull[:0]
+        noise = self.keys.noise(speech.number, (candidates, self.generator.basis.width)).to(self.device) * self.noise
+        drawn = self.generator.draw(context[:, 0], pull, noise, steps)
         best = self._showing(lexeme, drawn)
-        return self.generator.basis.compose(drawn[best:best + 1], self.told) * self.generator.present, past[:, :0, 0]
+        block = self.base + self.generator.basis.expand(drawn[best:best + 1])
+        return block * self.generator.present, past[:, :0, 0]
 
     def _of_trunk(self, trunk: float) -> Tensor:
         """[n] this value for the coefficients of torso and head, 1 for the others."""

@@ -23,8 +23,9 @@ from gesticulator.performance import InferenceOptions
 if TYPE_CHECKING:
     from gesticulator.stance import Stance
 
-HISTORY = 60.0
-"""Seconds of what was made that can be taken back: what a synthesiser may be ahead of its sound."""
+HISTORY, LONGEST_HISTORY = 60.0, 600.0
+"""Seconds of what was made that can be taken back, unless more is asked for, and at most: an answer that was delivered
+at once and is played for minutes. A second takes 25 kB."""
 
 
 class MotionPath:
@@ -49,6 +50,8 @@ class MotionPath:
             self.skeleton = WHOLE_BODY
             self._stance = None if options.seated else Stance(int(options.seed), float(options.fps))
         self._stances: deque[tuple[int, Stance]] = deque()
+        self.history = HISTORY
+        """Seconds that can be taken back."""
 
     @property
     def next(self) -> int:
@@ -117,7 +120,7 @@ class MotionPath:
         if self._stance is not None:
             first = self._knots.next - len(frames)
             self._stances.append((first, copy.deepcopy(self._stance)))
-            while (first - self._stances[0][0]) / self._knots.fps > HISTORY and len(self._stances) > 1:
+            while (first - self._stances[0][0]) / self._knots.fps > self.history and len(self._stances) > 1:
                 self._stances.popleft()
             return self._stance.step(body)
         if self._options.seated:

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.motion.kinematics import positions_of
+from data_module.motion.kinematics import positions_of, positions_of_some
 from data_module.motion.representation import Representation
 from data_module.types import Array
 from gesticulator.features import SpeechBlock, Statistics
@@ -375,7 +375,7 @@ class _Hands:
         whole = self._statistics.normalise(poses, self._speaker)
         whole[:, self._columns] = features
         motion = self._representation.motion(self._statistics.denormalise(whole, self._speaker), 1.0)
-        return positions_of(motion)[:, self._joints]
+        return positions_of_some(motion, self._joints)
 
 
 @dataclass(frozen=True)

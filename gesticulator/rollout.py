@@ -229,6 +229,10 @@ class Rollout:
         self._past = torch.cat([past, self._past], 1)[:, -past.shape[1]:]
         return shown
 
+    def hurry(self, on: bool) -> None:
+        """Draw blocks at less cost from now on, or as well as can be."""
+        self._drawer.hurried = on
+
     def break_off(self, shown: RestKnots) -> None:
         """Go back to what was shown last (K frames or more), and to rest from there at once."""
         assert self.life is not None

@@ -31,7 +31,7 @@ from gesticulator.cutter import TICK, BlockCutter
 from gesticulator.drawing import FREE
 from gesticulator.features import SpeechBlock
 from gesticulator.head_turns import HeadTurns
-from gesticulator.motion_path import HISTORY, MotionPath
+from gesticulator.motion_path import HISTORY, LONGEST_HISTORY, MotionPath
 from gesticulator.performance import InferenceOptions
 from gesticulator.rest import RestKnots
 from gesticulator.rollout import Cast, asked_rows
@@ -132,10 +132,11 @@ class Stream:
             self._director = directing.Director(bundle, options, (), math.inf)
             shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))
         self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
+        self._path.history = HISTORY
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
-        self._state, self._finished = StreamState.IDLE, False
+        self._state, self._finished, self._hurried = StreamState.IDLE, False, False
         self._begun = self._committed = 0.0  # media time where the utterance begins, and of the last knot
         self._past_blocks = 0
         rest = bundle.rest_feature(cast.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
@@ -180,6 +181,35 @@ class Stream:
             certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
         return certain + self._path.reach + TICK / SAMPLE_RATE
 
+    @property
+    def lacking(self) -> float:
+        """Seconds of sound that `feed` needs at least to give anything: it is taken in ticks of 50 ms."""
+        return TICK / SAMPLE_RATE if self._cutter is None else self._cutter.lacking
+
+    @property
+    def history(self) -> float:
+        """Seconds before the last frame that `interrupt` can go back to: a minute, or as many as are set, up to ten
+        minutes. What lies further back is let go of with the next frames."""
+        return self._path.history
+
+    @history.setter
+    def history(self, seconds: float) -> None:
+        if not 0 < seconds <= LONGEST_HISTORY:
+            raise InputError(f"history {seconds:g} s", "is out of range", f"give up to {LONGEST_HISTORY:g}")
+        self._path.history = float(seconds)
+
+    @property
+    def hurried(self) -> bool:
+        """Blocks are drawn at less cost: one candidate in few steps, without guidance. Set it where there is no time;
+        a stream that never was hurried gives the frames of a file."""
+        return self._hurried
+
+    @hurried.setter
+    def hurried(self, on: bool) -> None:
+        self._hurried = on
+        for one in self._rollouts:
+            one.hurry(on)
+
     # -------------------------------------------------------------------------------------------------- what is done
 
     def feed(self, samples: NDArray[Any]) -> StreamFrames:
@@ -191,6 +221,19 @@ class Stream:
             self._turns.release(self._committed)
             self._state = StreamState.SPEAKING
         return self._given(first, self._draw(self._utterance().feed(sound)) if len(sound) else [])
+
+    def pass_over(self, seconds: float) -> StreamFrames:
+        """So many seconds of what she says came too late to be drawn: media time goes on by them. What was fed and is
+        not drawn yet is passed over with them, and words for it are forgotten. Her hands stop softly and wait, and go
+        on with the next `feed`. Gives frames up to the new media time; costs about as little as `idle`."""
+        self._check_open()
+        _check_seconds(seconds)
+        first = self._path.next
+        if self._state != StreamState.SPEAKING:
+            self._turns.release(self._committed)
+            self._state = StreamState.SPEAKING
+        self._begin(self.time + seconds)
+        return self._given(first, self._advance(self._begun))
 
     def add_words(self, words: Sequence[Word]) -> None:
         """What is said, with seconds of media time. Words may come before their sound, late or never: a block is drawn
@@ -223,7 +266,7 @@ class Stream:
         at: seconds of media time up to which was played; later frames are taken back, and media time goes on from
         there. None keeps all that is final. Sound that was fed for later is forgotten. What is given (its `first` says
         from where on) replaces what was taken back; `idle` and the others give what follows. `InputError` for a time
-        that is not yet, or more than a minute ago.
+        that is not yet, or longer ago than `history`.
         """
         self._check_open()
         made = self._path.next / self.fps
@@ -285,8 +328,7 @@ class Stream:
 
     def _rests(self, seconds: float, state: StreamState, heard: Samples | None = None) -> StreamFrames:
         self._check_open()
-        if not 0 <= seconds <= _LONGEST:
-            raise InputError(f"seconds {seconds:g}", "is out of range", f"give 0 to {_LONGEST:g}")
+        _check_seconds(seconds)
         first, made = self._path.next, self._end_utterance()
         if state != self._state:
             self._turns.release(self._committed)
@@ -338,7 +380,7 @@ class Stream:
         shown = self._rollouts[-1]
         assert shown.life is not None
         self._shown.append((RestKnots(times, shown.past[-len(times):], shown.life.gains), features))
-        while self._shown[0][0].times[-1] < times[-1] - HISTORY:
+        while self._shown[0][0].times[-1] < times[-1] - self._path.history:
             self._shown.popleft()
         self._committed = float(times[-1])
         return self._path.push(times, features, until)
@@ -357,3 +399,8 @@ class Stream:
             first, self.fps, self.skeleton, np.concatenate([np.zeros((0, joints, 4)), *(p.rotations for p in parts)]),
             np.concatenate([np.zeros((0, 3)), *(part.root_positions for part in parts)]),
             tuple(block for _, block in made if block is not None))
+
+
+def _check_seconds(seconds: float) -> None:
+    if not 0 <= seconds <= _LONGEST:
+        raise InputError(f"seconds {seconds:g}", "is out of range", f"give 0 to {_LONGEST:g}")

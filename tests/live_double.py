@@ -10,9 +10,11 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
+from gesticulator.motion_path import HISTORY
 from gesticulator.serve.protocol import StreamRequest
 from gesticulator.serve.server import LiveServer, Page, ServerAddress
 from gesticulator.serve.session import Session, SessionFacts
@@ -29,21 +31,27 @@ class TellingStream:
     """Frame k turns the hips by k * TURN about Y; half a second of sound is looked ahead, and is a block."""
 
     skeleton = CHARACTER
+    lacking = 0.05
 
-    def __init__(self, request: StreamRequest, seconds: float = 0.0) -> None:
-        self.request, self.seconds = request, seconds
+    def __init__(self, request: StreamRequest, seconds: float = 0.0, share: float = 0.0) -> None:
+        self.request, self.seconds, self.share = request, seconds, share
+        self.hurried, self.history = False, HISTORY
         self.time = 0.0
         self.made = 0
         self.state = StreamState.IDLE
         self.words: list[Word] = []
 
     def feed(self, samples: np.ndarray) -> StreamFrames:
-        time.sleep(self.seconds)
+        time.sleep(self.seconds + self.share * len(samples) / self.request.sample_rate * (0.7 if self.hurried else 1.0))
         if samples.max(initial=0.0) > 0.999:
             raise RuntimeError("a model failed\nwith two lines")
         self.time += len(samples) / self.request.sample_rate
         self.state = StreamState.SPEAKING
         return self._until(self.time - LOOK_AHEAD)
+
+    def pass_over(self, seconds: float) -> StreamFrames:
+        self.time += seconds
+        return self._all(StreamState.SPEAKING)
 
     def listen(self, samples: np.ndarray) -> StreamFrames:
         self.time += len(samples) / self.request.sample_rate
@@ -59,6 +67,8 @@ class TellingStream:
 
     def interrupt(self, at: float | None = None) -> StreamFrames:
         if at is not None:
+            if at < self.time - self.history:
+                raise InputError("interrupt", "is too long ago", "give a later time")
             self.time, self.made = at, int(at * self.request.fps)
             self.time += 0.25  # of hands that come down
         return self._all(StreamState.IDLE)
@@ -85,10 +95,10 @@ class TellingStream:
         return StreamFrames(first, fps, CHARACTER, turns, np.tile([0.0, 0.95, 0.0], (len(numbers), 1)), blocks)
 
 
-def opener(limits: ServerLimits, seconds: float = 0.0) -> Callable[[str, StreamRequest], Session]:
-    """Opens sessions of telling streams; seconds: of work for each piece of sound."""
+def opener(limits: ServerLimits, seconds: float = 0.0, share: float = 0.0) -> Callable[[str, StreamRequest], Session]:
+    """Opens sessions of telling streams; seconds: of work for each piece of sound; share: for each second of it."""
     def open_session(name: str, request: StreamRequest) -> Session:
-        return Session(name, request, TellingStream(request, seconds), SessionFacts(LOOK_AHEAD, limits))
+        return Session(name, request, TellingStream(request, seconds, share), SessionFacts(LOOK_AHEAD, limits))
 
     return open_session
 

@@ -90,3 +90,11 @@ def test_resampling_to_the_same_rate_changes_nothing() -> None:
 
 def test_a_single_frame_can_be_resampled() -> None:
     assert len(kinematics.resample(swing(30.0, 1.0).crop(0, 1), 60.0)) == 1
+
+
+def test_some_joints_are_where_all_of_them_are() -> None:
+    rng = np.random.default_rng(3)
+    motion = Motion(CHARACTER, random_pose(7, len(CHARACTER)), rng.normal(size=(7, 3)), 60.0)
+    joints = [CHARACTER.index(name) for name in ("LeftHand", "Head", CHARACTER.names[0], "RightHand")]
+    np.testing.assert_array_equal(kinematics.positions_of_some(motion, joints),
+                                  kinematics.positions_of(motion)[:, joints])

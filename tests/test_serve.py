@@ -6,11 +6,13 @@ import asyncio
 import json
 import logging
 import socket
+import time
 import urllib.error
 import urllib.request
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
 from gesticulator.serve import schema
+from gesticulator.serve.pace import PASSES
 from gesticulator.serve.protocol import CloseCode, StreamRequest, published
 from gesticulator.serve.server import LiveServer, ServerAddress
 from gesticulator.serve.settings import ServerLimits
@@ -61,10 +64,11 @@ class Running:
 
 
 @asynccontextmanager
-async def running(limits: ServerLimits = LIMITS, work: float = 0.0, **address: Any) -> AsyncIterator[Running]:
+async def running(limits: ServerLimits = LIMITS, work: float = 0.0, share: float = 0.0, **address: Any
+                  ) -> AsyncIterator[Running]:
     told = ServerAddress(port=0, **address)
     listening = told.listen()
-    server = LiveServer(told, limits, opener(limits, work))
+    server = LiveServer(told, limits, opener(limits, work, share))
     ended = asyncio.create_task(server.run(listening))
     try:
         yield Running(server, listening.getsockname()[1], ended)
@@ -382,6 +386,81 @@ def test_what_is_wrong_is_closed_with_its_code_and_others_go_on(messages: tuple[
     run(test)
 
 
+def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_played() -> None:
+    async def test() -> None:
+        limits = replace(LIMITS, waiting_seconds=200.0, stream_seconds=200.0, message_bytes=2**23)
+        async with running(limits) as at, connect(at.url, Hello(RATE, fps=10)) as stream:
+            await stream.send(pcm(150.0))
+            await stream.idle(0.0)
+            got = stream.__aiter__()
+            while not isinstance(poses := await anext(got), Poses) or poses.first + len(poses) < 1500:
+                pass
+            await stream.interrupt(5.0)
+            while not isinstance(poses := await anext(got), Poses):
+                pass
+            assert poses.first == 50
+
+    run(test)
+
+
+async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list[Poses], list[dict[str, Any]], float]:
+    """Sound in real time, 50 ms at a time; its poses and events, and how late the latest of its poses came."""
+    poses: list[Poses] = []
+    events: list[dict[str, Any]] = []
+    late, step, piece = 0.0, 0.05, pcm(0.05)
+    async with connect(url, Hello(RATE, options=options)) as stream:
+        begin = time.monotonic()
+
+        async def send() -> None:
+            for k in range(round(seconds / step)):
+                await asyncio.sleep(max(0.0, begin + (k + 1) * step - time.monotonic()))
+                await stream.send(piece)
+            await stream.finish()
+
+        sending = asyncio.create_task(send())
+        async for message in stream:
+            if isinstance(message, Poses):
+                poses.append(message)
+                late = max(late, time.monotonic() - begin - (message.first + len(message)) / message.fps)
+            else:
+                events.append(message)
+        await sending
+    return poses, events, late
+
+
+def test_a_server_that_is_too_slow_passes_over_what_is_late() -> None:
+    """Four seconds of work for a second of sound: all of it would be nine seconds late."""
+    async def test() -> None:
+        async with running(share=4.0) as at:
+            poses, events, late = await speak(at.url, 3.0, {"latency": "low"})
+            assert_whole(poses, 3.0)
+            # Behind by `PASSES`, a piece at full and one at less cost, and the double's own look-ahead.
+            assert late < PASSES + 0.5 * (4.0 + 2.8) + LOOK_AHEAD
+            passed = [event["passed"] for event in events if event["type"] == "pace" and event["effort"] == "none"]
+            _, figures = await at.get("/metrics")
+            counted = float(figures.split("\ngesticulator_passed_seconds_total{")[1].split()[1])
+            assert passed and passed[-1] == pytest.approx(counted) and 0.9 < counted < 2.9
+            if find_spec("jsonschema"):
+                import jsonschema
+
+                for event in events:
+                    jsonschema.validate(event, {"oneOf": published()["server"]["oneOf"], "$defs": published()["$defs"]})
+
+    run(test)
+
+
+@pytest.mark.parametrize(("share", "options"), [
+    (3.0, {}), (0.2, {"latency": "low"}), (3.0, {"latency": "low", "keep_up": False})])
+def test_nothing_is_passed_over_unasked_or_where_there_is_time(share: float, options: dict[str, Any]) -> None:
+    async def test() -> None:
+        async with running(share=share) as at:
+            poses, events, _ = await speak(at.url, 0.8, options)
+            assert_whole(poses, 0.8)
+            assert not [event for event in events if event["type"] == "pace" and event["effort"] == "none"]
+
+    run(test)
+
+
 def test_too_much_sound_has_a_clear_code() -> None:
     async def test() -> None:
         async with running(work=0.2) as at:
@@ -521,7 +600,7 @@ def test_rude_clients_end_nothing_but_themselves(caplog: pytest.LogCaptureFixtur
 def test_a_failure_in_a_stream_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
     async def test() -> None:
         async with running() as at:
-            await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 100)
+            await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 1000)
 
     with caplog.at_level(logging.INFO, "gesticulator"):
         run(test)

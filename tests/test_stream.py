@@ -199,6 +199,49 @@ def test_no_seam_jumps(latency: str) -> None:
     assert found["head"][0].max() < HEAD_FASTEST and found["head"][1].max() < HEAD_HARDEST
 
 
+@pytest.mark.parametrize("latency", ["full", "low"])
+def test_what_is_passed_over_leaves_no_jump_and_no_gap(latency: str) -> None:
+    """Sound that came too late, in the middle of strokes, for a moment and for long; hurried blocks between."""
+    sound, stream, parts, seams = example(), system().stream(latency=latency), [], []
+    for at, passed in ((0, 1.3), (4, 0.4), (7, 3.0)):
+        parts += fed(stream, sound[at * SAMPLE_RATE:(at + 3) * SAMPLE_RATE], (1600,))
+        stream.hurried = True
+        parts += fed(stream, sound[(at + 3) * SAMPLE_RATE:(at + 4) * SAMPLE_RATE], (1600,))
+        seams.append(stream.made)
+        parts.append(stream.pass_over(passed))
+        seams.append(stream.made)
+        assert stream.state == StreamState.SPEAKING
+        assert stream.made == np.ceil(stream.time * FPS - 1e-6), "what is past is given at once"
+        stream.hurried = False
+    parts += [*fed(stream, sound[10 * SAMPLE_RATE:12 * SAMPLE_RATE], (1600,)), stream.finish()]
+    made = joined(parts)
+    assert len(made) == round((3 * 4 + 4.7 + 2) * FPS)
+    found = moves(made, stream)
+    assert found["hands"][1].max() < HARDEST and found["head"][1].max() < HEAD_HARDEST
+    for seam in seams:  # into the pass, and out of it with what is drawn in the second after it
+        assert found["hands"][0][seam - 10:seam + 60].max() < FASTEST
+        assert found["head"][0][seam - 10:seam + 60].max() < HEAD_FASTEST
+    # Who has nothing to say to what she did not hear keeps her hands still: all but the life of them.
+    assert found["hands"][0][seams[-1] - 60:seams[-1]].max() < 0.1
+
+
+def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
+    """The flow head is asked for one way of each step, four times a block instead of 24; the beats are the sound's."""
+    sound, edges, calls = example()[:round(SHORT * SAMPLE_RATE)], [], []
+    head = system().bundle.generator.head
+    for hurried in (False, True):
+        stream, rows = system().stream(), []
+        stream.hurried = hurried
+        hook = head.register_forward_pre_hook(lambda _, given, rows=rows: rows.append(given[0][..., 0].numel()))
+        blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
+        hook.remove()
+        edges.append([block.end for block in blocks])
+        calls.append(sum(rows) / len(blocks))
+    chosen = system().bundle.config.selection
+    assert edges[0] == edges[1]
+    assert calls[0] >= 2 * chosen.flow_steps * chosen.candidates and calls[1] == 4
+
+
 def test_sound_faster_than_real_time_bears_media_times_and_loses_nothing() -> None:
     stream, sound = system().stream(), example()[:6 * SAMPLE_RATE]
     parts = [stream.feed(sound), stream.idle(0.0)]
@@ -257,6 +300,20 @@ def test_what_was_played_stays_and_speech_goes_on_after_an_interruption() -> Non
     assert cut.first == 150 and len(again) == round(3.4 * FPS)
     found = moves(np.concatenate([before[:150], again]), stream)["hands"]
     assert found[0].max() < FASTEST and found[1].max() < HARDEST
+
+
+def test_what_is_remembered_longer_can_be_taken_back_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_module, "HISTORY", 2.0)
+    forgets, remembers = (system().stream(legs=True) for _ in range(2))
+    remembers.history = 8.0
+    for stream in (forgets, remembers):
+        stream.feed(example()[:9 * SAMPLE_RATE])
+    with pytest.raises(InputError, match="interrupt"):
+        forgets.interrupt(2.5)
+    assert remembers.interrupt(2.5).first == round(2.5 * FPS)
+    for seconds in (0.0, -1.0, 601.0, float("nan")):
+        with pytest.raises(InputError, match="history"):
+            forgets.history = seconds
 
 
 def test_only_what_was_made_can_be_interrupted() -> None:
@@ -322,6 +379,7 @@ def test_other_mistakes_are_told_in_a_line() -> None:
             stream.idle(seconds)
     stream.idle(0.5)
     stream.finish()
-    for ask in (stream.finish, stream.interrupt, lambda: stream.idle(1.0), lambda: stream.feed(np.zeros(3))):
+    for ask in (stream.finish, stream.interrupt, lambda: stream.idle(1.0), lambda: stream.pass_over(1.0),
+                lambda: stream.feed(np.zeros(3))):
         with pytest.raises(InputError, match="finished"):
             ask()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -58,6 +58,23 @@ def joint_positions(skeleton: Skeleton, rotations: Array, root_positions: Array 
             bone = rotation.rotate(world[..., parent, :], skeleton.offsets[joint])
             positions[..., joint, :] = positions[..., parent, :] + bone
     return positions
+
+
+def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
+    """As `positions_of`, of these joints alone, [T, len(joints), 3]: only the chains from the root to them are turned.
+    """
+    parents, offsets = motion.skeleton.parents, motion.skeleton.offsets
+    turned: dict[int, tuple[Array, Array]] = {-1: (np.zeros(0), motion.root_positions)}  # world rotation and place
+
+    def at(joint: int) -> tuple[Array, Array]:
+        if joint not in turned:
+            local, parent = motion.rotations[:, joint], parents[joint]
+            above, place = at(parent)
+            turned[joint] = (local, place) if parent < 0 else (
+                rotation.multiply(above, local), place + rotation.rotate(above, offsets[joint]))
+        return turned[joint]
+
+    return np.stack([at(joint)[1] for joint in joints], axis=1)
 
 
 def positions_of(motion: Motion) -> Array:

@@ -21,8 +21,7 @@ def _scipy(quaternions: Array) -> tuple[Rotation, tuple[int, ...]]:
 
 def multiply(a: Array, b: Array) -> Array:
     """Hamilton product of [..., 4] quaternions: the rotation b, then a."""
-    aw, ax, ay, az = np.moveaxis(np.asarray(a, dtype=np.float64), -1, 0)
-    bw, bx, by, bz = np.moveaxis(np.asarray(b, dtype=np.float64), -1, 0)
+    aw, ax, ay, az, bw, bx, by, bz = (np.asarray(one, dtype=np.float64)[..., k] for one in (a, b) for k in range(4))
     return np.stack([
         aw * bw - ax * bx - ay * by - az * bz,
         aw * bx + ax * bw + ay * bz - az * by,
@@ -39,8 +38,14 @@ def conjugate(q: Array) -> Array:
 def rotate(q: Array, v: Array) -> Array:
     """Turn vectors [..., 3] by unit quaternions [..., 4] (the leading shapes broadcast)."""
     w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return v + w * t + np.cross(u, t)
+    t = 2.0 * _cross(u, v)
+    return v + w * t + _cross(u, t)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """[..., 3] as `np.cross`, which takes three times as long for few vectors."""
+    ax, ay, az, bx, by, bz = (one[..., k] for one in (a, b) for k in range(3))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def normalise(q: Array) -> Array:

@@ -20,6 +20,7 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed
 
 from data_module.errors import InputError
+from gesticulator.serve.pace import Effort, Pace
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, read_hello, read_message
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class _Sound:
     """Another's voice."""
     arrived: float
     """time.monotonic()"""
+    effort: Effort = Effort.FULL
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,11 @@ class Connection:
         self._waits = "idle"
         """How she waits meanwhile: "idle" or "think"."""
         self._leaving = False
+        self._pace = Pace()
+        self._taken_back = 0.0
+        """Seconds that cannot have been played by an interruption that waits to be worked on."""
+        self._keeps_up = False
+        """Sound that is late is worked on at less cost, or passed over."""
 
     async def run(self) -> None:
         """Serve the client. Whatever it does, this returns."""
@@ -136,6 +143,7 @@ class Connection:
         return request
 
     async def _serve(self, request: StreamRequest, session: Session) -> None:
+        self._keeps_up = request.keeps_up
         reader = asyncio.create_task(self._read(request))
         worker = asyncio.create_task(self._work(session))
         writer = asyncio.create_task(self._write())
@@ -169,6 +177,7 @@ class Connection:
             if told["type"] == "hello":
                 raise RefusedError(CloseCode.BAD_MESSAGE, "a second hello came")
             heard = told["type"] == "listen" or (heard and told["type"] != "speak")
+            self._pace.arrived(float(told.get("seconds", 0.0)))
             if told["type"] == "interrupt":
                 await self._drop_waiting(request)
             await self._wait_with(_Command(told), 0.0)
@@ -184,6 +193,7 @@ class Connection:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound, or "
                           f"{_MOST_WAITING} messages, wait to be worked on")
         self.place.metrics.add("sound_seconds_total", seconds)
+        self._pace.arrived(seconds)
         async with self._changed:
             self._waiting.append(item)
             self._count_waiting(seconds)
@@ -191,6 +201,8 @@ class Connection:
 
     async def _drop_waiting(self, request: StreamRequest) -> None:
         """Let go of the avatar's own sound that was not worked on: it will not be heard."""
+        self._taken_back = max(self._taken_back, self._pace.ahead)
+        self._pace.forget()
         async with self._changed:
             kept: deque[_Sound | _Command] = deque()
             for item in self._waiting:
@@ -207,15 +219,19 @@ class Connection:
     async def _work(self, session: Session) -> None:
         """Turn what waits into poses, piece by piece, until the stream is finished."""
         while True:
-            item = await self._next(session.request.sample_rate)
+            item = await self._next(session.request.sample_rate, session.lacking)
             begin = time.monotonic()
+            session.unplayed(max(self._pace.ahead, self._taken_back))
             if isinstance(item, _Sound):
-                answer = await self._compute(lambda sound=item: session.feed(sound.samples, sound.heard))  # type: ignore[misc]
-                self.place.metrics.time("answer_seconds", time.monotonic() - item.arrived)
+                answer = await self._compute(lambda sound=item: session.feed(sound.samples, sound.heard, sound.effort))  # type: ignore[misc]
+                self._count_sound(item, len(item.samples) / session.request.sample_rate, time.monotonic() - begin)
             elif item is None:
+                self._pace.arrived(IDLE_SECONDS)
                 answer = await self._compute(lambda: session.wait(self._waits, IDLE_SECONDS))
             else:
                 answer = await self._compute(lambda command=item: session.obey(command.message))  # type: ignore[misc]
+                if item.message["type"] == "interrupt":
+                    self._taken_back = 0.0
                 if item.message in ({"type": "idle"}, {"type": "think"}):
                     self._waits, self._idling = item.message["type"], begin
             await self._put(answer)
@@ -223,6 +239,15 @@ class Connection:
                 self.reason = self.reason if self._leaving else "finished"
                 await self._end()
                 return
+
+    def _count_sound(self, sound: _Sound, seconds: float, took: float) -> None:
+        """Count a piece of sound that was worked on; took: seconds."""
+        metrics = self.place.metrics
+        metrics.time("answer_seconds", time.monotonic() - sound.arrived)
+        if sound.effort != Effort.NONE:
+            self._pace.worked(seconds, took)
+        if sound.effort != Effort.FULL:
+            metrics.add("passed_seconds_total" if sound.effort == Effort.NONE else "hurried_seconds_total", seconds)
 
     async def _compute(self, job: Callable[[], SessionAnswer]) -> SessionAnswer:
         def timed() -> tuple[SessionAnswer, float]:
@@ -233,14 +258,15 @@ class Connection:
         self.place.metrics.time("compute_seconds", seconds)
         return answer
 
-    async def _next(self, sample_rate: int) -> _Sound | _Command | None:
+    async def _next(self, sample_rate: int, lacking: float) -> _Sound | _Command | None:
         """What to work on now: the next command, half a second of sound at most, or None for idle motion that is due.
 
-        Waits until there is something, and until the client has read enough.
+        Waits until there is something, and until the client has read enough. lacking: seconds of her own sound that
+        would change nothing if they came alone, so that they are not worth the way to the thread that computes.
         """
         async with self._changed:
             await self._room()
-            while not self._waiting:
+            while self._too_little(lacking):
                 if self._leaving:
                     self.code, self.reason = CloseCode.GOING_AWAY, "the server is shutting down"
                     return _Command({"type": "finish"})
@@ -253,12 +279,23 @@ class Connection:
             self._idling = None
             return self._piece(sample_rate)
 
+    def _too_little(self, lacking: float) -> bool:
+        """Whether nothing waits, or less of the avatar's own sound than that, and more may come."""
+        if not self._waiting:
+            return True
+        if self._waiting_seconds >= lacking - 1e-6 or self._leaving or self._idling is not None:
+            return False
+        return all(isinstance(item, _Sound) and not item.heard for item in self._waiting)
+
     def _piece(self, sample_rate: int) -> _Sound:
-        """Half a second of the sound that waits, or as much as there is of one voice."""
-        most = int(PIECE_SECONDS * sample_rate)
-        pieces: list[Samples] = []
+        """Half a second of the sound that waits, or as much as there is of one voice; all of it, to be passed over,
+        where it comes too late."""
         first = self._waiting[0]
         assert isinstance(first, _Sound)
+        self.place.metrics.time("late_seconds", self._pace.late(self._waiting_seconds))
+        effort = self._pace.effort(self._waiting_seconds) if self._keeps_up and not first.heard else Effort.FULL
+        most = int((self._waiting_seconds if effort == Effort.NONE else PIECE_SECONDS) * sample_rate) + 1
+        pieces: list[Samples] = []
         while self._waiting and most > 0:
             item = self._waiting[0]
             if isinstance(item, _Command) or item.heard != first.heard:
@@ -271,7 +308,7 @@ class Connection:
                 self._waiting.popleft()
         samples = np.concatenate(pieces)
         self._count_waiting(-len(samples) / sample_rate)
-        return _Sound(samples, first.heard, first.arrived)
+        return _Sound(samples, first.heard, first.arrived, effort)
 
     async def _sleep(self) -> bool:
         """Wait for a change; False where idle motion is due before one comes. Called with the lock held."""

@@ -20,12 +20,15 @@ _KINDS = {
     "sound_seconds_total": ("counter", "Seconds of sound that were taken in."),
     "frames_total": ("counter", "Frames of motion that were made."),
     "sent_bytes_total": ("counter", "Bytes of poses and events that were sent."),
+    "hurried_seconds_total": ("counter", "Seconds of sound that came late and were gestured to at less cost."),
+    "passed_seconds_total": ("counter", "Seconds of sound that came too late and were passed over."),
     "waiting_seconds": ("gauge", "Seconds of sound that wait to be worked on."),
     "unread_bytes": ("gauge", "Bytes of poses that wait to be read by clients."),
     "draining": ("gauge", "1 while the server is stopping."),
     "closed_total": ("counter", "Connections that were closed, by code."),
     "refused_total": ("counter", "Requests that were refused before they were a stream, by HTTP status."),
     "compute_seconds": ("histogram", "Time of one piece of work on a stream (half a second of sound at most)."),
+    "late_seconds": ("histogram", "Sound that must have been played already, when the next piece of it was taken up."),
     "answer_seconds": ("histogram", "Time from the arrival of sound to the end of the work on it."),
 }
 

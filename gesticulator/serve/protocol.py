@@ -80,6 +80,11 @@ class StreamRequest:
     token: str = ""
 
     @property
+    def keeps_up(self) -> bool:
+        """Sound that is late is worked on at less cost, or passed over: behind a microphone unless it is told."""
+        return bool(self.options.get("keep_up", self.options.get("latency") == "low"))
+
+    @property
     def sample_bytes(self) -> int:
         """Bytes of one sample."""
         return 2 if self.format == "pcm16" else 4

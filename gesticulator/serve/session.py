@@ -12,6 +12,8 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Word
+from gesticulator.motion_path import HISTORY, LONGEST_HISTORY
+from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import VERSION, CloseCode, RefusedError, StreamRequest, joints, pack
 
 if TYPE_CHECKING:
@@ -50,10 +52,20 @@ class Session:
         self._stream = stream
         self._received = 0.0
         self._state = "idle"
+        self._effort, self._passed = Effort.FULL, 0.0
         self._lift: float | None = None
         """Metres."""
         self._words: list[Word] = []
         """Those whose poses were not sent."""
+
+    @property
+    def lacking(self) -> float:
+        """Seconds of the avatar's own sound that make a difference, at least."""
+        return self._stream.lacking
+
+    def unplayed(self, seconds: float) -> None:
+        """So many seconds of what was sent cannot have been played yet: an interruption may take them back."""
+        self._stream.history = min(HISTORY + seconds, LONGEST_HISTORY)
 
     def welcome(self) -> dict[str, Any]:
         """The server's hello."""
@@ -69,10 +81,23 @@ class Session:
                        "stream_seconds": limits.stream_seconds},
         }
 
-    def feed(self, samples: Samples, heard: bool = False) -> SessionAnswer:
-        """The avatar's own voice went on; with `heard`, another's."""
-        self._received += len(samples) / self.request.sample_rate
-        return self._answer(self._stream.listen(samples) if heard else self._stream.feed(samples))
+    def feed(self, samples: Samples, heard: bool = False, effort: Effort = Effort.FULL) -> SessionAnswer:
+        """The avatar's own voice went on; with `heard`, another's. effort: what there is time for."""
+        seconds = len(samples) / self.request.sample_rate
+        self._received += seconds
+        if heard:
+            return self._answer(self._stream.listen(samples))
+        if effort == Effort.NONE:
+            self._passed += seconds
+            frames = self._pass_over(seconds)
+        else:
+            self._stream.hurried = effort == Effort.LESS
+            frames = self._stream.feed(samples)
+        answer = self._answer(frames)
+        if effort != self._effort or effort == Effort.NONE:
+            self._effort = effort
+            answer.say("pace", effort=str(effort.value), passed=round(self._passed, 6))
+        return answer
 
     def obey(self, message: dict[str, Any]) -> SessionAnswer:
         """Do what a client's command says; see the schema."""
@@ -95,6 +120,13 @@ class Session:
     def wait(self, kind: str, seconds: float) -> SessionAnswer:
         """Media time goes on without sound. kind: "idle" or "think"."""
         return self._answer(self._stream.think(seconds) if kind == "think" else self._stream.idle(seconds))
+
+    def _pass_over(self, seconds: float) -> StreamFrames:
+        frames = self._stream.pass_over(seconds)
+        later = [word for word in self._words if word.start >= self._stream.time]
+        if later:
+            self._stream.add_words(later)  # those for what was passed over are forgotten, and no others
+        return frames
 
     def _interrupt(self, at: float | None) -> StreamFrames:
         stream = self._stream
@@ -153,7 +185,8 @@ _MOST_WORDS = 20_000
 def session_opener(system: Gesticulator, limits: ServerLimits) -> Callable[[str, StreamRequest], Session]:
     """What opens a session of a stream's name and request; `InputError` for a request that cannot be met."""
     def open_session(name: str, request: StreamRequest) -> Session:
-        stream = system.stream(sample_rate=request.sample_rate, seed=request.seed, fps=request.fps, **request.options)
+        options = {name: value for name, value in request.options.items() if name != "keep_up"}
+        stream = system.stream(sample_rate=request.sample_rate, seed=request.seed, fps=request.fps, **options)
         return Session(name, request, stream, SessionFacts(stream.look_ahead, limits))
 
     return open_session

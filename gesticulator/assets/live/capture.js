@@ -13,7 +13,7 @@ class Capture extends AudioWorkletProcessor {
       at += count;
       this.filled += count;
       if (this.filled === this.piece.length) {
-        this.port.postMessage(this.piece.slice());
+        this.port.postMessage({ piece: this.piece.slice(), end: currentTime + at / sampleRate });
         this.filled = 0;
       }
     }

@@ -60,10 +60,10 @@ class GesticulatorProcessor(FrameProcessor):
 
     def __init__(self, url: str = "ws://127.0.0.1:8765/stream", *, fps: float = 60.0, seed: int = 0,
                  options: dict[str, Any] | None = None, token: str | None = None, **kwargs: Any) -> None:
-        """url: of the server. options: as in the schema, such as {"activity": 0.6}."""
+        """url: of the server. options: as in the schema, such as {"activity": 0.6}; `keep_up` is true unless told."""
         super().__init__(**kwargs)
         self._url = url
-        self._asked = {"fps": fps, "seed": seed, "options": options or {}, "token": token}
+        self._asked = {"fps": fps, "seed": seed, "options": {"keep_up": True, **(options or {})}, "token": token}
         self._rate = 24000
         self._orders: asyncio.Queue[_Order] = asyncio.Queue(MOST_ORDERS)
         self._tasks: list[asyncio.Task[None]] = []

@@ -38,7 +38,15 @@ function heard(of, message) {
     voice.heard(message.end);
     $("state").textContent = message.state;
   } else if (message.type === "state") $("state").textContent = message.state;
+  else if (message.type === "pace") pace(message);
   else if (message.type === "closed") say(`The server closed the stream: ${message.reason || message.code}`);
+}
+
+/** What this machine has no time for. */
+function pace({ effort, passed }) {
+  if (effort !== "full") $("pace").hidden = false; // it stays, so that the desk does not jump
+  $("pace").textContent = passed > 0 ? `This machine is slower than the sound: ${passed.toFixed(1)} s were passed over.`
+    : "This machine is slower than the sound: gestures are drawn at less cost.";
 }
 
 /** Another voice: its own stream, and a blend from the pose that is shown. */
@@ -49,6 +57,7 @@ async function change(next) {
   voice = next;
   stream = own;
   $("level").value = 0;
+  $("pace").hidden = true;
   $("microphone").setAttribute("aria-pressed", String(next instanceof Microphone));
   $("stop").disabled = next instanceof Idle;
   await own.ready;
@@ -98,6 +107,10 @@ function tick(now) {
   last = now;
   if (stream?.welcome && stream.end && performer) {
     const frame = stream.at(voice.time());
+    if (voice.skipped) {
+      performer.blend = 0; // from the pose that was shown, as to another stream's
+      voice.skipped = false;
+    }
     if (frame) performer.move(frame, seconds);
     $("latency").textContent = voice.latency();
     $("frames").textContent = stream.total;

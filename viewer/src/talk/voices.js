@@ -2,6 +2,9 @@
 
 const AHEAD = 20; // seconds of a recording that are sent before they are played
 const SPAN = 3; // seconds over which the lateness of poses is watched
+const LATER = 0.08; // seconds in which the pose that is shown becomes later, where poses come later
+const SOONER = 1.6; // and sooner
+const SKIPS = 1; // seconds too late from which it skips ahead
 
 /** Nobody speaks: the server's idle motion, shown a little late. */
 export class Idle {
@@ -17,7 +20,7 @@ export class Idle {
 /** The microphone: poses are shown as late as they come, steadily. */
 export class Microphone {
   kind = "microphone";
-  constructor(context, level) { this.context = context; this.level = level; this.options = { latency: "low" }; this.sent = 0; this.late = []; this.delay = 0; }
+  constructor(context, level) { this.context = context; this.level = level; this.options = { latency: "low" }; this.sent = 0; this.late = []; this.delay = 0; this.skipped = false; }
 
   async begin(stream) {
     this.media = await navigator.mediaDevices.getUserMedia({ audio: { channelCount: 1, echoCancellation: false } });
@@ -25,15 +28,16 @@ export class Microphone {
     this.source = this.context.createMediaStreamSource(this.media);
     this.node = new AudioWorkletNode(this.context, "capture", { numberOfOutputs: 0 });
     this.node.port.onmessage = ({ data }) => {
-      stream.send(data);
-      this.sent += data.length / this.context.sampleRate;
-      this.at = performance.now();
-      this.level(data);
+      stream.send(data.piece);
+      this.sent += data.piece.length / this.context.sampleRate;
+      // The sound's own clock: what a busy page was slow to send is late, too.
+      this.origin = data.end - this.sent;
+      this.level(data.piece);
     };
     this.source.connect(this.node);
   }
 
-  now() { return this.at === undefined ? 0 : this.sent + Math.min((performance.now() - this.at) / 1000, 0.1); }
+  now() { return this.origin === undefined ? 0 : Math.max(0, this.context.currentTime - this.origin); }
 
   heard(end) { this.late.push([performance.now(), this.now() - end]); }
 
@@ -43,7 +47,12 @@ export class Microphone {
     while (this.late.length && now - this.late[0][0] > SPAN * 1000) this.late.shift();
     let wanted = 0;
     for (let k = 1; k < this.late.length; k++) wanted = Math.max(wanted, this.late[k - 1][1] + (this.late[k][0] - this.late[k - 1][0]) / 1000);
-    this.delay += (wanted - this.delay) * (wanted > this.delay ? 0.2 : 0.01);
+    const seconds = (now - (this.eased ?? now)) / 1000;
+    this.eased = now;
+    if (this.delay - wanted > SKIPS) {
+      this.delay = wanted;
+      this.skipped = true;
+    } else this.delay += (wanted - this.delay) * (1 - Math.exp(-seconds / (wanted > this.delay ? LATER : SOONER)));
     return this.now() - this.delay;
   }
 
@@ -55,7 +64,7 @@ export class Microphone {
 /** A recording, sent faster than it plays: poses lie ready when their sound is heard. */
 export class Recording {
   kind = "recording";
-  constructor(context, buffer, ended) { this.context = context; this.buffer = buffer; this.ended = ended; this.options = { latency: "full" }; this.start = null; this.sent = 0; this.behind = 0; this.got = 0; }
+  constructor(context, buffer, ended) { this.context = context; this.buffer = buffer; this.ended = ended; this.options = { latency: "full", keep_up: true }; this.start = null; this.sent = 0; this.behind = 0; this.got = 0; }
 
   async begin(stream) {
     const rate = this.context.sampleRate;
