@@ -13,7 +13,6 @@ from data_module.errors import InputError
 from data_module.speech import onsets
 from data_module.speech.audio import load_speech
 from data_module.speech.beats import RULES, BeatSettings, BeatTracker, find_beats, next_beat, place_beats
-from data_module.speech.mel import mel_bands
 from data_module.speech.onsets import (
     LOOK_AHEAD,
     OnsetTracker,
@@ -374,14 +373,3 @@ def test_spectra_and_their_rise_are_librosas_to_the_last_bit() -> None:
     sound = np.random.default_rng(0).standard_normal(4 * 160 + 2048).astype(np.float32)
     spectra = onsets._spectra(sound, 2048, 160)
     np.testing.assert_array_equal(spectra, librosa.stft(sound, n_fft=2048, hop_length=160, center=False))
-
-
-@pytest.mark.parametrize(("rate", "window", "bands"), [
-    (16000, 2048, 128), (16000, 1024, 64), (44100, 2822, 40), (1500, 96, 8)])
-@pytest.mark.filterwarnings("ignore:Empty filters")
-def test_mel_bands_are_librosas(rate: int, window: int, bands: int) -> None:
-    import librosa
-
-    for unit_area in (True, False):
-        theirs = librosa.filters.mel(sr=rate, n_fft=window, n_mels=bands, norm="slaney" if unit_area else None)
-        np.testing.assert_array_equal(mel_bands(rate, window, bands, unit_area), theirs)

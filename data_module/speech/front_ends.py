@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.speech.mel import mel_bands
 from data_module.speech.silence import TYPICAL_LEVEL
 from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
 from data_module.types import Array, Samples
@@ -94,7 +93,9 @@ class MelFrontEnd:
     @cached_property
     def _filters(self) -> Features:
         """[window / 2 + 1, bands]: power of a spectrum to mean power per band; white noise of RMS r gives r^2."""
-        bank = mel_bands(self.sample_rate, self._window, self.bands, unit_area=False)
+        import librosa
+
+        bank = librosa.filters.mel(sr=self.sample_rate, n_fft=self._window, n_mels=self.bands, norm=None)
         scale = np.maximum(bank.sum(axis=1, keepdims=True), 1e-6) * np.sum(self._taper.astype(np.float64) ** 2)
         return np.ascontiguousarray((bank / scale).T, dtype=np.float32)
 

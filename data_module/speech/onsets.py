@@ -12,7 +12,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.speech.mel import mel_bands
 from data_module.speech.silence import FRAME, QUIETEST, LoudnessStep, frame_levels, loudness
 from data_module.types import Array, Samples
 
@@ -223,7 +222,10 @@ def _hann(window: int) -> Array:
 
 @lru_cache(maxsize=4)
 def _bands(sample_rate: int, window: int) -> NDArray[np.float32]:
-    return mel_bands(sample_rate, window, _BANDS)
+    import librosa
+
+    bands: NDArray[np.float32] = librosa.filters.mel(sr=sample_rate, n_fft=window, n_mels=_BANDS, fmax=sample_rate / 2)
+    return bands
 
 
 def _spectra(sound: Samples, window: int, hop: int) -> NDArray[np.complex64]:
