@@ -13,9 +13,8 @@ import glob
 import os
 import sys
 import time
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,12 +22,13 @@ from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
-from gesticulator.cli import PROGRAM, Command
+from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.performance import ENERGIES, FPS, HANDS, RANGES, UNITS, WRITERS, check_output
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from data_module.controls import Controls
+    from data_module.speech.audio import SpeechPieces
     from data_module.types import Speech
     from gesticulator.performance import InferenceArguments, Performance
     from gesticulator.pipeline import Gesticulator
@@ -42,6 +42,10 @@ TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 EXIT_PART_FAILED = 1
 _OUTPUTS = {"preview": ".html", "plan_out": ".json"}
 """Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
+STREAMED = (".bvh",)
+"""Endings of what can be written in pieces (`gesticulator.long_recordings`), in bounded memory."""
+_LONG = 300.0
+"""Seconds from which on a recording is done in pieces; below, all of it takes less memory than the models do."""
 FORMAT = "bvh"
 """What is written to a folder that --output names, when not told."""
 
@@ -278,27 +282,91 @@ def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
 def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None,
             retargeter: Retargeter | None = None) -> None:
     """Do one recording and print its summary."""
-    speech = load(job, asked)
+    with _opened(job, asked) as sound:
+        if not 0 < sound.seconds < _LONG and _in_pieces(job, asked, system):
+            _perform_long(job, sound, system, asked, controls)
+            return
+        speech = _heard(job, asked, sound)
     begin = time.perf_counter()
     stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
     made = replace(performed(job, speech, system, asked, controls, asked.legs or stands), sound_name=job.name)
     if retargeter is not None:
         made = replace(made, character=retargeter(made.motion))
     spent = time.perf_counter() - begin
-    written = ", ".join(str(made.save(target, unit=asked.unit if target.suffix.lower() == ".bvh" else "cm"))
-                        for target in job.targets)
+    written = [made.save(target, unit=asked.unit if target.suffix.lower() == ".bvh" else "cm")
+               for target in job.targets]
+    _say_done(job, asked, _Done(speech.duration, made.lexemes.tolist(), len(system.bundle.vectors),
+                                spent / speech.duration), written, made.notes)
+
+
+@dataclass(frozen=True)
+class _Done:
+    """What a summary tells: seconds of sound, the lexemes played, how many there are, and seconds per second."""
+
+    seconds: float
+    lexemes: Sequence[int]
+    lexicon: int
+    factor: float
+
+
+def _say_done(job: Job, asked: argparse.Namespace, done: _Done, written: Sequence[Path], notes: Sequence[str] = ()
+              ) -> None:
     if not asked.quiet:
-        print(f"{job.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
-              f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.vectors)} lexemes, "
-              f"real-time factor {spent / speech.duration:.3f} -> {written}"
-              + "".join(f"\n  {note}" for note in made.notes), flush=True)
+        print(f"{job.name}: {done.seconds:.1f} s, {len(done.lexemes) - 1} beats, "
+              f"{len(set(done.lexemes))} of {done.lexicon} lexemes, "
+              f"real-time factor {done.factor:.3f} -> {', '.join(map(str, written))}"
+              + "".join(f"\n  {note}" for note in notes), flush=True)
+
+
+def _in_pieces(job: Job, asked: argparse.Namespace, system: Gesticulator) -> bool:
+    """Whether so little is asked that a recording may be done in pieces: no character, words or plan, which need the
+    whole, and files that can be written so."""
+    from gesticulator.long_recordings import can_be_done
+
+    whole = asked.character, asked.plan, asked.text, asked.cue or None
+    return (whole == (None,) * len(whole) and all(target.suffix.lower() in STREAMED for target in job.targets)
+            and can_be_done(system.bundle))
+
+
+def _perform_long(job: Job, sound: SpeechPieces, system: Gesticulator, asked: argparse.Namespace,
+                  controls: Controls | None) -> None:
+    """Do a recording of some minutes or more in pieces, in bounded memory."""
+    from tqdm import tqdm
+
+    from gesticulator.long_recordings import perform_long
+
+    begin = time.perf_counter()
+    with closing(tqdm(desc=job.name, unit=" s", leave=False, total=round(sound.seconds) or None,
+                      disable=asked.quiet or not sys.stderr.isatty())) as bar:
+        def on_sound(seconds: float) -> None:
+            bar.update(round(seconds) - bar.n)
+
+        made = perform_long(system, sound, job.targets, asked_options(asked, controls, asked.legs), asked.unit,
+                            on_sound)
+    if made.note is not None:
+        complain(f"{PROGRAM}: warning: {job.name}: {made.note}")
+    spent = time.perf_counter() - begin
+    _say_done(job, asked, _Done(made.seconds, made.lexemes, len(system.bundle.vectors), spent / made.seconds),
+              job.targets)
+
+
+def _opened(job: Job, asked: argparse.Namespace) -> AbstractContextManager[SpeechPieces]:
+    """The recording, to be read."""
+    from data_module.speech.audio import speech_pieces
+
+    return speech_pieces(job.source or sys.stdin.buffer, asked.any_length)
 
 
 def load(job: Job, asked: argparse.Namespace) -> Speech:
     """The recording as it is; a warning where little of it will be heard, even amplified as was asked."""
-    from data_module.speech.audio import amplified, level_note, load_speech
+    with _opened(job, asked) as sound:
+        return _heard(job, asked, sound)
 
-    speech = load_speech(job.source or sys.stdin.buffer, asked.any_length)
+
+def _heard(job: Job, asked: argparse.Namespace, sound: SpeechPieces) -> Speech:
+    from data_module.speech.audio import amplified, level_note
+
+    speech = sound.whole()
     note = level_note(amplified(speech, asked.gain))
     if note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")
@@ -338,23 +406,6 @@ def _asked_plan(asked: argparse.Namespace) -> GesturePlan | None:
     return read_any_plan(asked.plan)
 
 
-@contextmanager
-def limited_threads(count: int) -> Iterator[None]:
-    """As many threads in torch and in numpy's matrix products, whatever the environment says: the order in which sums
-    are added up, and with it the last bits of a result, depend on their number."""
-    import numpy  # noqa: F401 - its library must be loaded to be told
-    import torch
-    from threadpoolctl import threadpool_limits
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        with threadpool_limits(count):
-            yield
-    finally:
-        torch.set_num_threads(before)
-
-
 def _list(system: Gesticulator, what: str) -> int:
     """Print the names, the one that is taken when none is told first marked."""
     names = system.speakers if what == "speakers" else system.interpreters
@@ -372,21 +423,6 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
     if not quiet:
         print(f"{count} recordings done", flush=True)
     return 0
-
-
-@contextmanager
-def our_warnings() -> Iterator[None]:
-    """Only our own warnings concern the user, a line each; those of libraries do not."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for name in ("data_module", "gesticulator"):
-            warnings.filterwarnings("default", module=name)
-        warnings.showwarning = _say_warning
-        yield
-
-
-def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
-    complain(f"{PROGRAM}: warning: {' '.join(str(message).split())}")
 
 
 # ---------------------------------------------------------------------------------------------------- the files

@@ -12,7 +12,7 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias, cast
 
@@ -35,7 +35,7 @@ from data_module.speech.sound_files import (
     promised,
     sndfile,
 )
-from data_module.types import Samples, Speech
+from data_module.types import Array, Samples, Speech
 
 SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any]"
 """A recording: a `Speech`, a sound file by its path or as a binary stream, or samples [n] or [n, channels]."""
@@ -77,24 +77,40 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = Fa
     Raises `InputError` with one line for anything that is not a whole recording of `SHORTEST` seconds or more; warns
     with `AudioWarning` where the file does not tell how long it should be.
     """
+    with speech_pieces(source, any_length) as sound:
+        return sound.whole()
+
+
+@dataclass(frozen=True)
+class SpeechPieces:
+    """A recording that is being read. seconds: by its header, 0 where that does not say. pieces: mono samples [n] at
+    `SAMPLE_RATE`, to be gone through once; together they are those of `load_speech`, whose errors they raise."""
+
+    seconds: float
+    pieces: Iterator[Samples]
+
+    def whole(self) -> Speech:
+        """All of it."""
+        buffer = bytearray()
+        for piece in self.pieces:
+            buffer += piece.tobytes()
+        return Speech(np.frombuffer(buffer, dtype=np.float32), SAMPLE_RATE)
+
+
+@contextlib.contextmanager
+def speech_pieces(source: str | os.PathLike[str] | BinaryIO, any_length: bool = False) -> Iterator[SpeechPieces]:
+    """A recording as `load_speech` reads it, some seconds at a time: memory does not grow with its length."""
     name = _name_of(source)
-    try:
-        with _opened(source, any_length) as raw, _decoder(raw, name) as (sound, promise):
-            samples = _mono(sound, promise, name, any_length)
-    except NoSoundError as error:
-        raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
-    except BrokenSoundError as error:
-        raise InputError(name, f"breaks off: it cannot be decoded to its end ({error})",
-                         "copy it again from its source") from None
-    except OSError as error:
-        raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
-    if len(samples) < round(SHORTEST * SAMPLE_RATE):
-        raise InputError(name, f"lasts {len(samples) / SAMPLE_RATE:.2f} s, too short for a gesture",
-                         f"give {SHORTEST} s or more")
-    if not promise.known:
-        warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a cut end would go unnoticed"),
-                      stacklevel=2)
-    return Speech(samples, SAMPLE_RATE)
+    with contextlib.ExitStack() as opened:
+        try:
+            raw = opened.enter_context(_opened(source, any_length))
+            sound, promise = opened.enter_context(_decoder(raw, name))
+        except NoSoundError as error:
+            raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
+        except OSError as error:
+            raise _unreadable(name, error) from None
+        _check_sound(sound, promise, name, any_length)
+        yield SpeechPieces(_claimed(sound, promise) / sound.rate, _mono(sound, promise, name, any_length))
 
 
 def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
@@ -184,7 +200,11 @@ def check_file(name: Path, any_length: bool = False) -> None:
 
 def level_note(speech: Speech) -> str | None:
     """What to tell the user of a recording whose level is far too low, with the gain to apply; None for others."""
-    levels = frame_levels(speech.samples, speech.sample_rate)
+    return level_note_of(frame_levels(speech.samples, speech.sample_rate))
+
+
+def level_note_of(levels: Array) -> str | None:
+    """`level_note` of the levels [T] of its frames, dBFS."""
     loud = levels > np.maximum(noise_floor(levels) + MARGIN, FAINTEST_SPEECH)
     if levels.max() <= FAINTEST_SPEECH:
         return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
@@ -310,37 +330,55 @@ def _claimed(sound: Sound, promise: Promise) -> int:
     return claimed if claimed < _OPEN_END else 0
 
 
-def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Samples:
-    """All samples as mono at `SAMPLE_RATE`, [n]; `InputError` where they are fewer than promised, or too many."""
-    import soxr
-
+def _check_sound(sound: Sound, promise: Promise, name: object, any_length: bool) -> None:
+    """`InputError` where the header tells of what cannot be used."""
     rate = sound.rate
     if rate < _LOWEST_RATE:
         raise InputError(name, f"has {rate} samples per second, too few for speech", "record at 8 kHz or more")
     if rate > _HIGHEST_RATE:
         raise InputError(name, f"claims {rate} samples per second", "export it again")
-    most = float("inf") if any_length else LONGEST * rate
     told = _claimed(sound, promise)
-    if told > most:
+    if not any_length and told > LONGEST * rate:
         raise _too_long(name, f"its header tells of {_hours(told / rate)}")
+
+
+def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Iterator[Samples]:
+    """All samples as mono at `SAMPLE_RATE`, piece by piece; `InputError` where they are too few or too many."""
+    import soxr
+
+    rate, told = sound.rate, _claimed(sound, promise)
+    most = float("inf") if any_length else LONGEST * rate
     resampler = soxr.ResampleStream(rate, SAMPLE_RATE, 1, dtype="float32") if rate != SAMPLE_RATE else None
-    buffer, frames = bytearray(), 0
-    for piece in sound.pieces:
-        frames += len(piece)
-        if frames > most:
-            raise _too_long(name, "it goes on beyond that")
-        mono = _averaged(piece, name)
-        buffer += (mono if resampler is None else resampler.resample_chunk(mono)).tobytes()
+    frames = given = 0
+    try:
+        for piece in sound.pieces:
+            frames += len(piece)
+            if frames > most:
+                raise _too_long(name, "it goes on beyond that")
+            mono = _averaged(piece, name)
+            mono = mono if resampler is None else resampler.resample_chunk(mono)
+            given += len(mono)
+            yield np.clip(mono, -1.0, 1.0)  # resampling overshoots a little at full scale
+    except BrokenSoundError as error:
+        raise InputError(name, f"breaks off: it cannot be decoded to its end ({error})",
+                         "copy it again from its source") from None
+    except OSError as error:
+        raise _unreadable(name, error) from None
     if frames == 0:
         raise InputError(name, "holds no samples", "record or copy it again")
     if resampler is not None:
-        buffer += resampler.resample_chunk(np.zeros(0, np.float32), last=True).tobytes()
+        rest = resampler.resample_chunk(np.zeros(0, np.float32), last=True)
+        given += len(rest)
+        yield np.clip(rest, -1.0, 1.0)
     if promise.known and frames < told:
         raise InputError(name, f"is cut short: {frames / rate:.2f} s of the {told / rate:.2f} s that its header "
                          "promises", "copy it again from its source")
-    samples = np.frombuffer(buffer, dtype=np.float32)
-    np.clip(samples, -1.0, 1.0, out=samples)  # resampling overshoots a little at full scale
-    return samples
+    if given < round(SHORTEST * SAMPLE_RATE):
+        raise InputError(name, f"lasts {given / SAMPLE_RATE:.2f} s, too short for a gesture",
+                         f"give {SHORTEST} s or more")
+    if not promise.known:
+        warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a cut end would go unnoticed"),
+                      stacklevel=2)
 
 
 def _averaged(piece: np.ndarray, name: object) -> Samples:
@@ -351,6 +389,10 @@ def _averaged(piece: np.ndarray, name: object) -> Samples:
         raise InputError(name, f"holds samples up to {np.abs(piece).max():.3g}, where full scale is 1",
                          "export it again, scaled to [-1, 1]")
     return np.ascontiguousarray(piece.mean(axis=1, dtype=np.float32))
+
+
+def _unreadable(name: object, error: OSError) -> InputError:
+    return InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights")
 
 
 def _too_long(name: object, why: str) -> InputError:
