@@ -99,6 +99,14 @@ def arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--plan-out", "--explain", metavar="FILE.json", help="the gesture plan: what was decided, "
                      "to read, to edit and to render again with --plan")
+    many = p.add_argument_group("many recordings", "What is done is noted in a manifest; a second run does "
+                                "only what is missing or changed.")
+    many.add_argument("--manifest", metavar="FILE", help="note it here (.parquet or .jsonl); the default with --shard "
+                      "and --ray is manifest.parquet in the folder of -o")
+    many.add_argument("--shard", metavar="I/N", help="do the share I of N, equal by seconds of sound; "
+                      "gesticulator manifest joins their manifests")
+    many.add_argument("--ray", metavar="WHERE", help="do them on a Ray cluster: auto, its address, or local:N for N "
+                      "workers here")
     performance_arguments(p)
 
 
@@ -166,6 +174,8 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     """Do every recording; exit code 0, 1 where a part of them failed, 2 where none could be done."""
     jobs = [] if asked.list else _plan(asked)
+    if not asked.list and (asked.manifest or asked.shard or asked.ray):
+        return _run_batch(jobs, asked)
     retargeter = None if asked.list else _retargeter(asked)
     alone = len(jobs) == 1
     done = 0
@@ -185,7 +195,35 @@ def run(asked: argparse.Namespace) -> int:
     return 0 if alone else _conclude(len(jobs), done, asked.quiet)
 
 
-def _went_well(step: Callable[[], None], alone: bool) -> bool:
+def _run_batch(jobs: list[Job], asked: argparse.Namespace) -> int:
+    """Do every recording that is not done yet, and note it in a manifest; the exit code of `run`."""
+    from gesticulator.batch_command import run_jobs
+
+    with our_warnings():
+        total, done = run_jobs(jobs, asked, partial(_worker, jobs, asked))
+    return 0 if done == total else EXIT_PART_FAILED if done else EXIT_BAD_INPUT
+
+
+def _worker(jobs: Sequence[Job], asked: argparse.Namespace) -> Callable[[int], float]:
+    """Loads what jobs need, and gives what does the job of a number and tells its seconds of sound."""
+    from gesticulator.pipeline import Gesticulator
+
+    retargeter = _retargeter(asked)
+    with limited_threads(int(asked.threads)):
+        system = Gesticulator.from_pretrained(asked.bundle)
+    system.speaker_index(asked.speaker)
+    controls = asked_controls(system, asked)
+    silent = argparse.Namespace(**{**vars(asked), "quiet": True})
+
+    def do(number: int) -> float:
+        _check(jobs[number], asked)
+        with limited_threads(int(asked.threads)):
+            return perform(jobs[number], system, silent, controls, retargeter)
+
+    return do
+
+
+def _went_well(step: Callable[[], object], alone: bool) -> bool:
     """Whether a step did its work. A fault of one recording among several is told; that of the only one is raised."""
     try:
         step()
@@ -280,12 +318,11 @@ def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
 
 
 def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None,
-            retargeter: Retargeter | None = None) -> None:
-    """Do one recording and print its summary."""
+            retargeter: Retargeter | None = None) -> float:
+    """Do one recording and print its summary; its seconds."""
     with _opened(job, asked) as sound:
         if not 0 < sound.seconds < _LONG and _in_pieces(job, asked, system):
-            _perform_long(job, sound, system, asked, controls)
-            return
+            return _perform_long(job, sound, system, asked, controls)
         speech = _heard(job, asked, sound)
     begin = time.perf_counter()
     stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
@@ -297,6 +334,7 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
                for target in job.targets]
     _say_done(job, asked, _Done(speech.duration, made.lexemes.tolist(), len(system.bundle.vectors),
                                 spent / speech.duration), written, made.notes)
+    return speech.duration
 
 
 @dataclass(frozen=True)
@@ -329,8 +367,8 @@ def _in_pieces(job: Job, asked: argparse.Namespace, system: Gesticulator) -> boo
 
 
 def _perform_long(job: Job, sound: SpeechPieces, system: Gesticulator, asked: argparse.Namespace,
-                  controls: Controls | None) -> None:
-    """Do a recording of some minutes or more in pieces, in bounded memory."""
+                  controls: Controls | None) -> float:
+    """Do a recording of some minutes or more in pieces, in bounded memory; its seconds."""
     from tqdm import tqdm
 
     from gesticulator.long_recordings import perform_long
@@ -348,6 +386,7 @@ def _perform_long(job: Job, sound: SpeechPieces, system: Gesticulator, asked: ar
     spent = time.perf_counter() - begin
     _say_done(job, asked, _Done(made.seconds, made.lexemes, len(system.bundle.vectors), spent / made.seconds),
               job.targets)
+    return made.seconds
 
 
 def _opened(job: Job, asked: argparse.Namespace) -> AbstractContextManager[SpeechPieces]:
@@ -567,6 +606,9 @@ COMMAND = Command(
         "infer speech.wav -o again.bvh --plan plan.json --intensity 1.3",
         "infer speech.wav -o gesture.bvh --text speech.txt --cue bread=wave --hold-still 3.2-5.0",
         "infer recordings/ -o out/ --preview out/ --text texts/",
+        "infer recordings/ -o out/ --manifest out/manifest.parquet",
+        "infer recordings/ -o out/ --shard 2/8",
+        "infer recordings/ -o out/ --ray local:4",
         "infer - -o gesture.bvh < speech.wav",
         "infer --list speakers",
     ))

@@ -188,14 +188,19 @@ def check_file(name: Path, any_length: bool = False) -> None:
         raise InputError(name, "is not a regular file", "give a sound file")
     if name.stat().st_size == 0:
         raise InputError(name, "is empty", "record or copy it again")
-    seconds = 0.0
-    # What else is wrong with it is told when it is read. MP3 takes a process to ask, so it is asked then, too.
-    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw:
-        if not any_length and not is_mpeg(raw.read(512)):
-            with _decoder(raw, name) as (sound, promise):
-                seconds = _claimed(sound, promise) / sound.rate
+    seconds = 0.0 if any_length else header_seconds(name)
     if seconds > LONGEST:
         raise _too_long(name, f"its header tells of {_hours(seconds)}")
+
+
+def header_seconds(name: Path) -> float:
+    """Seconds of a recording by its header; 0 where that does not say, or is none. MP3 takes a process to ask, so it is
+    not asked."""
+    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw:
+        if not is_mpeg(raw.read(512)):
+            with _decoder(raw, name) as (sound, promise):
+                return _claimed(sound, promise) / sound.rate
+    return 0.0
 
 
 def level_note(speech: Speech) -> str | None:
