@@ -114,7 +114,7 @@ class BlockCutter:
     """Cuts speech at its beats as it arrives, at 16 kHz, and encodes each window of three blocks.
 
     latency: "full" gives a block when the block after it is known, which the models were taught to hear. "low" gives it
-    as soon as its end is known; for the block after stands what was heard of it by then.
+    as soon as its end is known; for the block after stands what was heard of it by then, see `_foreseen`.
     """
 
     def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
@@ -218,7 +218,7 @@ class BlockCutter:
             own, last = self._cut[at], len(self._cut) == at + 1
             if last and not self._ended and not self._low:
                 return
-            after = self._cut[at + 1] if not last else None if self._ended else self._foreseen(own.end)
+            after = self._cut[at + 1] if not last else None if self._ended else self._foreseen(own)
             block = self._encoded(self._cut[0] if at else None, own, after)
             yield replace(block, foreseen=last and not self._ended)
             self._count += 1
@@ -243,22 +243,25 @@ class BlockCutter:
         return _CutBlock(start, end, flag, self._stretched(start, end), silent,
                          self._quiet.at(frame_before(frames), ended), self._voice.block(end))
 
-    def _foreseen(self, start: float) -> _CutBlock:
-        """The block that begins at a beat, as far as it was heard."""
-        beats = self._config.rhythm.beats
-        end = min(max(self._heard / SAMPLE_RATE, start + beats.d_min), start + beats.d_max)
+    def _foreseen(self, own: _CutBlock) -> _CutBlock:
+        """The block after one: as long as this, at its own pace as far as it was heard, and from there on backwards."""
+        start, end = own.end, own.end + own.duration
         share = np.arange(1, self._config.rhythm.frames + 1) / self._config.rhythm.frames
         first, last = frame_after(np.array([start, end])).tolist()
         return _CutBlock(start, end, BeatFlag.EVEN_PSEUDO, self._stretched(start, end),
                          in_pause(self._pauses.between(first, last)),
-                         self._quiet.at(frame_before(start + (end - start) * share), False), 0.0)
+                         self._quiet.at(frame_before(start + own.duration * share), False), 0.0)
 
     def _stretched(self, start: float, end: float) -> Samples:
-        first, last = (min(round(edge * SAMPLE_RATE), self._heard) for edge in (start, end))
+        first, last = (round(edge * SAMPLE_RATE) for edge in (start, end))
+        if self._ended:
+            first, last = min(first, self._heard), min(last, self._heard)
         last = max(last, first + 1) + self._context
         piece = self._sound[first - self._context - self._from:last - self._from]
         missing = last - first + self._context - len(piece)
-        return stretch_piece(np.pad(piece, (0, missing)) if missing else piece, self._length, SAMPLE_RATE)
+        if missing:  # silence follows the end
+            piece = np.pad(piece, (0, missing), mode="constant" if self._ended else "symmetric")
+        return stretch_piece(piece, self._length, SAMPLE_RATE)
 
     def _encoded(self, before: _CutBlock | None, own: _CutBlock, after: _CutBlock | None) -> SpeechBlock:
         """The block with its neighbours; zeros beyond the ends."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from data_module.types import Speech
     from gesticulator.performance import InferenceArguments, Performance
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.plan import GestureCue, GesturePlan
+    from gesticulator.plans.plan import GestureCue, GesturePlan
     from gesticulator.retarget import Retargeter
 
 STDIN = "-"
@@ -69,7 +69,7 @@ def _seconds(text: str) -> tuple[float, float]:
 
 def _cue(text: str) -> GestureCue:
     """A cue such as hello=wave, hello:2=wave or 2.5=shrug."""
-    from gesticulator.plan import GestureCue
+    from gesticulator.plans.plan import GestureCue
 
     at, mark, gesture = text.rpartition("=")
     if not mark or not at or not gesture:

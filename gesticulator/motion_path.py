@@ -108,7 +108,7 @@ class MotionPath:
         motion = self._moved(frames)
         if not self._options.mirrored:
             return motion
-        from gesticulator.shaping import mirrored_motion
+        from gesticulator.plans.shaping import mirrored_motion
 
         return mirrored_motion(motion)
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.rig import Character
-    from gesticulator.plan import GestureCue, GesturePlan, LexemeName
+    from gesticulator.plans.plan import GestureCue, GesturePlan, LexemeName
     from gesticulator.retarget import CharacterMotion
     from interpreters.base import LexemeInterpreter
 
@@ -161,7 +161,8 @@ class InferenceOptions:
     controls: Controls | None = None
     """The three hand controls in one object, instead of them."""
     intensity: float = 1.0
-    """How large gestures are, 0 (hands held at their mean place) to 2; 1 as they are drawn (`gesticulator.shaping`)."""
+    """How large gestures are, 0 (hands held at their mean place) to 2; 1 as they are drawn
+    (`gesticulator.plans.shaping`)."""
     mirror: bool = False
     """Exchange left and right."""
     energy: str = "neutral"

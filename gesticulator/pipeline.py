@@ -32,8 +32,8 @@ from gesticulator.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_r
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
-    from gesticulator.editing import PlanRenderer
-    from gesticulator.plan import LexemeName
+    from gesticulator.plans.editing import PlanRenderer
+    from gesticulator.plans.plan import LexemeName
     from gesticulator.stream import Stream
     from interpreters.base import LexemeInterpreter
 
@@ -160,7 +160,7 @@ class Gesticulator:
         encoded = self.encode_speech(speech) if encoded is None else encoded
         rows, said = self._control_rows(cast.controls, encoded), None
         if options.directed:
-            from gesticulator import directing
+            from gesticulator.plans import directing
 
             said = directing.directions(self.bundle, options, speech, encoded.blocks)
         made = cast.rollout(self.bundle).run(encoded, rows, on_block, said)
@@ -209,7 +209,7 @@ class Gesticulator:
 
         renderer: what `plan_renderer` gave for this drawing, so that only edited blocks are drawn.
         """
-        from gesticulator import directing
+        from gesticulator.plans import directing
 
         assert options.plan is not None
         directing.check_plan_of(self.bundle, options.plan, speech)
@@ -222,8 +222,8 @@ class Gesticulator:
 
         options: with a plan of that drawing, as `directing.planned` gives them.
         """
-        from gesticulator import directing
-        from gesticulator.editing import PlanRenderer, Redrawer
+        from gesticulator.plans import directing
+        from gesticulator.plans.editing import PlanRenderer, Redrawer
 
         plan = options.plan
         assert plan is not None
@@ -240,7 +240,7 @@ class Gesticulator:
                      made: RolloutResult) -> Performance:
         shaping = None
         if options.shaped:
-            from gesticulator import directing
+            from gesticulator.plans import directing
 
             shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (),
                                         encoded.blocks.edges)
@@ -259,7 +259,7 @@ class Gesticulator:
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
         if options.plan is not None:
-            from gesticulator import directing
+            from gesticulator.plans import directing
 
             options = directing.planned(options)
         spoken = _prepared(as_speech(speech, sample_rate), options)
@@ -355,7 +355,7 @@ class Gesticulator:
 
 
 def _names(bundle: Bundle) -> tuple[LexemeName, ...]:
-    from gesticulator.lexeme_names import lexeme_names
+    from gesticulator.plans.lexeme_names import lexeme_names
 
     return lexeme_names(bundle)
 

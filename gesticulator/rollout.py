@@ -162,14 +162,13 @@ def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
 class Rollout:
     """One performance over a lexicon of blocks: the states of interpreter, gate, style and generator.
 
-    It is stepped block by block, `step`; a stream and a file go through it alike. It begins at rest.
+    It is stepped block by block, `step` after `begin`; a stream and a file go through it alike. It begins at rest.
     """
 
     def __init__(self, bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling,
                  activity: float) -> None:
         self.bundle, self.interpreter, self.speaker = bundle, interpreter, speaker
         self.sampling, self.activity = sampling, activity
-        self.begin()
 
     @torch.inference_mode()
     def begin(self, text: bool = False) -> None:

@@ -37,7 +37,7 @@ from gesticulator.rest import RestKnots
 from gesticulator.rollout import Cast, asked_rows
 
 if TYPE_CHECKING:
-    from gesticulator.directing import Director
+    from gesticulator.plans.directing import Director
 
 _KNOT = 0.04
 """Seconds between the poses of idling."""
@@ -127,7 +127,7 @@ class Stream:
         self._director: Director | None = None
         shaping = None
         if options.shaped or options.directed:
-            from gesticulator import directing
+            from gesticulator.plans import directing
 
             self._director = directing.Director(bundle, options, (), math.inf)
             shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))

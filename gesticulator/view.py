@@ -23,11 +23,11 @@ from gesticulator.infer import (
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
-    from gesticulator.live_plans import LivePlans
     from gesticulator.page_server import PageServer
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.plan import GesturePlan
+    from gesticulator.plans.live_plans import LivePlans
+    from gesticulator.plans.plan import GesturePlan
 
 SHOWN = (".glb", ".gltf", ".vrm")
 """Files that the page can show as a character."""
@@ -78,8 +78,8 @@ def _job(asked: argparse.Namespace) -> Job:
 def _prepare(server: PageServer, job: Job, asked: argparse.Namespace) -> None:
     """Perform the recording, once or twice, and give the server its page and what renders edited plans."""
     from gesticulator.export import html
-    from gesticulator.live_plans import LivePlans
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.plans.live_plans import LivePlans
 
     character, stands = _character(asked)
     system = Gesticulator.from_pretrained(asked.bundle)

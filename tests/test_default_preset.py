@@ -23,6 +23,7 @@ from eval.encode import encode_motion, latents_of, normalised_blocks
 from eval.table import load
 from generator.flow import FlowGenerator
 from gesticulator import bundle as bundles
+from gesticulator.drawing import Direction
 from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
@@ -212,7 +213,7 @@ def test_untold_it_draws_the_same_whatever_is_asked_and_more_guidance_is_obeyed_
             system.bundle.config.selection, lexeme_guidance=guidance, candidates=1))
         bundle = dataclasses.replace(system.bundle, config=config)
         loop = Rollout(bundle, system.interpreter("lstm"), 0, Sampling(1.0, 0, 0), 1.0)
-        return loop.run(encoded, None, lexemes=np.full(len(encoded.blocks), lexeme)).motion
+        return loop.run(encoded, None, directions=[Direction(lexeme=lexeme)] * len(encoded)).motion
 
     np.testing.assert_array_equal(drawn(0, -1.0), drawn(7, -1.0))
     assert np.abs(drawn(0, 0.0) - drawn(7, 0.0)).max() > 0.1

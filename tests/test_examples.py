@@ -23,7 +23,7 @@ from eval.table import load
 from gesticulator import Gesticulator
 from gesticulator.config import Schedules
 from gesticulator.export.blender import check_blender, run_in_blender
-from gesticulator.plan import edited_blocks, read_plan
+from gesticulator.plans.plan import edited_blocks, read_plan
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -166,6 +168,25 @@ def test_circumstances_tell_tempo_silence_and_how_long() -> None:
     assert found[1, 3:6].tolist() == [1, 1, 0]
     np.testing.assert_allclose(found[:, 6], np.log1p([1, 2, 0, 0]), atol=1e-6)
     np.testing.assert_allclose(found[:, 7], np.log1p([0, 0, 1, 2]) / 3, atol=1e-6)
+
+
+def test_the_block_after_can_be_left_out_of_training() -> None:
+    """With every window without it, neither its sound nor its length and silence change a loss; else both do."""
+    batch = swings(8, True)
+    other = {key: value.clone() for key, value in batch.items()}
+    other["audio"][:, :, 2 * FRAMES:] += 1.0
+    other["circumstances"][..., [2, 5]] += 1.0
+    generator = made(batch["motion"].flatten(0, 1))
+
+    def loss(of: dict[str, torch.Tensor]) -> float:
+        torch.manual_seed(3)
+        return float(generator.losses(of, 0.5, lambda y: torch.zeros(len(y), dtype=torch.long))["flow"].detach())
+
+    # An untrained head tells nothing of what it hears.
+    torch.nn.init.normal_(generator.head.leave.weight)
+    for share, same in ((1.0, True), (0.0, False)):
+        generator.config = dataclasses.replace(CONFIG, after_dropout=share)
+        assert (loss(batch) == loss(other)) == same
 
 
 def test_who_knows_nothing_draws_as_widely_as_what_was_met() -> None:

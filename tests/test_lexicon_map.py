@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import chromium
 from performances import perform
 
 from data_module.blocks import cut
@@ -269,16 +269,9 @@ def test_recordings_are_chosen_evenly(made: Path) -> None:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A headless Chromium; the test is skipped, with the reason, where there is none."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-    program = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
-    if not program:
-        pytest.skip("no chromium on this machine")
-    with playwright.sync_playwright() as driver:
-        window = driver.chromium.launch(executable_path=program, args=["--headless", "--no-sandbox", "--disable-gpu"])
+    """A headless Chromium."""
+    with chromium() as window:
         yield window
-        window.close()
 
 
 def test_ticking_writes_a_command_that_works(made: Path, browser: Any, capsys: pytest.CaptureFixture[str]) -> None:

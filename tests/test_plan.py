@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from gesticulator.export.bml import bml_of, parse_bml
-from gesticulator.json_lines import parse
-from gesticulator.plan import (
+from gesticulator.plans.json_lines import parse
+from gesticulator.plans.plan import (
     FORMAT,
     GESTURES,
     BlockDraw,
@@ -199,6 +199,6 @@ def test_our_reader_of_json_refuses_what_pythons_does(text: str) -> None:
 
 
 def test_every_gesture_has_a_script() -> None:
-    from gesticulator.named_gestures import SCRIPTS
+    from gesticulator.plans.named_gestures import SCRIPTS
 
     assert set(SCRIPTS) == set(GESTURES)

@@ -17,13 +17,13 @@ from data_module.motion.skeletons import resized
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.contacts import MARGIN, our_distances, pose_of
-from gesticulator.directing import cues_at
-from gesticulator.editing import BLEND
-from gesticulator.live_plans import LivePlans
-from gesticulator.named_gestures import laid_over, span_of_gesture
 from gesticulator.performance import InferenceOptions, Performance
-from gesticulator.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
-from gesticulator.shaping import FADE, MIRROR_FADE, Shaper, levels_at, mirrored_motion
+from gesticulator.plans.directing import cues_at
+from gesticulator.plans.editing import BLEND
+from gesticulator.plans.live_plans import LivePlans
+from gesticulator.plans.named_gestures import laid_over, span_of_gesture
+from gesticulator.plans.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
+from gesticulator.plans.shaping import FADE, MIRROR_FADE, Shaper, levels_at, mirrored_motion
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 7.0, 3

@@ -198,3 +198,16 @@ def test_who_was_taught_without_sound_scores_without_it() -> None:
         known = float(student.losses(made)["nll"])
         unknown = float(student.losses({**made, "audio_high": 0 * made["audio_high"]})["nll"])
     assert known < 0.4 and unknown == pytest.approx(np.log(2), abs=0.08)
+
+
+def test_the_block_after_can_be_left_out_of_training() -> None:
+    batch = heard(4, 8)
+    other = {**batch, "audio_high": batch["audio_high"].clone()}
+    other["audio_high"][:, :, batch["audio_high"].shape[2] * 2 // 3:] += 1.0
+    for share, same in ((1.0, True), (0.0, False)):
+        student = model(pose_features=0, after_dropout=share, dropout=0.0)
+        losses = []
+        for one in (batch, other):
+            torch.manual_seed(5)
+            losses.append(float(student.losses(one)["nll"]))
+        assert (losses[0] == losses[1]) == same

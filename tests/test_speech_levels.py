@@ -278,7 +278,7 @@ def test_a_recording_is_heard_as_the_models_hear_it(tiny_store: Path) -> None:
     encoder = SpeechEncoder(EncoderConfig(width=4)).eval()
     heard = level_features.listen(recording, config, {"": encoder})
     from data_module.speech.front_ends import front_end
-    from gesticulator.features import encode_speech
+    from gesticulator.cutter import encode_speech
 
     front = front_end("vqwav2vec", bands=32, frames=30, samples_per_frame=800, sample_rate=16000, encoder=encoder)
     usual = encode_speech(recording.speech, config, front)

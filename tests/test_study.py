@@ -8,15 +8,16 @@ import itertools
 import json
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import soundfile
+from browser import chromium
 from performances import perform
 from scipy import stats
-from test_preview import browser  # noqa: F401 - the headless Chromium of the preview's tests
 
 from data_module.errors import InputError
 from data_module.motion import bvh
@@ -435,7 +436,14 @@ def test_videos_keep_ids_and_orders(films: dict[str, Path], systems: dict[str, P
 
 # ---------------------------------------------------------------- in a browser
 
-def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path) -> None:  # noqa: F811
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium."""
+    with chromium() as window:
+        yield window
+
+
+def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path) -> None:
     """Clip by clip in her order; questions open at the end of a clip; answers outlive a reload and can be analysed."""
     path, complaints, requests = made / "page" / "index.html", [], []
     told = _data(path)
@@ -484,7 +492,7 @@ def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("kind", ["mp4", "webm"])
-def test_a_rater_goes_through_the_videos(browser: Any, films: dict[str, Path], tmp_path: Path,  # noqa: F811
+def test_a_rater_goes_through_the_videos(browser: Any, films: dict[str, Path], tmp_path: Path,
                                          kind: str) -> None:
     path, complaints = films[kind] / "page" / "index.html", []
     told = _data(path)

@@ -20,7 +20,9 @@ from gesticulator.page_server import TOKEN_HEADER
 from gesticulator.view import COMMAND
 
 ROOT = Path(__file__).resolve().parents[1]
-CODE = "import sys; from gesticulator.view import COMMAND; sys.exit(COMMAND.main('gesticulator view', sys.argv[1:]))"
+# A shell that starts the tests in its background has its children ignore the interruption that ends the page.
+CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from gesticulator.view import "
+        "COMMAND; sys.exit(COMMAND.main('gesticulator view', sys.argv[1:]))")
 
 
 @pytest.fixture(scope="module")

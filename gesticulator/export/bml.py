@@ -19,10 +19,10 @@ from xml.sax.saxutils import escape, quoteattr
 
 from data_module.errors import InputError, shown
 from data_module.files import write_text
-from gesticulator.json_lines import LinedJson
-from gesticulator.json_lines import Path as Place
-from gesticulator.plan import GesturePlan, check_plan, read_plan
-from gesticulator.plan_schema import read_as
+from gesticulator.plans.json_lines import LinedJson
+from gesticulator.plans.json_lines import Path as Place
+from gesticulator.plans.plan import GesturePlan, check_plan, read_plan
+from gesticulator.plans.schema import read_as
 
 if TYPE_CHECKING:
     from gesticulator.performance import Performance

@@ -10,8 +10,8 @@ import numpy as np
 
 from data_module.files import write_text
 from data_module.types import BeatFlag
-from gesticulator.directing import knobs_of, sound_hash
-from gesticulator.plan import (
+from gesticulator.plans.directing import knobs_of, sound_hash
+from gesticulator.plans.plan import (
     FORMAT,
     GESTURES,
     VERSION,

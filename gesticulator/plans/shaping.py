@@ -1,7 +1,7 @@
 """Knobs on the finished poses: how large gestures are, and which hand makes them.
 
 Everything here is a function of one pose and of the time it is shown at, so that a stream gets the frames of a file.
-What needs the past (rest, lexemes) is directed while blocks are drawn (`gesticulator.editing`).
+What needs the past (rest, lexemes) is directed while blocks are drawn (`gesticulator.plans.editing`).
 
 **Intensity** i scales every arm about its mean pose m by the square root g of i: 0.71 at 0.5, 1.22 at 1.5. It is no
 plain factor, since hands that go half as far again in the same time would be faster than people's. An arm that hangs

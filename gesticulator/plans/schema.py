@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 
 from data_module.errors import shown
 from data_module.settings import SettingChoice, SettingRange, limits_of
-from gesticulator.json_lines import LinedJson, Path
+from gesticulator.plans.json_lines import LinedJson, Path
 
 T = TypeVar("T")
 

@@ -28,7 +28,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Do it; `InputError` for a plan that cannot be used."""
-    from gesticulator.plan import schema
+    from gesticulator.plans.plan import schema
 
     if asked.what == "schema":
         print(json.dumps(schema(), indent=1))
@@ -43,7 +43,7 @@ def run(asked: argparse.Namespace) -> int:
 
 def _checked(path: str) -> str:
     from gesticulator.export.bml import read_any_plan
-    from gesticulator.plan import edited_blocks
+    from gesticulator.plans.plan import edited_blocks
 
     plan = read_any_plan(path)
     anew = sum(edited_blocks(plan))
@@ -54,8 +54,8 @@ def _checked(path: str) -> str:
 
 def _print_names(bundle: str | None) -> None:
     from gesticulator.bundle import SHIPPED, load
-    from gesticulator.lexeme_names import lexeme_names
-    from gesticulator.plan import GESTURES
+    from gesticulator.plans.lexeme_names import lexeme_names
+    from gesticulator.plans.plan import GESTURES
 
     print("gestures")
     for name, about in GESTURES.items():

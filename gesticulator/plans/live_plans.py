@@ -7,14 +7,14 @@ from collections import OrderedDict
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from gesticulator.directing import planned
 from gesticulator.export.html import describe
 from gesticulator.performance import InferenceOptions, Performance
-from gesticulator.plan import GesturePlan, parse_plan
+from gesticulator.plans.directing import planned
+from gesticulator.plans.plan import GesturePlan, parse_plan
 
 if TYPE_CHECKING:
-    from gesticulator.editing import PlanRenderer
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.plans.editing import PlanRenderer
 
 MOST_DRAWINGS = 4
 """First drawings that are kept at once: the takes of a page, and plans that were opened from files since."""

@@ -15,11 +15,11 @@ from data_module.errors import InputError, shown
 from data_module.types import Array, Blocks, Speech, Word
 from gesticulator.bundle import Bundle, lexicon_hash
 from gesticulator.drawing import Direction
-from gesticulator.editing import still_frames
 from gesticulator.features import representation_of
 from gesticulator.performance import FPS, InferenceOptions
-from gesticulator.plan import GESTURES, GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks
-from gesticulator.shaping import FADE, MIRROR_FADE, OTHER_HAND, Shaper, levels_at
+from gesticulator.plans.editing import still_frames
+from gesticulator.plans.plan import GESTURES, GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks
+from gesticulator.plans.shaping import FADE, MIRROR_FADE, OTHER_HAND, Shaper, levels_at
 
 Shaping = Callable[[Array, Array], Array]
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
@@ -41,7 +41,7 @@ def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:
     """[S] what a handedness adds to an interpreter's scores; None for none."""
     if hand is None:
         return None
-    from gesticulator.lexeme_names import handed_bias
+    from gesticulator.plans.lexeme_names import handed_bias
 
     bias = handed_bias(bundle, hand)
     if bias is None:
@@ -107,7 +107,7 @@ def _listed(words: Sequence[Word]) -> str:
 
 
 def _names(bundle: Bundle) -> Sequence[LexemeName]:
-    from gesticulator.lexeme_names import lexeme_names
+    from gesticulator.plans.lexeme_names import lexeme_names
 
     return lexeme_names(bundle)
 
@@ -242,7 +242,7 @@ def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequ
             [levels_at(edges, own, times, FADE, kept) for own in sizes.T], axis=1))
         poses = shaper.mirrored(poses, levels_at(edges, mirrored, times, MIRROR_FADE, kept))
         if due:
-            from gesticulator.named_gestures import laid_over
+            from gesticulator.plans.named_gestures import laid_over
 
             poses = laid_over(poses, times, [(one.cue, one.time) for one in due])
         return poses

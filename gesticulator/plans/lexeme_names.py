@@ -4,7 +4,7 @@ A lexeme is a number in a codebook; what a person can choose by is what the hand
 the pose that its nearest training block began with, and named by rule: which hand moves (more than `MOVES`), where to
 (up, down, out, in, forward, back, by the greatest parts of the way), how far, or that it beats (there and back again).
 Two lexemes of one name are numbered. The same bundle gives the same names. They tell form, never meaning: no lexeme
-is a wave, and for meanings there are gestures made by formula (`gesticulator.named_gestures`).
+is a wave, and for meanings there are gestures made by formula (`gesticulator.plans.named_gestures`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.types import Array
 from gesticulator.bundle import Bundle
 from gesticulator.features import representation_of
-from gesticulator.plan import LexemeName
+from gesticulator.plans.plan import LexemeName
 from lexicon.movement import MovementLexicon
 
 MOVES, FAR = 0.05, 0.18

@@ -18,10 +18,10 @@ from typing import Annotated, Any
 from data_module.errors import InputError, shown
 from data_module.files import write_text
 from data_module.settings import SettingChoice, SettingRange
-from gesticulator.json_lines import LinedJson, parse
-from gesticulator.json_lines import Path as Place
 from gesticulator.performance import ENERGIES, HANDS
-from gesticulator.plan_schema import PRIVATE, read_as, schema_of, to_plain
+from gesticulator.plans.json_lines import LinedJson, parse
+from gesticulator.plans.json_lines import Path as Place
+from gesticulator.plans.schema import PRIVATE, read_as, schema_of, to_plain
 
 FORMAT = "gesticulator-plan"
 VERSION = 1

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from data_module.types import Array, BeatFlag, Blocks
 from gesticulator.drawing import Direction, Keys
 from gesticulator.features import SpeechFeatures
-from gesticulator.plan import DrawnBlocks, GesturePlan, PlanBlock, PlanKnobs, edited_blocks
+from gesticulator.plans.plan import DrawnBlocks, GesturePlan, PlanBlock, PlanKnobs, edited_blocks
 from gesticulator.rollout import DrawnBlock, OnBlock, Rollout, RolloutResult
 
 BLEND = 0.6

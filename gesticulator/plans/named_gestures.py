@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, FINGER_JOINTS
 from data_module.types import Array
-from gesticulator.plan import GestureCue
-from gesticulator.shaping import exchanged_joints, nearest_turn
+from gesticulator.plans.plan import GestureCue
+from gesticulator.plans.shaping import exchanged_joints, nearest_turn
 
 Vector = tuple[float, float, float]
 _RISE, _FALL = 0.55, 0.7
