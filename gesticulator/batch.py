@@ -59,7 +59,7 @@ class BatchTask:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TaskOutcome:
     """What became of a recording: its number, seconds of sound (0 where it failed), what was wrong, seconds of
     computing, and which worker did it."""
 
@@ -100,24 +100,24 @@ def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTas
     return mine
 
 
-def attempted(doing: Doing, number: int) -> Outcome:
+def attempted(doing: Doing, number: int) -> TaskOutcome:
     """Do a recording; a fault of it is kept."""
     begin, seconds, fault = time.perf_counter(), 0.0, ""
     try:
         seconds = doing(number)
     except (InputError, OSError) as error:
         fault = one_line(error)
-    return Outcome(number, seconds, fault, time.perf_counter() - begin, f"{socket.gethostname()}:{os.getpid()}")
+    return TaskOutcome(number, seconds, fault, time.perf_counter() - begin, f"{socket.gethostname()}:{os.getpid()}")
 
 
-def done_here(make: Maker, numbers: Sequence[int]) -> Iterator[Outcome]:
+def done_here(make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
     """Do them in this process, one after the other."""
     doing = make()
     for number in numbers:
         yield attempted(doing, number)
 
 
-def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Sequence[int]], Iterator[Outcome]],
+def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Sequence[int]], Iterator[TaskOutcome]],
               shard: tuple[int, int] = (1, 1), quiet: bool = False) -> tuple[int, int]:
     """Do what is missing or changed and note it; how many recordings the shard has, and how many of them are done.
 

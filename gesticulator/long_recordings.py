@@ -1,7 +1,7 @@
 """A recording of any length to motion files in bounded memory: sound is read in pieces, fed to a stream, and frames are
 written as they come. The bytes are those of the recording done at once.
 
-What grows with the recording is small: a lexeme for each block and a level for each 10 ms, 2 MB an hour.
+What grows with the recording is a lexeme for each block: some 70 KB an hour.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ import numpy as np
 from data_module.files import new_file
 from data_module.motion.bvh import BvhWriter
 from data_module.motion.skeletons import standing
-from data_module.speech.audio import SAMPLE_RATE, SpeechPieces, level_note_of
-from data_module.speech.silence import FRAME, frame_levels
-from data_module.types import Array, Motion, Samples, Skeleton
+from data_module.speech.audio import SAMPLE_RATE, LevelMeter, SpeechPieces
+from data_module.types import Motion, Skeleton
 from gesticulator.performance import UNITS, InferenceArguments
 
 if TYPE_CHECKING:
@@ -67,27 +66,6 @@ class BvhFile:
     def close(self) -> None:
         """Let go of the temporary file."""
         self._rows.close()
-
-
-class LevelMeter:
-    """Levels of the frames of 10 ms of sound at 16 kHz in pieces, as `frame_levels` has them of all of it."""
-
-    def __init__(self) -> None:
-        self._left: Samples = np.zeros(0, np.float32)
-        self._levels: list[Array] = []
-
-    def add(self, samples: Samples) -> None:
-        """Some more sound [n]."""
-        sound = np.concatenate([self._left, samples])
-        whole = len(sound) - len(sound) % round(FRAME * SAMPLE_RATE)
-        if whole:
-            self._levels.append(frame_levels(sound[:whole], SAMPLE_RATE))
-        self._left = sound[whole:]
-
-    def finish(self) -> Array:
-        """[T] of all frames, dBFS; the last may be short."""
-        rest = [frame_levels(self._left, SAMPLE_RATE)] if len(self._left) else []
-        return np.concatenate([*self._levels, *rest])
 
 
 @dataclass(frozen=True)
@@ -145,4 +123,4 @@ def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Pa
             if len(rest):
                 writer.add(rest.motion())
             writer.finish()
-    return LongPerformance(seconds, tuple(lexemes), stream.made, level_note_of(meter.finish()))
+    return LongPerformance(seconds, tuple(lexemes), stream.made, meter.finish())

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from data_module.errors import InputError
-from gesticulator.batch import Doing, Maker, Outcome, attempted
+from gesticulator.batch import Doing, Maker, TaskOutcome, attempted
 
 ATTEMPTS = 3
 """How often a recording is tried whose worker dies: more likely it is what kills them (memory) than chance."""
@@ -36,12 +36,12 @@ class RayWorker:
     def __init__(self, make: Maker) -> None:
         self._doing: Doing = make()
 
-    def do(self, number: int) -> Outcome:
+    def do(self, number: int) -> TaskOutcome:
         """Do a recording."""
         return attempted(self._doing, number)
 
 
-def done_on_ray(given: str, make: Maker, numbers: Sequence[int]) -> Iterator[Outcome]:
+def done_on_ray(given: str, make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
     """Do recordings on the cluster; given: "auto" (the one that runs here, else this machine), the address of one, or
     "local:N" for N workers here. What is done comes as it is done. `InputError` where no cluster answers."""
     check_ray(given)
@@ -82,7 +82,7 @@ def _connect(ray: Any, given: str) -> bool:
     return True
 
 
-def _shared_out(ray: Any, hire: Callable[[], Any], workers: int, numbers: Sequence[int]) -> Iterator[Outcome]:
+def _shared_out(ray: Any, hire: Callable[[], Any], workers: int, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
     waiting, tried = deque(numbers), dict.fromkeys(numbers, 0)
     running: dict[Any, tuple[Any, int]] = {}
 
@@ -105,5 +105,5 @@ def _shared_out(ray: Any, hire: Callable[[], Any], workers: int, numbers: Sequen
                     waiting.appendleft(number)
                 else:
                     told = " ".join(str(error).split())[:120]
-                    yield Outcome(number, 0.0, f"its worker died {ATTEMPTS} times ({told})", 0.0, "")
+                    yield TaskOutcome(number, 0.0, f"its worker died {ATTEMPTS} times ({told})", 0.0, "")
             begin(worker)

@@ -20,7 +20,7 @@ import soundfile
 from data_module.errors import InputError
 from gesticulator import infer
 from gesticulator import manifest as manifests
-from gesticulator.batch import BatchTask, Outcome, done_here, run_batch, sharded
+from gesticulator.batch import BatchTask, TaskOutcome, done_here, run_batch, sharded
 from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
@@ -241,7 +241,7 @@ def cluster() -> Iterator[None]:
 def test_a_worker_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     from gesticulator.ray_pool import done_on_ray
 
-    outcomes: list[Outcome] = []
+    outcomes: list[TaskOutcome] = []
     stream = done_on_ray("local:2", partial(_marker, tmp_path), list(range(4)))
     killed = False
 

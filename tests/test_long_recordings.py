@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from data_module.errors import InputError
 from data_module.motion.bvh import Unwrap
 from data_module.speech import sound_files
-from data_module.speech.audio import load_speech, speech_pieces
-from data_module.speech.silence import frame_levels
+from data_module.speech.audio import LevelMeter, load_speech, speech_pieces
+from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, noise_floor
 from data_module.types import Samples
 from gesticulator import infer
-from gesticulator.long_recordings import LevelMeter
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 
@@ -38,13 +37,21 @@ def test_angles_in_pieces_are_unwrapped_as_numpy_does_all_of_them(sizes: list[in
     assert np.array_equal(np.concatenate(parts), np.unwrap(angles, axis=0))
 
 
-@given(st.lists(st.integers(0, 500), min_size=1, max_size=8))
-def test_levels_of_pieces_are_those_of_the_whole(sizes: list[int]) -> None:
-    sound = np.random.default_rng(0).uniform(-0.5, 0.5, sum(sizes) + 1).astype(np.float32)
+def loud_level(sound: Samples) -> float:
+    """The mean level, dBFS, of the frames that stand out of the noise under them, of all of them at once."""
+    levels = frame_levels(sound, 16000)
+    return float(levels[levels > np.maximum(noise_floor(levels) + MARGIN, FAINTEST_SPEECH)].mean())
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.01])
+@pytest.mark.parametrize("size", [37, 7919, 160_000])
+def test_the_level_of_pieces_is_that_of_the_whole(gain: float, size: int) -> None:
+    sound = (load_speech(EXAMPLE).samples[:48_000] * gain).astype(np.float32)
     meter = LevelMeter()
-    for part in np.split(sound, np.cumsum(sizes)):
-        meter.add(part)
-    assert np.array_equal(meter.finish(), frame_levels(sound, 16000))
+    for start in range(0, len(sound), size):
+        meter.add(sound[start:start + size])
+    note, level = meter.finish(), loud_level(sound)
+    assert note is None if gain == 1.0 else note is not None and f"at {level:.0f} dBFS" in note
 
 
 def test_sound_is_read_in_pieces_and_is_the_whole(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, TYPICAL_LEVEL, frame_levels, noise_floor
+from data_module.speech.silence import (
+    FAINTEST_SPEECH,
+    FRAME,
+    MARGIN,
+    STEP,
+    TYPICAL_LEVEL,
+    LoudnessTracker,
+    frame_levels,
+)
 from data_module.speech.sound_files import (
     BrokenSoundError,
     NoSoundError,
@@ -35,7 +43,7 @@ from data_module.speech.sound_files import (
     promised,
     sndfile,
 )
-from data_module.types import Array, Samples, Speech
+from data_module.types import Samples, Speech
 
 SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any]"
 """A recording: a `Speech`, a sound file by its path or as a binary stream, or samples [n] or [n, channels]."""
@@ -205,19 +213,45 @@ def header_seconds(name: Path) -> float:
 
 def level_note(speech: Speech) -> str | None:
     """What to tell the user of a recording whose level is far too low, with the gain to apply; None for others."""
-    return level_note_of(frame_levels(speech.samples, speech.sample_rate))
+    meter = LevelMeter(speech.sample_rate)
+    meter.add(speech.samples)
+    return meter.finish()
 
 
-def level_note_of(levels: Array) -> str | None:
-    """`level_note` of the levels [T] of its frames, dBFS."""
-    loud = levels > np.maximum(noise_floor(levels) + MARGIN, FAINTEST_SPEECH)
-    if levels.max() <= FAINTEST_SPEECH:
-        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
-    level = float(levels[loud].mean()) if loud.any() else float(levels.max())
-    if level >= LOW_LEVEL:
-        return None
-    gain = round(TYPICAL_LEVEL - level)
-    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
+class LevelMeter:
+    """`level_note` of sound that comes in pieces; nothing of it is kept."""
+
+    def __init__(self, sample_rate: int = SAMPLE_RATE) -> None:
+        self._rate, self._step = sample_rate, STEP * round(FRAME * sample_rate)
+        self._tracker = LoudnessTracker()
+        self._left: Samples = np.zeros(0, np.float32)
+        self._loudest, self._sum, self._loud = -np.inf, 0.0, 0
+
+    def add(self, samples: Samples) -> None:
+        """Some more sound [n]."""
+        sound = np.concatenate([self._left, samples])
+        whole = len(sound) - len(sound) % self._step
+        self._hear(sound[:whole])
+        self._left = sound[whole:]
+
+    def finish(self) -> str | None:
+        """The note; no sound follows."""
+        self._hear(self._left)
+        if self._loudest <= FAINTEST_SPEECH:
+            return f"all of it is silence (its loudest 10 ms are at {self._loudest:.0f} dBFS); record it again"
+        level = self._sum / self._loud if self._loud else self._loudest
+        if level >= LOW_LEVEL:
+            return None
+        gain = round(TYPICAL_LEVEL - level)
+        return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
+
+    def _hear(self, sound: Samples) -> None:
+        levels = frame_levels(sound, self._rate)
+        for start in range(0, len(levels), STEP):
+            step = levels[start:start + STEP]
+            loud = step[step > np.maximum(self._tracker.step(step).floor + MARGIN, FAINTEST_SPEECH)]
+            self._loudest = max(self._loudest, float(step.max()))
+            self._sum, self._loud = self._sum + float(loud.sum()), self._loud + len(loud)
 
 
 def amplified(speech: Speech, decibels: float) -> Speech:
