@@ -13,6 +13,7 @@ import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from data_module.errors import InputError
 
@@ -38,12 +39,20 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
     """Write a file whole or not at all: to a temporary file beside it, synced, then renamed; OSError names `path`."""
+    with new_file(path) as stream:
+        stream.write(data)
+
+
+@contextlib.contextmanager
+def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """A file to write that gets its name at the end, whole, or not at all where anything is raised meanwhile: it is a
+    temporary file beside it, synced, then renamed. OSError names `path`."""
     target = Path(path)
     try:
         temporary, handle = _new_file(target)
         try:
             with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
+                yield stream
                 stream.flush()
                 # Without it the name may reach the disk before the content does, and a power cut leaves an empty file.
                 os.fsync(stream.fileno())

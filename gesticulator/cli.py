@@ -10,7 +10,9 @@ import argparse
 import difflib
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -83,6 +85,38 @@ def steady_streams() -> None:
             setattr(sys, name, nowhere)
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+
+
+@contextmanager
+def our_warnings() -> Iterator[None]:
+    """Only our own warnings concern the user, a line each; those of libraries do not."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name in ("data_module", "gesticulator"):
+            warnings.filterwarnings("default", module=name)
+        warnings.showwarning = _say_warning
+        yield
+
+
+def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
+    complain(f"{PROGRAM}: warning: {' '.join(str(message).split())}")
+
+
+@contextmanager
+def limited_threads(count: int) -> Iterator[None]:
+    """As many threads in torch and in numpy's matrix products, whatever the environment says: the order in which sums
+    are added up, and with it the last bits of a result, depend on their number."""
+    import numpy  # noqa: F401 - its library must be loaded to be told
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        with threadpool_limits(count):
+            yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def installed() -> dict[str, EntryPoint]:

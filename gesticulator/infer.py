@@ -13,9 +13,8 @@ import glob
 import os
 import sys
 import time
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,12 +22,13 @@ from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
-from gesticulator.cli import PROGRAM, Command
+from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.performance import ENERGIES, FPS, HANDS, RANGES, UNITS, WRITERS, check_output
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from data_module.controls import Controls
+    from data_module.speech.audio import SpeechPieces
     from data_module.types import Speech
     from gesticulator.performance import InferenceArguments, Performance
     from gesticulator.pipeline import Gesticulator
@@ -42,6 +42,10 @@ TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 EXIT_PART_FAILED = 1
 _OUTPUTS = {"preview": ".html", "plan_out": ".json"}
 """Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
+STREAMED = (".bvh",)
+"""Endings of what can be written in pieces (`gesticulator.long_recordings`), in bounded memory."""
+_LONG = 300.0
+"""Seconds from which on a recording is done in pieces; below, all of it takes less memory than the models do."""
 FORMAT = "bvh"
 """What is written to a folder that --output names, when not told."""
 
@@ -95,6 +99,14 @@ def arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
     out.add_argument("--plan-out", "--explain", metavar="FILE.json", help="the gesture plan: what was decided, "
                      "to read, to edit and to render again with --plan")
+    many = p.add_argument_group("many recordings", "What is done is noted in a manifest; a second run does "
+                                "only what is missing or changed.")
+    many.add_argument("--manifest", metavar="FILE", help="note it here (.parquet or .jsonl); the default with --shard "
+                      "and --ray is manifest.parquet in the folder of -o")
+    many.add_argument("--shard", metavar="I/N", help="do the share I of N, equal by seconds of sound; "
+                      "gesticulator manifest joins their manifests")
+    many.add_argument("--ray", metavar="WHERE", help="do them on a Ray cluster: auto, its address, or local:N for N "
+                      "workers here")
     performance_arguments(p)
 
 
@@ -162,6 +174,8 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     """Do every recording; exit code 0, 1 where a part of them failed, 2 where none could be done."""
     jobs = [] if asked.list else _plan(asked)
+    if not asked.list and (asked.manifest or asked.shard or asked.ray):
+        return _run_batch(jobs, asked)
     retargeter = None if asked.list else _retargeter(asked)
     alone = len(jobs) == 1
     done = 0
@@ -181,7 +195,35 @@ def run(asked: argparse.Namespace) -> int:
     return 0 if alone else _conclude(len(jobs), done, asked.quiet)
 
 
-def _went_well(step: Callable[[], None], alone: bool) -> bool:
+def _run_batch(jobs: list[Job], asked: argparse.Namespace) -> int:
+    """Do every recording that is not done yet, and note it in a manifest; the exit code of `run`."""
+    from gesticulator.batch_command import run_jobs
+
+    with our_warnings():
+        total, done = run_jobs(jobs, asked, partial(_worker, jobs, asked))
+    return 0 if done == total else EXIT_PART_FAILED if done else EXIT_BAD_INPUT
+
+
+def _worker(jobs: Sequence[Job], asked: argparse.Namespace) -> Callable[[int], float]:
+    """Loads what jobs need, and gives what does the job of a number and tells its seconds of sound."""
+    from gesticulator.pipeline import Gesticulator
+
+    retargeter = _retargeter(asked)
+    with limited_threads(int(asked.threads)):
+        system = Gesticulator.from_pretrained(asked.bundle)
+    system.speaker_index(asked.speaker)
+    controls = asked_controls(system, asked)
+    silent = argparse.Namespace(**{**vars(asked), "quiet": True})
+
+    def do(number: int) -> float:
+        _check(jobs[number], asked)
+        with limited_threads(int(asked.threads)):
+            return perform(jobs[number], system, silent, controls, retargeter)
+
+    return do
+
+
+def _went_well(step: Callable[[], object], alone: bool) -> bool:
     """Whether a step did its work. A fault of one recording among several is told; that of the only one is raised."""
     try:
         step()
@@ -276,29 +318,94 @@ def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
 
 
 def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None,
-            retargeter: Retargeter | None = None) -> None:
-    """Do one recording and print its summary."""
-    speech = load(job, asked)
+            retargeter: Retargeter | None = None) -> float:
+    """Do one recording and print its summary; its seconds."""
+    with _opened(job, asked) as sound:
+        if not 0 < sound.seconds < _LONG and _in_pieces(job, asked, system):
+            return _perform_long(job, sound, system, asked, controls)
+        speech = _heard(job, asked, sound)
     begin = time.perf_counter()
     stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
     made = replace(performed(job, speech, system, asked, controls, asked.legs or stands), sound_name=job.name)
     if retargeter is not None:
         made = replace(made, character=retargeter(made.motion))
     spent = time.perf_counter() - begin
-    written = ", ".join(str(made.save(target, unit=asked.unit if target.suffix.lower() == ".bvh" else "cm"))
-                        for target in job.targets)
+    written = [made.save(target, unit=asked.unit if target.suffix.lower() == ".bvh" else "cm")
+               for target in job.targets]
+    _say_done(job, asked, _Done(speech.duration, made.lexemes.tolist(), len(system.bundle.vectors),
+                                spent / speech.duration), written, made.notes)
+    return speech.duration
+
+
+@dataclass(frozen=True)
+class _Done:
+    """What a summary tells: seconds of sound, the lexemes played, how many there are, and seconds per second."""
+
+    seconds: float
+    lexemes: Sequence[int]
+    lexicon: int
+    factor: float
+
+
+def _say_done(job: Job, asked: argparse.Namespace, done: _Done, written: Sequence[Path], notes: Sequence[str] = ()
+              ) -> None:
     if not asked.quiet:
-        print(f"{job.name}: {speech.duration:.1f} s, {len(made.blocks) - 1} beats, "
-              f"{len(set(made.lexemes.tolist()))} of {len(system.bundle.vectors)} lexemes, "
-              f"real-time factor {spent / speech.duration:.3f} -> {written}"
-              + "".join(f"\n  {note}" for note in made.notes), flush=True)
+        print(f"{job.name}: {done.seconds:.1f} s, {len(done.lexemes) - 1} beats, "
+              f"{len(set(done.lexemes))} of {done.lexicon} lexemes, "
+              f"real-time factor {done.factor:.3f} -> {', '.join(map(str, written))}"
+              + "".join(f"\n  {note}" for note in notes), flush=True)
+
+
+def _in_pieces(job: Job, asked: argparse.Namespace, system: Gesticulator) -> bool:
+    """Whether so little is asked that a recording may be done in pieces: no character, words or plan, which need the
+    whole, and files that can be written so."""
+    from gesticulator.long_recordings import can_be_done
+
+    whole = asked.character, asked.plan, asked.text, asked.cue or None
+    return (whole == (None,) * len(whole) and all(target.suffix.lower() in STREAMED for target in job.targets)
+            and can_be_done(system.bundle))
+
+
+def _perform_long(job: Job, sound: SpeechPieces, system: Gesticulator, asked: argparse.Namespace,
+                  controls: Controls | None) -> float:
+    """Do a recording of some minutes or more in pieces, in bounded memory; its seconds."""
+    from tqdm import tqdm
+
+    from gesticulator.long_recordings import perform_long
+
+    begin = time.perf_counter()
+    with closing(tqdm(desc=job.name, unit=" s", leave=False, total=round(sound.seconds) or None,
+                      disable=asked.quiet or not sys.stderr.isatty())) as bar:
+        def on_sound(seconds: float) -> None:
+            bar.update(round(seconds) - bar.n)
+
+        made = perform_long(system, sound, job.targets, asked_options(asked, controls, asked.legs), asked.unit,
+                            on_sound)
+    if made.note is not None:
+        complain(f"{PROGRAM}: warning: {job.name}: {made.note}")
+    spent = time.perf_counter() - begin
+    _say_done(job, asked, _Done(made.seconds, made.lexemes, len(system.bundle.vectors), spent / made.seconds),
+              job.targets)
+    return made.seconds
+
+
+def _opened(job: Job, asked: argparse.Namespace) -> AbstractContextManager[SpeechPieces]:
+    """The recording, to be read."""
+    from data_module.speech.audio import speech_pieces
+
+    return speech_pieces(job.source or sys.stdin.buffer, asked.any_length)
 
 
 def load(job: Job, asked: argparse.Namespace) -> Speech:
     """The recording as it is; a warning where little of it will be heard, even amplified as was asked."""
-    from data_module.speech.audio import amplified, level_note, load_speech
+    with _opened(job, asked) as sound:
+        return _heard(job, asked, sound)
 
-    speech = load_speech(job.source or sys.stdin.buffer, asked.any_length)
+
+def _heard(job: Job, asked: argparse.Namespace, sound: SpeechPieces) -> Speech:
+    from data_module.speech.audio import amplified, level_note
+
+    speech = sound.whole()
     note = level_note(amplified(speech, asked.gain))
     if note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")
@@ -338,23 +445,6 @@ def _asked_plan(asked: argparse.Namespace) -> GesturePlan | None:
     return read_any_plan(asked.plan)
 
 
-@contextmanager
-def limited_threads(count: int) -> Iterator[None]:
-    """As many threads in torch and in numpy's matrix products, whatever the environment says: the order in which sums
-    are added up, and with it the last bits of a result, depend on their number."""
-    import numpy  # noqa: F401 - its library must be loaded to be told
-    import torch
-    from threadpoolctl import threadpool_limits
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        with threadpool_limits(count):
-            yield
-    finally:
-        torch.set_num_threads(before)
-
-
 def _list(system: Gesticulator, what: str) -> int:
     """Print the names, the one that is taken when none is told first marked."""
     names = system.speakers if what == "speakers" else system.interpreters
@@ -372,21 +462,6 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
     if not quiet:
         print(f"{count} recordings done", flush=True)
     return 0
-
-
-@contextmanager
-def our_warnings() -> Iterator[None]:
-    """Only our own warnings concern the user, a line each; those of libraries do not."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for name in ("data_module", "gesticulator"):
-            warnings.filterwarnings("default", module=name)
-        warnings.showwarning = _say_warning
-        yield
-
-
-def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
-    complain(f"{PROGRAM}: warning: {' '.join(str(message).split())}")
 
 
 # ---------------------------------------------------------------------------------------------------- the files
@@ -531,6 +606,9 @@ COMMAND = Command(
         "infer speech.wav -o again.bvh --plan plan.json --intensity 1.3",
         "infer speech.wav -o gesture.bvh --text speech.txt --cue bread=wave --hold-still 3.2-5.0",
         "infer recordings/ -o out/ --preview out/ --text texts/",
+        "infer recordings/ -o out/ --manifest out/manifest.parquet",
+        "infer recordings/ -o out/ --shard 2/8",
+        "infer recordings/ -o out/ --ray local:4",
         "infer - -o gesture.bvh < speech.wav",
         "infer --list speakers",
     ))

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
-from gesticulator.cli import PROGRAM, Command
+from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.infer import (
     STDIN,
     Job,
     asked_controls,
-    limited_threads,
     load,
-    our_warnings,
     performance_arguments,
     performed,
 )

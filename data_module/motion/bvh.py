@@ -256,23 +256,67 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIM
 
 def bvh_text(motion: Motion, unit: float = CENTIMETRES) -> str:
     """The BVH file of a motion, as text. unit: metres per unit of the file; its numbers have six decimals."""
-    if unit != 1.0:
-        motion = skeletons.scaled(motion, 1.0 / unit)
-    skeleton = motion.skeleton
-    children: list[list[int]] = [[] for _ in skeleton.names]
-    for joint, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            children[parent].append(joint)
-    order: list[int] = []
-    lines = ["HIERARCHY"]
-    _write_joint(skeleton, 0, children, 0, lines, order)
-    lines += ["MOTION", f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.fps:.10f}"]
-    # Unwrapped angles keep curves smooth in tools that interpolate the channels one by one.
-    angles = np.degrees(np.unwrap(rotation.to_euler(motion.rotations, _WRITTEN_ORDER), axis=0))
-    values = np.concatenate([motion.root_positions, angles[:, order].reshape(len(motion), -1)], axis=1)
-    body = io.StringIO()
-    np.savetxt(body, values + 0.0, fmt="%.6f")
-    return "\n".join(lines) + "\n" + body.getvalue()
+    writer = BvhWriter(motion.skeleton, motion.fps, unit)
+    rows = writer.rows(motion)
+    return writer.head() + rows
+
+
+class BvhWriter:
+    """A BVH file of frames that come piece by piece: the text is that of all of them together."""
+
+    def __init__(self, skeleton: Skeleton, fps: float, unit: float = CENTIMETRES) -> None:
+        """unit: metres per unit of the file."""
+        children: list[list[int]] = [[] for _ in skeleton.names]
+        for joint, parent in enumerate(skeleton.parents):
+            if parent >= 0:
+                children[parent].append(joint)
+        if unit != 1.0:
+            skeleton = skeletons.scaled_skeleton(skeleton, 1.0 / unit)
+        self._order: list[int] = []
+        self._lines = ["HIERARCHY"]
+        _write_joint(skeleton, 0, children, 0, self._lines, self._order)
+        self._fps, self._unit, self._unwrap = fps, unit, Unwrap()
+        self.frames = 0
+        """How many came."""
+
+    def rows(self, motion: Motion) -> str:
+        """The lines of some more frames."""
+        self.frames += len(motion)
+        places = motion.root_positions if self._unit == 1.0 else motion.root_positions * (1.0 / self._unit)
+        # Unwrapped angles keep curves smooth in tools that interpolate the channels one by one.
+        angles = np.degrees(self._unwrap(rotation.to_euler(motion.rotations, _WRITTEN_ORDER)))
+        values = np.concatenate([places, angles[:, self._order].reshape(len(motion), -1)], axis=1)
+        body = io.StringIO()
+        np.savetxt(body, values + 0.0, fmt="%.6f")
+        return body.getvalue()
+
+    def head(self) -> str:
+        """What stands before the frames that came."""
+        return "\n".join([*self._lines, "MOTION", f"Frames: {self.frames}", f"Frame Time: {1.0 / self._fps:.10f}", ""])
+
+
+class Unwrap:
+    """`numpy.unwrap` along the first axis for angles [T, ...] in radians that come piece by piece."""
+
+    def __init__(self) -> None:
+        self._last: Array | None = None
+        self._turned: Array | None = None
+
+    def __call__(self, angles: Array) -> Array:
+        """Some more angles, each by as many full turns off as brings it within half a turn of the one before."""
+        if not len(angles):
+            return angles
+        before = angles[:1] if self._last is None else self._last
+        steps = np.diff(angles, axis=0, prepend=before)
+        near = np.mod(steps + np.pi, 2 * np.pi) - np.pi
+        near = np.where((near == -np.pi) & (steps > 0), np.pi, near)
+        turns = np.where(np.abs(steps) < np.pi, 0.0, near - steps)
+        # Summed one after the other from the first piece on, as for all of them at once: the same bits.
+        if self._turned is not None:
+            turns = np.concatenate([self._turned, turns])
+        summed = turns.cumsum(axis=0)[-len(angles):]
+        self._last, self._turned = angles[-1:].copy(), summed[-1:].copy()
+        return np.asarray(angles + summed)
 
 
 def _write_joint(skeleton: Skeleton, joint: int, children: Sequence[Sequence[int]], depth: int, lines: list[str],

@@ -196,9 +196,14 @@ def guess_unit(skeleton: Skeleton, table: Mapping[str, int]) -> float:
 
 def scaled(motion: Motion, unit: float) -> Motion:
     """The motion with all lengths multiplied by `unit` (metres per unit)."""
-    skeleton = replace(motion.skeleton, offsets=motion.skeleton.offsets * unit,
-                       end_sites={j: tip * unit for j, tip in motion.skeleton.end_sites.items()})
-    return replace(motion, skeleton=skeleton, root_positions=motion.root_positions * unit)
+    return replace(motion, skeleton=scaled_skeleton(motion.skeleton, unit),
+                   root_positions=motion.root_positions * unit)
+
+
+def scaled_skeleton(skeleton: Skeleton, unit: float) -> Skeleton:
+    """The skeleton with all lengths multiplied by `unit`."""
+    return replace(skeleton, offsets=skeleton.offsets * unit,
+                   end_sites={joint: tip * unit for joint, tip in skeleton.end_sites.items()})
 
 
 _EPS = 1e-9

@@ -12,7 +12,7 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias, cast
 
@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, TYPICAL_LEVEL, frame_levels, noise_floor
+from data_module.speech.silence import (
+    FAINTEST_SPEECH,
+    FRAME,
+    MARGIN,
+    STEP,
+    TYPICAL_LEVEL,
+    LoudnessTracker,
+    frame_levels,
+)
 from data_module.speech.sound_files import (
     BrokenSoundError,
     NoSoundError,
@@ -77,24 +85,40 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = Fa
     Raises `InputError` with one line for anything that is not a whole recording of `SHORTEST` seconds or more; warns
     with `AudioWarning` where the file does not tell how long it should be.
     """
+    with speech_pieces(source, any_length) as sound:
+        return sound.whole()
+
+
+@dataclass(frozen=True)
+class SpeechPieces:
+    """A recording that is being read. seconds: by its header, 0 where that does not say. pieces: mono samples [n] at
+    `SAMPLE_RATE`, to be gone through once; together they are those of `load_speech`, whose errors they raise."""
+
+    seconds: float
+    pieces: Iterator[Samples]
+
+    def whole(self) -> Speech:
+        """All of it."""
+        buffer = bytearray()
+        for piece in self.pieces:
+            buffer += piece.tobytes()
+        return Speech(np.frombuffer(buffer, dtype=np.float32), SAMPLE_RATE)
+
+
+@contextlib.contextmanager
+def speech_pieces(source: str | os.PathLike[str] | BinaryIO, any_length: bool = False) -> Iterator[SpeechPieces]:
+    """A recording as `load_speech` reads it, some seconds at a time: memory does not grow with its length."""
     name = _name_of(source)
-    try:
-        with _opened(source, any_length) as raw, _decoder(raw, name) as (sound, promise):
-            samples = _mono(sound, promise, name, any_length)
-    except NoSoundError as error:
-        raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
-    except BrokenSoundError as error:
-        raise InputError(name, f"breaks off: it cannot be decoded to its end ({error})",
-                         "copy it again from its source") from None
-    except OSError as error:
-        raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
-    if len(samples) < round(SHORTEST * SAMPLE_RATE):
-        raise InputError(name, f"lasts {len(samples) / SAMPLE_RATE:.2f} s, too short for a gesture",
-                         f"give {SHORTEST} s or more")
-    if not promise.known:
-        warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a cut end would go unnoticed"),
-                      stacklevel=2)
-    return Speech(samples, SAMPLE_RATE)
+    with contextlib.ExitStack() as opened:
+        try:
+            raw = opened.enter_context(_opened(source, any_length))
+            sound, promise = opened.enter_context(_decoder(raw, name))
+        except NoSoundError as error:
+            raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
+        except OSError as error:
+            raise _unreadable(name, error) from None
+        _check_sound(sound, promise, name, any_length)
+        yield SpeechPieces(_claimed(sound, promise) / sound.rate, _mono(sound, promise, name, any_length))
 
 
 def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
@@ -172,27 +196,62 @@ def check_file(name: Path, any_length: bool = False) -> None:
         raise InputError(name, "is not a regular file", "give a sound file")
     if name.stat().st_size == 0:
         raise InputError(name, "is empty", "record or copy it again")
-    seconds = 0.0
-    # What else is wrong with it is told when it is read. MP3 takes a process to ask, so it is asked then, too.
-    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw:
-        if not any_length and not is_mpeg(raw.read(512)):
-            with _decoder(raw, name) as (sound, promise):
-                seconds = _claimed(sound, promise) / sound.rate
+    seconds = 0.0 if any_length else header_seconds(name)
     if seconds > LONGEST:
         raise _too_long(name, f"its header tells of {_hours(seconds)}")
 
 
+def header_seconds(name: Path) -> float:
+    """Seconds of a recording by its header; 0 where that does not say, or is none. MP3 takes a process to ask, so it is
+    not asked."""
+    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw:
+        if not is_mpeg(raw.read(512)):
+            with _decoder(raw, name) as (sound, promise):
+                return _claimed(sound, promise) / sound.rate
+    return 0.0
+
+
 def level_note(speech: Speech) -> str | None:
     """What to tell the user of a recording whose level is far too low, with the gain to apply; None for others."""
-    levels = frame_levels(speech.samples, speech.sample_rate)
-    loud = levels > np.maximum(noise_floor(levels) + MARGIN, FAINTEST_SPEECH)
-    if levels.max() <= FAINTEST_SPEECH:
-        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
-    level = float(levels[loud].mean()) if loud.any() else float(levels.max())
-    if level >= LOW_LEVEL:
-        return None
-    gain = round(TYPICAL_LEVEL - level)
-    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
+    meter = LevelMeter(speech.sample_rate)
+    meter.add(speech.samples)
+    return meter.finish()
+
+
+class LevelMeter:
+    """`level_note` of sound that comes in pieces; nothing of it is kept."""
+
+    def __init__(self, sample_rate: int = SAMPLE_RATE) -> None:
+        self._rate, self._step = sample_rate, STEP * round(FRAME * sample_rate)
+        self._tracker = LoudnessTracker()
+        self._left: Samples = np.zeros(0, np.float32)
+        self._loudest, self._sum, self._loud = -np.inf, 0.0, 0
+
+    def add(self, samples: Samples) -> None:
+        """Some more sound [n]."""
+        sound = np.concatenate([self._left, samples])
+        whole = len(sound) - len(sound) % self._step
+        self._hear(sound[:whole])
+        self._left = sound[whole:]
+
+    def finish(self) -> str | None:
+        """The note; no sound follows."""
+        self._hear(self._left)
+        if self._loudest <= FAINTEST_SPEECH:
+            return f"all of it is silence (its loudest 10 ms are at {self._loudest:.0f} dBFS); record it again"
+        level = self._sum / self._loud if self._loud else self._loudest
+        if level >= LOW_LEVEL:
+            return None
+        gain = round(TYPICAL_LEVEL - level)
+        return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
+
+    def _hear(self, sound: Samples) -> None:
+        levels = frame_levels(sound, self._rate)
+        for start in range(0, len(levels), STEP):
+            step = levels[start:start + STEP]
+            loud = step[step > np.maximum(self._tracker.step(step).floor + MARGIN, FAINTEST_SPEECH)]
+            self._loudest = max(self._loudest, float(step.max()))
+            self._sum, self._loud = self._sum + float(loud.sum()), self._loud + len(loud)
 
 
 def amplified(speech: Speech, decibels: float) -> Speech:
@@ -310,37 +369,55 @@ def _claimed(sound: Sound, promise: Promise) -> int:
     return claimed if claimed < _OPEN_END else 0
 
 
-def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Samples:
-    """All samples as mono at `SAMPLE_RATE`, [n]; `InputError` where they are fewer than promised, or too many."""
-    import soxr
-
+def _check_sound(sound: Sound, promise: Promise, name: object, any_length: bool) -> None:
+    """`InputError` where the header tells of what cannot be used."""
     rate = sound.rate
     if rate < _LOWEST_RATE:
         raise InputError(name, f"has {rate} samples per second, too few for speech", "record at 8 kHz or more")
     if rate > _HIGHEST_RATE:
         raise InputError(name, f"claims {rate} samples per second", "export it again")
-    most = float("inf") if any_length else LONGEST * rate
     told = _claimed(sound, promise)
-    if told > most:
+    if not any_length and told > LONGEST * rate:
         raise _too_long(name, f"its header tells of {_hours(told / rate)}")
+
+
+def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Iterator[Samples]:
+    """All samples as mono at `SAMPLE_RATE`, piece by piece; `InputError` where they are too few or too many."""
+    import soxr
+
+    rate, told = sound.rate, _claimed(sound, promise)
+    most = float("inf") if any_length else LONGEST * rate
     resampler = soxr.ResampleStream(rate, SAMPLE_RATE, 1, dtype="float32") if rate != SAMPLE_RATE else None
-    buffer, frames = bytearray(), 0
-    for piece in sound.pieces:
-        frames += len(piece)
-        if frames > most:
-            raise _too_long(name, "it goes on beyond that")
-        mono = _averaged(piece, name)
-        buffer += (mono if resampler is None else resampler.resample_chunk(mono)).tobytes()
+    frames = given = 0
+    try:
+        for piece in sound.pieces:
+            frames += len(piece)
+            if frames > most:
+                raise _too_long(name, "it goes on beyond that")
+            mono = _averaged(piece, name)
+            mono = mono if resampler is None else resampler.resample_chunk(mono)
+            given += len(mono)
+            yield np.clip(mono, -1.0, 1.0)  # resampling overshoots a little at full scale
+    except BrokenSoundError as error:
+        raise InputError(name, f"breaks off: it cannot be decoded to its end ({error})",
+                         "copy it again from its source") from None
+    except OSError as error:
+        raise _unreadable(name, error) from None
     if frames == 0:
         raise InputError(name, "holds no samples", "record or copy it again")
     if resampler is not None:
-        buffer += resampler.resample_chunk(np.zeros(0, np.float32), last=True).tobytes()
+        rest = resampler.resample_chunk(np.zeros(0, np.float32), last=True)
+        given += len(rest)
+        yield np.clip(rest, -1.0, 1.0)
     if promise.known and frames < told:
         raise InputError(name, f"is cut short: {frames / rate:.2f} s of the {told / rate:.2f} s that its header "
                          "promises", "copy it again from its source")
-    samples = np.frombuffer(buffer, dtype=np.float32)
-    np.clip(samples, -1.0, 1.0, out=samples)  # resampling overshoots a little at full scale
-    return samples
+    if given < round(SHORTEST * SAMPLE_RATE):
+        raise InputError(name, f"lasts {given / SAMPLE_RATE:.2f} s, too short for a gesture",
+                         f"give {SHORTEST} s or more")
+    if not promise.known:
+        warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a cut end would go unnoticed"),
+                      stacklevel=2)
 
 
 def _averaged(piece: np.ndarray, name: object) -> Samples:
@@ -351,6 +428,10 @@ def _averaged(piece: np.ndarray, name: object) -> Samples:
         raise InputError(name, f"holds samples up to {np.abs(piece).max():.3g}, where full scale is 1",
                          "export it again, scaled to [-1, 1]")
     return np.ascontiguousarray(piece.mean(axis=1, dtype=np.float32))
+
+
+def _unreadable(name: object, error: OSError) -> InputError:
+    return InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights")
 
 
 def _too_long(name: object, why: str) -> InputError:

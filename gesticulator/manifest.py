@@ -1,0 +1,234 @@
+"""The manifest of a batch: a row for each recording, of what was made of it and with what, as Parquet or JSON lines.
+
+While a batch runs, rows are added to a journal beside the manifest, a line each, so that nothing is lost with the
+process; the next run takes them over. `gesticulator manifest` joins the manifests of shards and shows what they hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from data_module.errors import InputError
+from data_module.files import lock, write_bytes
+from gesticulator.cli import Command
+
+DONE, FAILED = "done", "failed"
+SUFFIXES = (".parquet", ".jsonl")
+"""Endings of a manifest; Parquet needs pyarrow."""
+_JOURNAL = ".journal"
+
+
+@dataclass(frozen=True)
+class ManifestRow:
+    """A recording of a batch. What tells whether it must be done again: `sha256`, `output`, `program`, `bundle` and
+    `settings`."""
+
+    input: str
+    """The path of the recording."""
+    sha256: str = ""
+    """Of its bytes; "" where it could not be read."""
+    seconds: float = 0.0
+    """Of sound; by the header, or guessed by its size, where it failed."""
+    output: tuple[str, ...] = ()
+    """The paths of what was asked for."""
+    status: str = DONE
+    """"done" or "failed"."""
+    error: str = ""
+    """What was wrong with it, a line."""
+    time: float = 0.0
+    """Seconds of computing."""
+    program: str = ""
+    """The version."""
+    bundle: str = ""
+    """SHA-256 of the bundle's index, which holds those of all its files."""
+    settings: str = ""
+    """SHA-256 of what was asked, the contents of files that were named included."""
+    worker: str = field(default="", compare=False)
+    """Host and process that did it."""
+
+    @property
+    def made_of(self) -> tuple[object, ...]:
+        """What its output depends on, and where that lies."""
+        return self.sha256, self.output, self.program, self.bundle, self.settings
+
+    def stands(self) -> bool:
+        """Whether it was done and its files are there."""
+        return self.status == DONE and all(Path(path).is_file() for path in self.output)
+
+
+def row_of(entry: Any) -> ManifestRow:
+    """The row of plain values; TypeError or ValueError where they are none."""
+    if not isinstance(entry, Mapping):
+        raise ValueError("no row")
+    known = {one.name for one in fields(ManifestRow)}
+    row = ManifestRow(**{name: value for name, value in entry.items() if name in known})
+    if not isinstance(row.input, str) or row.status not in (DONE, FAILED):
+        raise ValueError("no row")
+    return ManifestRow(**{**asdict(row), "output": tuple(map(str, row.output)), "seconds": float(row.seconds),
+                          "time": float(row.time)})
+
+
+def check_manifest(path: Path) -> None:
+    """`InputError` where a manifest of that name cannot be written here."""
+    if path.suffix not in SUFFIXES:
+        raise InputError(path, "is no name of a manifest", f"let it end in {' or '.join(SUFFIXES)}")
+    if path.suffix == ".parquet" and find_spec("pyarrow") is None:
+        raise InputError(path, "needs pyarrow, which is not installed", "pip install 'gesticulator[parquet]', or name "
+                         f"it {path.with_suffix('.jsonl')}")
+
+
+def default_name() -> str:
+    """What a manifest is called where nobody says."""
+    return "manifest.parquet" if find_spec("pyarrow") is not None else "manifest.jsonl"
+
+
+def read_manifest(path: Path) -> dict[str, ManifestRow]:
+    """Input -> its row; what the journal beside it holds counts, and a line that was being written when a process was
+    killed does not. `InputError` for a file that is no manifest, or is lacking with its journal."""
+    check_manifest(path)
+    entries: list[Any] = []
+    journal = path.with_name(path.name + _JOURNAL)
+    if not path.exists() and not journal.exists():
+        raise InputError(path, "does not exist", "give the manifest of a batch")
+    try:
+        if path.exists():
+            entries += _read_table(path) if path.suffix == ".parquet" else _lines(path, whole=True)
+        if journal.exists():
+            entries += _lines(journal, whole=False)
+        return {row.input: row for row in map(row_of, entries)}
+    except (ValueError, TypeError, KeyError, OSError) as error:
+        told = " ".join(str(error).split())[:80]
+        raise InputError(path, f"is no manifest ({told})", "name another, or move it away") from None
+
+
+def _read_table(path: Path) -> list[Any]:
+    from pyarrow import parquet
+
+    return list(parquet.ParquetFile(path).read().to_pylist())
+
+
+def _lines(path: Path, whole: bool) -> list[Any]:
+    text = path.read_bytes()
+    lines = text.split(b"\n")
+    return [json.loads(line) for line in (lines if whole else lines[:-1]) if line.strip()]
+
+
+def write_manifest(path: Path, rows: Iterable[ManifestRow]) -> None:
+    """Write rows by the name of their input, whole or not at all."""
+    entries = [asdict(row) for row in sorted(rows, key=lambda row: row.input)]
+    if path.suffix == ".jsonl":
+        write_bytes(path, "".join(json.dumps(entry, ensure_ascii=True) + "\n" for entry in entries).encode())
+        return
+    import pyarrow
+    from pyarrow import parquet
+
+    kinds = {"seconds": pyarrow.float64(), "time": pyarrow.float64(), "output": pyarrow.list_(pyarrow.string())}
+    schema = pyarrow.schema([(one.name, kinds.get(one.name, pyarrow.string())) for one in fields(ManifestRow)])
+    out = io.BytesIO()
+    parquet.write_table(pyarrow.Table.from_pylist(entries, schema), out, compression="zstd")
+    write_bytes(path, out.getvalue())
+
+
+class Manifest:
+    """A manifest that is being added to, held against other processes; used in a `with`.
+
+    `InputError` where another process holds it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_manifest(path)
+        self.path = path
+        self._journal_path = path.with_name(path.name + _JOURNAL)
+        self._held = contextlib.ExitStack()
+        self._journal: IO[bytes] | None = None
+        self.rows: dict[str, ManifestRow] = {}
+        """Input -> its row."""
+
+    def __enter__(self) -> Manifest:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as held:
+            held.enter_context(lock(self.path, "a batch", beside=True))
+            if self.path.exists() or self._journal_path.exists():
+                self.rows = read_manifest(self.path)
+                self._settle()  # a line that broke off must not be gone on with
+            self._journal = held.enter_context(self._journal_path.open("ab"))
+            self._held = held.pop_all()
+        return self
+
+    def add(self, row: ManifestRow) -> None:
+        """One row more, or another for its recording; it is on its way to the disk when this returns."""
+        assert self._journal is not None
+        self.rows[row.input] = row
+        self._journal.write((json.dumps(asdict(row), ensure_ascii=True) + "\n").encode())
+        self._journal.flush()
+
+    def _settle(self) -> None:
+        write_manifest(self.path, self.rows.values())
+        self._journal_path.unlink(missing_ok=True)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+                 ) -> None:
+        with self._held:
+            self._settle()
+
+
+# ------------------------------------------------------------------------------------------------------ the verb
+
+def table(rows: Sequence[ManifestRow], kept: int = 0) -> str:
+    """What a batch came to. kept: how many of the rows stood already."""
+    done = [row for row in rows if row.status == DONE]
+    hours, spent = sum(row.seconds for row in done) / 3600, sum(row.time for row in done)
+    cells = [("recordings", f"{len(rows)}"), ("done", f"{len(done)}"), ("of which before", f"{kept}"),
+             ("failed", f"{len(rows) - len(done)}"), ("audio", f"{hours:.2f} h"),
+             ("computing", f"{spent / 3600:.2f} h"),
+             ("real-time factor", f"{spent / hours / 3600:.3f}" if hours else "-")]
+    return "\n".join(f"  {name:<18}{value:>12}" for name, value in cells if name != "of which before" or kept)
+
+
+def merged(paths: Iterable[Path]) -> dict[str, ManifestRow]:
+    """The rows of several manifests; of two for one recording the one that was done counts, then the later."""
+    rows: dict[str, ManifestRow] = {}
+    for path in paths:
+        for row in read_manifest(path).values():
+            before = rows.get(row.input)
+            if before is None or before.status == FAILED or row.status == DONE:
+                rows[row.input] = row
+    return rows
+
+
+def _arguments(p: argparse.ArgumentParser) -> None:
+    p.add_argument("manifest", nargs="+", type=Path, metavar="MANIFEST", help="manifests of a batch or of its shards")
+    p.add_argument("-o", "--output", type=Path, metavar="FILE", help="write all rows to one manifest "
+                   "(.parquet, .jsonl)")
+    p.add_argument("--failed", action="store_true", help="list what failed, and why")
+
+
+def _run(asked: argparse.Namespace) -> int:
+    if asked.output is not None:
+        check_manifest(asked.output)
+    rows = merged(asked.manifest)
+    if asked.output is not None:
+        write_manifest(asked.output, rows.values())
+    for row in _worst(rows.values()) if asked.failed else ():
+        print(f"{row.input}: {row.error}")
+    print(table(list(rows.values())), flush=True)
+    return 0
+
+
+def _worst(rows: Iterable[ManifestRow]) -> Iterator[ManifestRow]:
+    yield from sorted((row for row in rows if row.status == FAILED), key=lambda row: row.input)
+
+
+COMMAND = Command(
+    "join the manifests of a batch, and show what was done and what failed", _arguments, _run,
+    examples=("manifest out/manifest.parquet", "manifest out/manifest.1-of-2.parquet out/manifest.2-of-2.parquet "
+              "-o out/manifest.parquet --failed"))

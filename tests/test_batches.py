@@ -1,0 +1,271 @@
+"""Batches: what is noted, what is done again, who does what; the manifest survives being killed. Ray where it is."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+import soundfile
+
+from data_module.errors import InputError
+from gesticulator import infer
+from gesticulator import manifest as manifests
+from gesticulator.batch import BatchTask, TaskOutcome, done_here, run_batch, sharded
+from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
+
+EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
+MADE = ("1", "bundle", "settings")
+
+
+def task(number: int, seconds: float = 1.0, name: str | None = None) -> BatchTask:
+    return BatchTask(number, Path("sounds", name or f"{number:03}.wav"), (Path("out", f"{number}.bvh"),), MADE,
+                     seconds=seconds)
+
+
+# ------------------------------------------------------------------------------------------------------- shards
+
+def test_shards_share_all_tasks_evenly_whatever_their_order_and_their_folder() -> None:
+    rng = random.Random(0)
+    tasks = [task(number, rng.choice([0.0, 3.0, 10.0, 10.0, rng.uniform(1, 600)])) for number in range(200)]
+    shards = [sharded(tasks, index, 7) for index in range(1, 8)]
+    assert sorted(one.number for shard in shards for one in shard) == list(range(200))
+    loads = [sum(one.seconds for one in shard) for shard in shards]
+    assert max(loads) - min(loads) <= min(one.seconds for one in tasks if one.seconds) + 10.0
+    for shard in shards:
+        assert [one.seconds for one in shard] == sorted((one.seconds for one in shard), reverse=True)
+    moved = [replace(one, source=Path("/elsewhere") / one.source.name) for one in rng.sample(tasks, 200)]
+    assert [one.number for one in sharded(moved, 3, 7)] == [one.number for one in shards[2]]
+
+
+# ----------------------------------------------------------------------------------------------------- manifests
+
+@pytest.mark.parametrize("suffix", manifests.SUFFIXES)
+def test_a_manifest_is_read_as_it_was_written(suffix: str, tmp_path: Path) -> None:
+    rows = [ManifestRow("b,ä\n.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, 'cut "short"', 0.125, "1", "2", "3", "h"),
+            ManifestRow("a.wav")]
+    write_manifest(tmp_path / f"m{suffix}", rows)
+    assert read_manifest(tmp_path / f"m{suffix}") == {row.input: row for row in rows}
+
+
+def test_what_a_killed_process_noted_is_there_and_half_a_line_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "m.jsonl"
+    with Manifest(path) as notes:
+        notes.add(ManifestRow("a.wav"))
+    code = ("import os, sys; from pathlib import Path; from gesticulator.manifest import Manifest, ManifestRow\n"
+            f"with Manifest(Path({str(path)!r})) as notes:\n"
+            "    notes.add(ManifestRow('b.wav')); notes.add(ManifestRow('a.wav', status='failed'))\n"
+            "    os.kill(os.getpid(), 9)")
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    with (tmp_path / "m.jsonl.journal").open("ab") as journal:
+        journal.write(b'{"input": "c.wav", "sta')
+    assert {name: row.status for name, row in read_manifest(path).items()} == {"a.wav": FAILED, "b.wav": DONE}
+    with Manifest(path) as notes:
+        notes.add(ManifestRow("d.wav"))
+    assert sorted(read_manifest(path)) == ["a.wav", "b.wav", "d.wav"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["m.jsonl"]
+
+
+def test_a_manifest_is_held_by_one_process_and_must_be_one(tmp_path: Path) -> None:
+    with Manifest(tmp_path / "m.jsonl"), pytest.raises(InputError, match="in use"), Manifest(tmp_path / "m.jsonl"):
+        pass
+    with pytest.raises(InputError, match="no name of a manifest"):
+        Manifest(tmp_path / "m.csv")
+    with pytest.raises(InputError, match="does not exist"):
+        read_manifest(tmp_path / "none.jsonl")
+    for broken in (b"{", b"[1]\n", b'{"input": 3}\n', b'{"input": "a", "status": "maybe"}\n', b"\xff\n"):
+        (tmp_path / "x.jsonl").write_bytes(broken)
+        with pytest.raises(InputError, match="is no manifest"):
+            read_manifest(tmp_path / "x.jsonl")
+
+
+def test_manifests_of_shards_are_joined_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_manifest(tmp_path / "1.jsonl", [ManifestRow("a.wav", seconds=1800.0, time=180.0), ManifestRow(
+        "b.wav", status=FAILED, error="b.wav: is empty")])
+    write_manifest(tmp_path / "2.parquet", [ManifestRow("c.wav", seconds=1800.0, time=180.0),
+                                            ManifestRow("a.wav", status=FAILED, error="died")])
+    rows = merged([tmp_path / "1.jsonl", tmp_path / "2.parquet"])
+    assert {name: row.status for name, row in rows.items()} == {"a.wav": DONE, "b.wav": FAILED, "c.wav": DONE}
+    assert manifests.COMMAND.main("gesticulator manifest", [
+        str(tmp_path / "1.jsonl"), str(tmp_path / "2.parquet"), "-o", str(tmp_path / "all.parquet"), "--failed"]) == 0
+    out = capsys.readouterr().out
+    assert "b.wav: b.wav: is empty" in out and "1.00 h" in out and "0.100" in out and "a.wav" not in out
+    assert read_manifest(tmp_path / "all.parquet") == rows
+
+
+# ------------------------------------------------------------------------------------------- what is done again
+
+class Copier:
+    """Does a recording by copying it in capitals; notes the order."""
+
+    def __init__(self, tasks: Sequence[BatchTask]) -> None:
+        self.tasks, self.done = tasks, list[int]()
+
+    def __call__(self) -> Callable[[int], float]:
+        return self.do
+
+    def do(self, number: int) -> float:
+        self.done.append(number)
+        one = self.tasks[number]
+        text = one.source.read_text()
+        if "bad" in text:
+            raise InputError(one.source, "is bad", "mend it")
+        for output in one.outputs:
+            output.parent.mkdir(exist_ok=True)
+            output.write_text(text.upper())
+        return float(len(text))
+
+
+@pytest.fixture
+def tasks(tmp_path: Path) -> list[BatchTask]:
+    """Five recordings, of which 3.wav is bad; the longer the higher the number."""
+    made = []
+    for number in range(5):
+        source = tmp_path / f"{number}.wav"
+        source.write_text(("bad" if number == 3 else "good") + "." * 100 * number)
+        made.append(BatchTask(number, source, (tmp_path / "out" / f"{number}.bvh",), MADE))
+    return made
+
+
+def again(tasks: Sequence[BatchTask], tmp_path: Path) -> list[int]:
+    """The numbers that another run does."""
+    copier = Copier(tasks)
+    run_batch(tasks, tmp_path / "m.parquet", partial(done_here, copier), quiet=True)
+    return copier.done
+
+
+def test_only_what_is_missing_or_changed_is_done_again(tasks: list[BatchTask], tmp_path: Path,
+                                                       capfd: pytest.CaptureFixture[str]) -> None:
+    assert again(tasks, tmp_path) == [4, 3, 2, 1, 0], "the longest first"
+    rows = read_manifest(tmp_path / "m.parquet")
+    assert [rows[str(one.source)].status for one in tasks] == [DONE, DONE, DONE, FAILED, DONE]
+    assert "is bad" in rows[str(tasks[3].source)].error and capfd.readouterr().err.count("\n") == 1
+    assert rows[str(tasks[2].source)].seconds == 204.0
+    assert again(tasks, tmp_path) == [3]
+    tasks[1].source.write_text("good and new")
+    tasks[2].outputs[0].unlink()
+    tasks[3].source.write_text("mended")
+    assert again(tasks, tmp_path) == [2, 1, 3]
+    assert again(tasks, tmp_path) == []
+    others = [replace(one, made_with=("1", "bundle", "other")) for one in tasks[:2]]
+    assert again(others, tmp_path) == [1, 0]
+    assert again([others[0], replace(others[1], outputs=(tmp_path / "out" / "new.bvh",))], tmp_path) == [1]
+
+
+# ------------------------------------------------------------------------------------------------- the command
+
+@pytest.fixture(scope="module")
+def talks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of four recordings of 1 to 2 s, of which c.wav is cut short."""
+    folder = tmp_path_factory.mktemp("talks")
+    samples, rate = soundfile.read(EXAMPLE, dtype="float32")
+    for index, name in enumerate("abcd"):
+        soundfile.write(folder / f"{name}.wav", samples[index * rate:(index + 1) * rate + index * rate // 3], rate)
+    (folder / "c.wav").write_bytes((folder / "c.wav").read_bytes()[:20_000])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plain(talks: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """What the command makes of the recordings without a manifest."""
+    out = tmp_path_factory.mktemp("plain")
+    assert infer.main([str(talks), "-o", f"{out}/", "--quiet"]) == 1
+    return motions(out)
+
+
+def motions(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.glob("*.bvh")}
+
+
+def test_shards_of_a_folder_make_the_same_bytes_and_their_manifests_join(
+        talks: Path, plain: dict[str, bytes], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    codes = [infer.main([str(talks), "-o", f"{out}/", "--shard", f"{index}/2"]) for index in (1, 2)]
+    assert sorted(codes) in ([0, 1], [0, 2]), "the shard with the bad file says so"
+    assert motions(out) == plain and sorted(plain) == ["a.bvh", "b.bvh", "d.bvh"]
+    rows = merged(sorted(out.glob("manifest.*-of-2.*")))
+    assert {Path(name).name: row.status for name, row in rows.items()} == {
+        "a.wav": DONE, "b.wav": DONE, "c.wav": FAILED, "d.wav": DONE}
+    assert "cut short" in rows[str(talks / "c.wav")].error and "done" in capfd.readouterr().out
+    before = {path: path.stat().st_mtime_ns for path in out.glob("*.bvh")}
+    assert infer.main([str(talks), "-o", f"{out}/", "--shard", "1/2", "--quiet"]) == codes[0]
+    assert {path: path.stat().st_mtime_ns for path in out.glob("*.bvh")} == before
+
+
+@pytest.mark.parametrize("asked", [["--shard", "3/2"], ["--shard", "half"], ["--manifest", "m.csv"],
+                                   ["--ray", "local:0"]])
+def test_wrong_batches_are_one_line(asked: list[str], talks: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+                                    ) -> None:
+    with pytest.raises(SystemExit) as stop:
+        infer.main([str(talks), "-o", f"{tmp_path}/out/", *asked])
+    assert stop.value.code == 2 and capfd.readouterr().err.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+# ---------------------------------------------------------------------------------------------------------- Ray
+
+def _marking(folder: Path, number: int) -> float:
+    """A slow recording: it says who does it, and is done when it is let go on."""
+    (folder / f"begun-{number}-{os.getpid()}").touch()
+    while not (folder / "go").exists():
+        time.sleep(0.02)
+    (folder / f"done-{number}-{os.getpid()}").touch()
+    return 1.0
+
+
+def _marker(folder: Path) -> Callable[[int], float]:
+    return partial(_marking, folder)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[None]:
+    """A Ray cluster of two workers on this machine."""
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'gesticulator[scale]'")
+    here = str(Path(__file__).resolve().parent)
+    paths = os.pathsep.join([here, str(Path(here).parent), os.environ.get("PYTHONPATH", "")])
+    ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR",
+             runtime_env={"env_vars": {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}})
+    yield
+    ray.shutdown()
+
+
+@pytest.mark.usefixtures("cluster")
+def test_a_worker_that_is_killed_loses_nothing(tmp_path: Path) -> None:
+    from gesticulator.ray_pool import done_on_ray
+
+    outcomes: list[TaskOutcome] = []
+    stream = done_on_ray("local:2", partial(_marker, tmp_path), list(range(4)))
+    killed = False
+
+    def kill_one() -> None:
+        nonlocal killed
+        while len(begun := list(tmp_path.glob("begun-*"))) < 2:
+            time.sleep(0.05)
+        os.kill(int(begun[0].name.rsplit("-", 1)[1]), signal.SIGKILL)
+        killed = True
+        (tmp_path / "go").touch()
+
+    thread = threading.Thread(target=kill_one)
+    thread.start()
+    outcomes += stream
+    thread.join()
+    assert killed and sorted(one.number for one in outcomes) == [0, 1, 2, 3]
+    assert not any(one.error for one in outcomes)
+    assert len(list(tmp_path.glob("done-*"))) == 4 and len(list(tmp_path.glob("begun-*"))) == 5
+
+
+@pytest.mark.usefixtures("cluster")
+def test_a_folder_on_ray_makes_the_same_bytes(talks: Path, plain: dict[str, bytes], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert infer.main([str(talks), "-o", f"{out}/", "--ray", "local:2", "--quiet"]) == 1
+    assert motions(out) == plain
+    (manifest,) = out.glob("manifest.*")
+    assert sorted(row.status for row in read_manifest(manifest).values()) == [DONE, DONE, DONE, FAILED]
