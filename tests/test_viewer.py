@@ -258,7 +258,9 @@ def test_gestures_are_asked_for_and_names_are_text(browser: Any, tmp_path: Path)
     assert plan["knobs"] == {"energy": "calm"}
     block = next(block for block in plan["blocks"] if block["start"] <= 1.5 < block["end"])
     assert (block["lexeme"], block["name"]) == (7, "<b>low sweep</b>")
-    assert page.page.inner_text("#card-name") == "<b>low sweep</b>"
+    # The card follows the clock, which ticks with the frames that are drawn.
+    page.page.wait_for_function("name => document.getElementById('card-name').textContent === name",
+                                arg="<b>low sweep</b>")
     page.page.click("#cues li button")
     assert page.plan()["cues"] == [{"gesture": "shrug", "time": 1.5}]
     assert page.saved("Control+s").read_text().count(json.dumps(BREAKS_OUT)) == 4
