@@ -18,14 +18,14 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """A browser; the test is skipped, with the reason, where there is none."""
+def chromium(*flags: str) -> Iterator[Any]:
+    """A browser, with more flags; the test is skipped, with the reason, where there is none."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     program = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
     if not program:
         pytest.skip("no chromium on this machine")
     with playwright.sync_playwright() as driver:
-        window = driver.chromium.launch(executable_path=program, args=FLAGS)
+        window = driver.chromium.launch(executable_path=program, args=[*FLAGS, *flags])
         yield window
         window.close()
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import chromium
 from live_double import TURN, served
 from small_characters import write_character
 
@@ -20,10 +21,7 @@ from gesticulator.serve.page import pages
 from gesticulator.serve.settings import ServerLimits
 
 ROOT = Path(__file__).resolve().parents[1]
-FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
-         "--disable-background-networking", "--disable-component-update", "--use-angle=swiftshader",
-         "--enable-unsafe-swiftshader", "--autoplay-policy=no-user-gesture-required",
-         "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
+MICROPHONE = ("--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream")
 
 
 @pytest.fixture(scope="module")
@@ -42,16 +40,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def opened(recording: Path) -> Iterator[tuple[Any, list[str], list[str]]]:
     """The page, what it complained about and what it asked for."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-    program = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
-    if not program:
-        pytest.skip("no chromium on this machine")
     complaints: list[str] = []
     requests: list[str] = []
-    with served(ServerLimits(), pages()) as (_, port), playwright.sync_playwright() as driver:
-        window = driver.chromium.launch(executable_path=program,
-                                        args=[*FLAGS, f"--use-file-for-fake-audio-capture={recording}"])
+    with (served(ServerLimits(), pages()) as (_, port),
+          chromium(*MICROPHONE, f"--use-file-for-fake-audio-capture={recording}") as window):
         page = window.new_page(viewport={"width": 640, "height": 480})
         page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
         page.on("pageerror", lambda error: complaints.append(str(error)))
@@ -59,7 +51,6 @@ def opened(recording: Path) -> Iterator[tuple[Any, list[str], list[str]]]:
         page.goto(f"http://127.0.0.1:{port}/")
         page.wait_for_selector("body[data-ready=true]", timeout=60_000)
         yield page, complaints, requests
-        window.close()
 
 
 def _yaw(page: Any) -> float:
