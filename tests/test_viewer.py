@@ -19,6 +19,7 @@ from small_characters import write_character
 
 from data_module.motion import kinematics
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, standing
+from gesticulator.characters.choice import choose
 from gesticulator.export import html
 from gesticulator.export.vrma import vrm_animation
 from gesticulator.performance import write
@@ -360,6 +361,41 @@ def test_a_character_of_the_users_makes_the_gestures(opened: OpenedPage, tmp_pat
         assert _direction((played[names[a]], played[names[b]])) @ faces.apply(_direction((truth[a], truth[b]))) > 0.999
     page.evaluate("() => document.getElementById('own-figure').click()")
     page.wait_for_function("() => preview.stage.performers[0].character === null")
+
+
+@pytest.mark.parametrize("kind", ["GLB", "VRM 1.0"])
+def test_hands_are_kept_out_of_a_wide_trunk_as_the_command_does(browser: Any, tmp_path: Path, kind: str) -> None:
+    # A spine of fewer nodes than ours is shared out otherwise there and here: it is kept straight.
+    made = perform(seconds=SECONDS)
+    spine = [j for j, name in enumerate(made.joints) if name.startswith(("Spine", "Neck"))]
+    turns = made.rotations.copy()
+    turns[:, spine] = [1.0, 0.0, 0.0, 0.0]
+    made = replace(made, motion=replace(made.motion, rotations=turns))
+    opened = OpenedPage(browser, write(tmp_path / "talk.html", made).as_uri())
+    page = opened.page
+    rig = tmp_path / ("rig.vrm" if "VRM" in kind else "rig.glb")
+    write_character(rig, vrm=kind.removeprefix("VRM ") if "VRM" in kind else "")
+    character, mapping = choose(rig)
+    names = {joint: character.names[node] for joint, node in mapping.joints.items()}
+    page.set_input_files("#pick-character", str(rig))
+    page.wait_for_function("() => preview.stage.performers[0].character !== null")
+    moved = {}
+    for torso in (None, (0.6, 0.55)):  # her own, and one that reaches to her wrists
+        page.evaluate("""(torso) => { if (torso) preview.worn.first.contacts.trunk = {
+            steps: [0, 1], width: [torso[0], torso[0]], depth: [torso[1], torso[1]], ahead: [0, 0] }; }""", torso)
+        opened.go_to(1.0)
+        page.evaluate("() => preview.stage.draw(1.0)")
+        places = page.evaluate(PLACES, list(BONES.items()))
+        target = tmp_path / "theirs.glb"
+        made.on(character, replace(mapping, torso=torso)).save(target)
+        theirs = _places(GlbFile.parse(target.read_bytes()))
+        for a, b in ARMS:
+            straight = _direction((places[a], places[b])) @ _direction((theirs[names[a]], theirs[names[b]]))
+            assert straight > 0.9995, f"{a} points {np.degrees(np.arccos(straight)):.1f} degrees elsewhere"
+        moved[torso] = np.array([places[side + "Hand"] for side in ("Left", "Right")])
+    assert np.linalg.norm(moved[None] - moved[0.6, 0.55], axis=1).max() > 0.05, "it had something to do"
+    opened.check_quiet()
+    page.close()
 
 
 def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> None:

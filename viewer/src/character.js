@@ -5,7 +5,8 @@ import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { VRMLoaderPlugin, VRMUtils } from "@pixiv/three-vrm";
 
 import { chains, jointsByName } from "./bone_names.js";
-import { bonesOf, humanoidPose } from "./humanoid.js";
+import { Contacts } from "./contacts.js";
+import { BONES, bonesOf, humanoidPose } from "./humanoid.js";
 
 /** Bytes of a file at most. */
 export const LARGEST = 200 * 2 ** 20;
@@ -59,6 +60,14 @@ class VrmCharacter extends Character {
     this.hipsHeight = vrm.humanoid.getRawBoneNode("hips").getWorldPosition(new Vector3()).y;
     this.group.add(vrm.scene);
     this.before = null;
+    const bones = new Map(), trunk = ["hips", "spine", "chest", "upperChest"], raw = (bone) => vrm.humanoid.getRawBoneNode(bone);
+    for (const [bone, [, , joint]] of Object.entries(BONES)) {
+      const node = vrm.humanoid.getNormalizedBoneNode(bone);
+      if (node) bones.set(joint, node);
+    }
+    this.group.updateWorldMatrix(true, true);
+    this.contacts = new Contacts(vrm.scene, bones, trunk.map(raw).filter(Boolean),
+      Object.keys(vrm.humanoid.humanBones).filter((bone) => !trunk.includes(bone)).map(raw).filter(Boolean));
   }
 
   get root() { return this.vrm.humanoid.getRawBoneNode("hips"); }
@@ -83,6 +92,7 @@ class VrmCharacter extends Character {
     const size = this.hipsHeight / take.skeleton.height, way = this.old ? -1 : 1;
     this.hips.position.set(this.rest.x + way * root[0] * size, this.rest.y + (root[1] - take.skeleton.height) * size, this.rest.z + way * root[2] * size);
     if (!take.has("LeftUpLeg")) this.keepLegs(poser);
+    this.contacts.repair(poser);
     const now = performance.now();
     // Hair and cloth swing on after what they hang on.
     this.vrm.update(this.before === null ? 0 : Math.min((now - this.before) / 1000, 0.1));
@@ -146,6 +156,9 @@ class NamedCharacter extends Character {
     const low = Math.min(...["LeftFoot", "RightFoot", "LeftToeBase"].filter((joint) => this.byJoint.has(joint)).map((joint) => place(joint).y), this.restHips.y);
     // Hips without feet beneath them are taken to stand as high as ours.
     this.size = this.restHips.y - low > 0.05 ? this.restHips.y : null;
+    this.group.updateWorldMatrix(true, true);
+    const trunk = this.nodes.filter((node) => /^(Hips|Spine\d?)$/.test(this.joints.get(node) ?? ""));
+    this.contacts = new Contacts(scene, this.byJoint, trunk, this.moving().filter((node) => !trunk.includes(node)));
   }
 
   get root() { return this.hips; }
@@ -201,6 +214,7 @@ class NamedCharacter extends Character {
     const high = take.skeleton.height, size = (this.size ?? high) / high;
     const at = new Vector3(root[0], root[1] - high, root[2]).multiplyScalar(size).applyQuaternion(this.back).add(this.restHips);
     this.hips.position.copy(at.applyMatrix4(this.above.clone().invert()));
+    this.contacts.repair(poser);
   }
 }
 
