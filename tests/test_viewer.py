@@ -489,3 +489,18 @@ def test_a_long_recordings_page_plays_on_a_phone(browser: Any, tmp_path: Path, m
     assert page.evaluate("preview.timeline.scale") == pytest.approx(2 * before, rel=0.01)
     shown.check_quiet()
     page.close()
+
+
+def test_letters_grow_with_a_large_screen_and_nothing_runs_out_of_it(shown: OpenedPage) -> None:
+    page = shown.page
+    page.set_viewport_size({"width": 3840, "height": 2160})
+    try:
+        page.wait_for_function("() => innerWidth === 3840")
+        least = page.evaluate("""() => Math.min(...[...document.querySelectorAll('button, label, output, li')].filter(
+            (node) => node.getClientRects().length && node.textContent.trim()).map(
+            (node) => parseFloat(getComputedStyle(node).fontSize)))""")
+        assert least >= 18.0, "pixels; 12 where a screen has 1920 of them"
+        assert page.evaluate("document.documentElement.scrollWidth") <= 3840
+        assert page.evaluate("document.documentElement.scrollHeight") <= 2160
+    finally:
+        page.set_viewport_size({"width": 800, "height": 560})
