@@ -142,16 +142,23 @@ def clip_times(found: Mapping[Path, float], folder: Path) -> list[dict[str, floa
     rows = []
     system(load_speech(next(iter(found)))).save(folder / "first.bvh")  # what is loaded at first use
     for path, seconds in found.items():
-        begin = time.process_time()
-        made = system(load_speech(path))
-        drawn = time.process_time() - begin
-        row: dict[str, float] = {"seconds": seconds, "drawn": drawn}
-        for suffix in FORMATS:
-            begin = time.process_time()
-            target = made.save(folder / f"out{suffix}")
-            row[f"time{suffix}"], row[f"bytes{suffix}"] = time.process_time() - begin, target.stat().st_size
-        rows.append(row)
+        tries = [_clip_time(system, path, folder) for _ in range(2)]
+        # The faster of two: what shares the processor's caches costs time, too.
+        rows.append({"seconds": seconds, **{name: min(one[name] for one in tries) for name in tries[0]}})
     return rows
+
+
+def _clip_time(system: Any, path: Path, folder: Path) -> dict[str, float]:
+    from data_module.speech.audio import load_speech
+
+    begin = time.process_time()
+    made = system(load_speech(path))
+    row: dict[str, float] = {"drawn": time.process_time() - begin}
+    for suffix in FORMATS:
+        begin = time.process_time()
+        target = made.save(folder / f"out{suffix}")
+        row[f"time{suffix}"], row[f"bytes{suffix}"] = time.process_time() - begin, target.stat().st_size
+    return row
 
 
 def line(seconds: Sequence[float], times: Sequence[float]) -> tuple[float, float]:
