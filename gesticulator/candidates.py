@@ -1,9 +1,11 @@
-"""Which of several drawn blocks is kept: of those that show the lexeme the one most in time, and nearest to what is
-asked of the hands.
+"""Which of several drawn blocks is kept: of those that show the lexeme the one most in time, that joins on smoothly and
+is nearest to what is asked of the hands.
 
 - In time: the hands' braking b(t) = max(0, -ds/dt), where s is the summed speed of both, lies near the onsets of the
   block's sound. The figure is sum b w / (sum b + b0), where w(t) is a Gaussian of the time to the nearest onset, and b0
   keeps what hardly moves from counting.
+- Without a seam: the hands' acceleration at the start over that within the block, at most 2, so that whoever hardly
+  moves is not thrown out for it.
 - As asked: how far height, speed and radius of the hands (`data_module.controls`) over the block are from what is
   asked, in spreads of training.
 
@@ -64,13 +66,15 @@ class CandidateChooser:
             most = max(most, _ASKED_RANK)
         allowed = np.flatnonzero(nearer <= most)
         timed = bool(self._settings.timing) and len(speech.onsets) > 0
-        if len(allowed) == 1 or not (timed or asked is not None):
+        if len(allowed) == 1 or not (timed or self._settings.seam or asked is not None):
             return int(allowed[nearer[allowed].argmin()])
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(allowed), axis=0), blocks[allowed]], axis=1)
         hands, times = self._hands(frames), self._times(speech, blocks.shape[1])
         worth = -1e-3 * nearer[allowed].astype(np.float64)  # of equals the one that shows the lexeme best
         if timed:
             worth += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
+        if self._settings.seam:
+            worth -= self._settings.seam * jolt(hands, times)
         if asked is not None:
             worth -= self._settings.as_asked * self._away(hands, times, asked)
         return int(allowed[worth.argmax()])
@@ -116,3 +120,15 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
     near = np.exp(-0.5 * (away / _NEAR) ** 2)
     braking, near = braking[:, counts], near[counts]
     return np.asarray((braking * near).sum(1) / (braking.sum(1) + _STILL))
+
+
+def jolt(hands: Array, times: Array) -> Array:
+    """[C] the hands' acceleration at the start of each block over the mean within it, at most 2.
+
+    hands: [C, T, 2, 3] metres at times [T] seconds, the frames before the block and its own.
+    """
+    velocity = np.diff(hands, axis=1) / np.diff(times)[:, None, None]
+    between = 0.5 * (times[2:] - times[:-2])
+    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1).sum(-1)
+    at, inside = acceleration[:, _BEFORE - 2], acceleration[:, _BEFORE - 1:]
+    return np.asarray(np.minimum(at / (inside.mean(1) + 1.0), 2.0))

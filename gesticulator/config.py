@@ -221,6 +221,8 @@ class SelectionConfig:
     timing: NotNegative = 0.0
     """Of the candidates that show the lexeme: how much it counts that the hands brake at the onsets of the sound; 0
     does not look (`gesticulator.candidates`)."""
+    seam: NotNegative = 0.0
+    """How much it counts beside `timing` that a candidate joins on to the block before without a jolt."""
     as_asked: NotNegative = 0.0
     """How much it counts, beside `timing`, that a candidate does what is asked of the hands, a spread of training each;
     it then need only be among the five lexemes nearest to it."""
