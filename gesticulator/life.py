@@ -184,7 +184,7 @@ _SWAYED = {("Hips", 2): (1.0, 0), ("Spine", 2): (-0.5, 0), ("Hips", 0): (1.0, 1)
 """By joint and axis: the share of a weight shift (and of the sway), and which of its dimensions."""
 _SWAY, _SWAY_STEP = 0.35, 1.5
 """Degrees and seconds of the noise that is added to the weight shifts."""
-_DRIFT = {"Arm": (1.8, 1.1), "ForeArm": (2.5, 0.9), "Hand": (2.4, 0.8)}
+_DRIFT = {"Arm": (1.1, 1.2), "ForeArm": (1.6, 1.0), "Hand": (1.8, 0.9)}
 """Degrees and seconds of the noise on each axis of the arms' joints."""
 _CURL, _CURL_STEP = 2.0, 1.6
 """Degrees and seconds of the noise by which a hand opens and closes."""
