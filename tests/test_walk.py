@@ -19,8 +19,8 @@ the lexicon over them, the flow head, who draws, rest, life, what an interpreter
 relaxed hands, and silence heard in steps. Three came with streams: onsets as sound arrives, the cutter that makes
 blocks of it, and the path of blocks onto the clock; one with the choice among what was drawn. To join further would
 make files of more than 450 lines (the loop and the product; rotations and their representation), put two subjects under
-one name (silence and beats), or give up checks: settings, and what low, mid and high mean, are held against their ranges
-when a bundle is opened and not halfway through a recording."""
+one name (silence and beats), or give up checks: settings, and what low, mid and high mean, are held against their
+ranges when a bundle is opened and not halfway through a recording."""
 IMPORTED = 51
 """Files that were imported, those of seven packages (`__init__`) included; 53 before."""
 PACKAGES = ("data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval")
