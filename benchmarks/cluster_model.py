@@ -186,7 +186,7 @@ def driver_times(clip: Path, folder: Path, count: int) -> tuple[float, float, fl
     """Processor seconds of the driver for a recording, without Ray: to plan it and note it in the end, and to note it
     when it is done; and bytes of the manifest for it."""
     from gesticulator.batch import BatchTask, TaskOutcome, run_batch
-    from gesticulator.infer import plan
+    from gesticulator.jobs import plan
 
     for number in range(count):
         (folder / "many").mkdir(exist_ok=True)
