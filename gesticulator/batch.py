@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 from data_module.errors import InputError, complain, one_line
 from gesticulator.cli import PROGRAM
@@ -26,6 +26,10 @@ Doing: TypeAlias = "Callable[[int], float]"
 """Does the recording of that number and gives its seconds of sound; InputError or OSError where it cannot."""
 Maker: TypeAlias = "Callable[[], Doing]"
 """Loads the models. It is called once in each worker, in whose process it must be known by its name."""
+READERS = 8
+"""Threads that read recordings before the work."""
+_Given = TypeVar("_Given")
+_Found = TypeVar("_Found")
 _BYTES_PER_SECOND = 16_000
 """Of a recording whose header does not tell its length, such as MP3 at 128 kbit/s: only who does what depends on it."""
 
@@ -87,6 +91,18 @@ def told_seconds(path: Path) -> float:
         return 0.0
 
 
+def _read(one: Callable[[_Given], _Found], items: Sequence[_Given]) -> list[_Found]:
+    """Do one thing to all, by several threads: a shared folder answers late, and many at once."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers:
+        try:
+            return list(readers.map(one, items))
+        except BaseException:
+            readers.shutdown(wait=False, cancel_futures=True)  # the rest of 100,000 is not waited for
+            raise
+
+
 def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTask]:
     """The tasks of shard 1 to `count`: the longest goes first, each to the shard that has the least to do."""
     loads = [(0.0, index) for index in range(1, count + 1)]
@@ -126,11 +142,12 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Se
     """
     from tqdm import tqdm
 
-    mine = sharded([replace(task, seconds=told_seconds(task.source)) for task in tasks], *shard)
+    lengths = _read(told_seconds, [task.source for task in tasks])
+    mine = sharded([replace(task, seconds=seconds) for task, seconds in zip(tasks, lengths, strict=True)], *shard)
     with Manifest(manifest) as notes:
         waiting: dict[int, ManifestRow] = {}
-        for task in mine:
-            row, before = task.row(), notes.rows.get(str(task.source))
+        for task, row in zip(mine, _read(BatchTask.row, mine), strict=True):
+            before = notes.rows.get(str(task.source))
             if task.fault is not None:
                 notes.add(replace(row, status=FAILED, error=one_line(task.fault)))
                 complain(f"{PROGRAM}: {one_line(task.fault)}")

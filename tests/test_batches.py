@@ -18,7 +18,7 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError
-from gesticulator import infer
+from gesticulator import batch, infer
 from gesticulator import manifest as manifests
 from gesticulator.batch import BatchTask, TaskOutcome, done_here, run_batch, sharded
 from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
@@ -100,6 +100,38 @@ def test_manifests_of_shards_are_joined_and_shown(tmp_path: Path, capsys: pytest
     out = capsys.readouterr().out
     assert "b.wav: b.wav: is empty" in out and "1.00 h" in out and "0.100" in out and "a.wav" not in out
     assert read_manifest(tmp_path / "all.parquet") == rows
+
+
+# ------------------------------------------------------------------------------------------- what is read before
+
+def test_a_folder_that_answers_late_is_asked_for_many_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    together = threading.Barrier(batch.READERS, timeout=30)
+
+    def late(path: Path) -> str:
+        together.wait()  # until as many ask: one after the other they would wait in vain
+        return path.name
+
+    monkeypatch.setattr(batch, "file_hash", late)
+    tasks = [task(number) for number in range(4 * batch.READERS)]
+    run_batch(tasks, tmp_path / "m.jsonl", lambda numbers: iter([TaskOutcome(n, 1.0, "", 1.0, "") for n in numbers]),
+              quiet=True)
+    rows = read_manifest(tmp_path / "m.jsonl")
+    assert len(rows) == len(tasks) and all(row.sha256 == Path(name).name for name, row in rows.items())
+
+
+def test_what_fails_while_it_is_read_does_not_wait_for_the_rest(tmp_path: Path,
+                                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
+
+    def failing(path: Path) -> str:
+        read.append(path.name)
+        time.sleep(0.02)
+        raise RuntimeError("no folder")
+
+    monkeypatch.setattr(batch, "file_hash", failing)
+    with pytest.raises(RuntimeError, match="no folder"):
+        run_batch([task(number) for number in range(2000)], tmp_path / "m.jsonl", lambda numbers: iter(()), quiet=True)
+    assert len(read) < 1000
 
 
 # ------------------------------------------------------------------------------------------- what is done again
