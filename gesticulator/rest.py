@@ -457,6 +457,11 @@ class Rest:
         self._rests = [pause, hands if still is None else hands | still]
         return bool(self._rests[1].mean() >= 0.5)
 
+    @property
+    def rests_wholly(self) -> bool:
+        """Whether the body rests in every frame of the block that was heard last: what is drawn of it is not shown."""
+        return all(bool(rests.all()) for rests in self._rests)
+
     def rest(self, span: Span) -> None:
         """Instead of `hear`: nothing is to be heard, and nothing to be done."""
         self._pauses, self._span = Pauses(), span

@@ -206,6 +206,7 @@ class Rollout:
             # A block on which nothing is to be done is one on which nothing is said.
             features = replace(features, low=self._quiet_low, silent=True)
         self._drawer.keys = direction.keys or self.sampling.keys
+        self._drawer.unseen = self.life is not None and self.life.rests_wholly
         block, code = self._drawer.block(speech, features, self._previous, self._past)
         self._resting = self._resting + 1 if quiet else 0
         rest_decay = b.config.silence.rest_decay

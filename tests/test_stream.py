@@ -22,6 +22,7 @@ from gesticulator import stream as stream_module
 from gesticulator.cutter import BlockCutter
 from gesticulator.features import representation_of
 from gesticulator.pipeline import Gesticulator
+from gesticulator.rest import Rest
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -240,6 +241,26 @@ def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
     chosen = system().bundle.config.selection
     assert edges[0] == edges[1]
     assert calls[0] >= 2 * chosen.flow_steps * chosen.candidates and calls[1] == 4
+
+
+def test_what_nobody_sees_is_not_drawn_and_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Speech, a long pause, speech: the flow head is not asked in the pause, and every frame is as if it had been."""
+    sound = np.concatenate([example()[SAMPLE_RATE:round(2.5 * SAMPLE_RATE)], np.zeros(2 * SAMPLE_RATE, np.float32),
+                            example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]])
+    made, drawn, blocks = [], [], 0
+    for patch in (False, True):
+        if patch:
+            monkeypatch.setattr(Rest, "rests_wholly", False)
+        asked: list[None] = []
+        hook = system().bundle.generator.head.register_forward_pre_hook(lambda *_, asked=asked: asked.append(None))
+        stream = system().stream()
+        parts = [*fed(stream, sound, (4000,)), stream.finish()]
+        hook.remove()
+        made.append(joined(parts))
+        blocks = sum(len(part.blocks) for part in parts)
+        drawn.append(len(asked) / (2 * system().bundle.config.selection.flow_steps))
+    assert np.array_equal(*made)
+    assert drawn[1] == blocks and 3 <= blocks - drawn[0] <= 6, "two seconds are three blocks and more"
 
 
 def test_sound_faster_than_real_time_bears_media_times_and_loses_nothing() -> None:
