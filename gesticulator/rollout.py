@@ -234,13 +234,14 @@ class Rollout:
         """Draw blocks at less cost from now on, or as well as can be."""
         self._drawer.hurried = on
 
-    def break_off(self, shown: RestKnots) -> None:
-        """Go back to what was shown last (K frames or more), and to rest from there at once."""
+    def break_off(self, shown: RestKnots, word: float) -> None:
+        """Go back to what was shown last (K frames or more), and to rest from there at once; word: seconds at which she
+        was interrupted."""
         assert self.life is not None
         frames = self.bundle.frames
         before = np.repeat(shown.poses[:1], max(frames - len(shown.poses), 0), axis=0)
         self._past = self._tensor(np.concatenate([before, shown.poses[-frames:]]))[None]
-        self.life.break_off(shown)
+        self.life.break_off(shown, word)
 
     @property
     def past(self) -> NDArray[np.float32]:

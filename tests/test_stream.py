@@ -286,21 +286,25 @@ def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
 
 @pytest.mark.parametrize("latency", ["full", "low"])
 def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
-    """At many moments of a gesture, with and without frames that are taken back."""
+    """At many moments of a gesture, of hands that hang nearly and of hands that are high and fast; with frames that are
+    taken back."""
     rest = resting()
-    for at in (2.0, 3.1, 4.4):
+    for at in (1.4, 2.0, 3.1, 4.4, 8.2):
         stream = system().stream(latency=latency)
-        parts = fed(stream, example()[:6 * SAMPLE_RATE], (1600,))
+        parts = fed(stream, example()[:round((at + 1.6) * SAMPLE_RATE)], (1600,))
         stopped = stream.interrupt(at)
         assert stream.state == StreamState.IDLE and stopped.first == np.ceil(at * FPS - 1e-6)
         after = joined([stopped, *(stream.idle(0.1) for _ in range(20))])
         made = np.concatenate([joined(parts)[:stopped.first], after])
         found, frame = moves(made, stream)["hands"], stopped.first
-        assert found[0][frame + round(0.3 * FPS) - 1] < 0.3, at
-        assert found[0].max() < FASTEST and found[1].max() < HARDEST
+        assert found[0][frame - 3:].max() < FASTEST and found[1][frame - 3:].max() < HARDEST
         motion = Motion(stream.skeleton, made, np.zeros((len(made), 3)), FPS)
         hands = [stream.skeleton.index(side + "Hand") for side in ("Right", "Left")]
         hung = np.linalg.norm((positions_of(motion)[:, hands] - rest[hands]), axis=-1).max(-1)
+        slow = frame + round(0.3 * FPS)
+        assert found[0][slow - 1] < 0.3, at
+        # From there on they go down as evenly as 0.9 s allow, on arcs: who has less than 0.16 m to go stays under it.
+        assert found[0][slow:].max() < max(0.3, 1.8 * hung[slow]) < 0.75, at
         assert hung[frame + round(1.2 * FPS)] < 0.06, "what is left is the life of hands that hang"
 
 
