@@ -11,8 +11,9 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.motion.movement import Pasts
+from data_module.parallel import own_rows
+from gesticulator import distributed, models
 from gesticulator import fit as fitting
-from gesticulator import models
 from gesticulator.config import Config
 from gesticulator.stages.base import Figures, Node, Run, Stage
 from gesticulator.stages.corpus import BLOCKS, Corpus, sizes
@@ -35,7 +36,7 @@ _TOGETHER = 4096
 
 def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
     if isinstance(model, MovementLexicon):
-        return _fit_movements(run, model)
+        return distributed.lead(lambda: _fit_movements(run, model))
     return _train_pose_lexicon(run, model, folder)
 
 
@@ -68,14 +69,15 @@ def _train_pose_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
     recording = torch.as_tensor(corpus.recording)
 
     def make_batch(rng: np.random.Generator) -> fitting.Batch:
-        index = known[torch.as_tensor(rng.integers(len(known), size=settings.batch))]
+        index = known[torch.as_tensor(rng.integers(len(known), size=settings.batch)[own_rows(settings.batch)])]
         return {"motion": corpus.motion[index], "mask": corpus.mask[recording[index]]}
 
     begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
 
     def before_step(step: int) -> None:
         if step == begin:
-            model.start_codebook(corpus.motion[known].to(run.device), run.seed(LEXICON))
+            distributed.lead_model(model, lambda: model.start_codebook(corpus.motion[known].to(run.device),
+                                                                       run.seed(LEXICON)))
 
     def validate() -> Figures:
         return lexicon_figures(model, corpus.motion[val if len(val) else known].to(run.device))
@@ -126,12 +128,13 @@ def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
         return motion[torch.as_tensor(starts)[:, None] * FRAMES + frames]
 
     def make_batch(rng: np.random.Generator) -> fitting.Batch:
-        chosen = rng.choice(known, settings.batch)
+        chosen = rng.choice(known, settings.batch)[own_rows(settings.batch)]
         return {"motion": crops(chosen), "mask": corpus.mask[torch.as_tensor(corpus.recording[chosen])]}
 
     def before_step(step: int) -> None:
         if step == 0:
-            model.start_codebook(crops(known[::length]).to(run.device), run.seed(CODEC))
+            distributed.lead_model(model, lambda: model.start_codebook(crops(known[::length]).to(run.device),
+                                                                       run.seed(CODEC)))
 
     return run.fit(CODEC, model, fitting.Task(make_batch, before_step=before_step, validate=lambda: codec_figures(
         model, crops(held).to(run.device))), folder)

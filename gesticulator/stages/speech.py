@@ -14,6 +14,7 @@ from torch import nn
 
 from data_module.blocks import samples_per_frame
 from data_module.layers import freeze
+from data_module.parallel import own_rows
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, TextContrast
 from gesticulator import fit as fitting
@@ -91,7 +92,7 @@ def _contrast_batches(corpus: Corpus, recordings: list[int], frames: int, size: 
 
     def make(rng: np.random.Generator) -> fitting.Batch:
         assert corpus.word_at is not None
-        chosen = rng.choice(blocks, size)
+        chosen = rng.choice(blocks, size)[own_rows(size)]
         owners = corpus.recording[chosen]
         samples = np.stack([sounds[r][b - begins[r]] for r, b in zip(owners, chosen, strict=True)])
         return {"samples": torch.as_tensor(samples).float(),

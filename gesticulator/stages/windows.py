@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from data_module import controls
 from data_module.errors import InputError
+from data_module.parallel import own_rows
 from gesticulator.config import ControlConfig
 from gesticulator.features import control_rows
 from gesticulator.fit import Batch
@@ -100,14 +101,15 @@ class Windows:
             raise InputError("store", "has no recording for this split", "build the store again")
 
     def sample(self, rng: np.random.Generator, count: int) -> Batch:
-        """A batch of `count` windows at random."""
+        """A batch of `count` windows at random; of these the rows that are this process's."""
         starts = self.starts[rng.integers(len(self.starts), size=count)]
         given = None
         if self.control is not None:
             given = rng.random((count, len(controls.FEATURES))) < self.control.asked
             given &= rng.random((count, 1)) >= self.control.free
             given &= np.isin(controls.FEATURES, self.control.features)
-        return self.batch(starts, given)
+        own = own_rows(count)
+        return self.batch(starts[own], None if given is None else given[own])
 
     def tiled(self, size: int) -> Iterable[Batch]:
         """Every block (but seeds), in batches; the last window of a recording may overlap the one before."""
