@@ -42,7 +42,7 @@ TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 EXIT_PART_FAILED = 1
 _OUTPUTS = {"preview": ".html", "plan_out": ".json"}
 """Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
-STREAMED = (".bvh",)
+STREAMED = (".bvh", ".glb")
 """Endings of what can be written in pieces (`gesticulator.long_recordings`), in bounded memory."""
 _LONG = 300.0
 """Seconds from which on a recording is done in pieces; below, all of it takes less memory than the models do."""

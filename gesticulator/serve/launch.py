@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
+from data_module.files import lock
+from gesticulator.serve.metrics import figures_file
 from gesticulator.serve.settings import ServerLimits
 
 if TYPE_CHECKING:
@@ -29,6 +31,9 @@ SAMPLE_RATE = 16000
 """Hertz that the models work at."""
 _WARM_UP = 2
 """Seconds of sound: a block or two."""
+_WARM = "warm"
+"""File that says that a worker of this server is ready."""
+_TURN_SECONDS = 0.05
 _MOST_WORKERS = 256
 _SHORT_LIFE = 5.0
 """Seconds: a worker that dies sooner did not do any work."""
@@ -97,7 +102,7 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
 
     torch.set_num_threads(asked.threads)
     system = Gesticulator.from_pretrained(asked.bundle)
-    _warm_up(system)
+    _warm_up_in_turn(system, folder)
 
     async def serve() -> None:
         output = None
@@ -114,6 +119,21 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
             playing.cancel()
 
     asyncio.run(serve())
+
+
+def _warm_up_in_turn(system: Gesticulator, folder: Path | None) -> None:
+    """Warm up; of the workers of one server the others only after the first one has. What numba compiles for librosa it
+    keeps in files, and of two processes that write them at once one crashes, every third time."""
+    with contextlib.ExitStack() as held:
+        while folder is not None and not (folder / _WARM).exists():
+            try:
+                held.enter_context(lock(folder / "first", "a worker's start"))
+                break
+            except InputError:  # another worker is at it; should it die, the system lets go of the lock
+                time.sleep(_TURN_SECONDS)
+        _warm_up(system)
+        if folder is not None:
+            (folder / _WARM).touch()
 
 
 def _warm_up(system: Gesticulator) -> None:
@@ -213,6 +233,7 @@ class _Parent:
             self.short_lives = self.short_lives + 1 if lived < _SHORT_LIFE else 0
             if self.short_lives >= _MOST_SHORT_LIVES:
                 raise InputError("workers", "end as soon as they begin", "see what they print")
+            figures_file(self.folder, number).unlink(missing_ok=True)  # its streams are gone
             LOG.error("worker %d (process %d) died with exit code %s; another takes its place", number, worker.pid,
                       worker.exitcode)
             if lived < _SHORT_LIFE:
