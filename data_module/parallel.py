@@ -143,8 +143,9 @@ def batch_moments(rows: Tensor) -> tuple[Tensor, Tensor, int]:
     have another number of them."""
     if _sharing.size == 1:
         return rows.mean(0), rows.var(0, unbiased=False), len(rows)
-    count = batch_sum(rows.new_full((), len(rows)))
-    mean = batch_sum(rows.sum(0)) / count.clamp_min(1.0)
+    total = batch_sum(torch.cat([rows.sum(0), rows.new_full((1,), len(rows))]))
+    count = total[-1].detach()
+    mean = total[:-1] / count.clamp_min(1.0)
     return mean, batch_sum((rows - mean).square().sum(0)) / count.clamp_min(1.0), int(count)
 
 

@@ -46,6 +46,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--threads", type=int, help="threads of torch, of each process (default: all cores)")
     p.add_argument("--precision", default="float32", choices=("float32", "bfloat16"),
                    help="bfloat16: mixed precision, on a GPU")
+    p.add_argument("--corpus-memory", type=float, default=4.0, metavar="GB",
+                   help="a corpus that would take more memory stays on the disk (default 4)")
     p.add_argument("--stage", metavar="STAGE", help="train this stage (and what it needs) and stop")
     p.add_argument("--redo", action="append", default=[], metavar="STAGE", help="train this stage again")
     p.add_argument("--seed", type=int, help="the seed of the run")
@@ -58,7 +60,8 @@ def run(asked: argparse.Namespace) -> int:
     machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes here, that torchrun started
     threads = asked.threads if asked.threads is not None else max(1, (os.cpu_count() or 1) // machine)
     for flag, value, least, most in (("--threads", threads, 1, MOST_THREADS),
-                                     ("--seed", asked.seed or 0, 0, LARGEST_SEED)):
+                                     ("--seed", asked.seed or 0, 0, LARGEST_SEED),
+                                     ("--corpus-memory", asked.corpus_memory, 0, 1e6)):
         if not least <= value <= most:
             raise InputError(f"{flag} {value}", "is out of range", f"choose {least} to {most}")
     import torch
@@ -87,7 +90,7 @@ def run(asked: argparse.Namespace) -> int:
     with joined(asked.device) as device:
         made = train(config, Store.open(asked.data), out, work, TrainOptions(
             device, threads * machine, not asked.quiet, tuple(map(Path, asked.speech)), tuple(asked.redo), asked.stage,
-            asked.precision))
+            asked.precision, asked.corpus_memory * 1e9))
         speaks = leads()
     if made is not None and speaks:
         print(f"{out}: trained on {made.provenance['hours']['train']} h; "

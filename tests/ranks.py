@@ -20,7 +20,7 @@ from gesticulator import fit as fitting
 from gesticulator.config import FitSettings
 from gesticulator.stages import Run, Stage, closure, wanted
 from gesticulator.stages.base import Figures
-from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.caches import weights_hash
 from lexicon.autoencoder import Lexicon
 from lexicon.racer import RacerCodec
 from lexicon.settings import LexiconConfig, RacerConfig
@@ -45,10 +45,10 @@ def finished_run(store: Path, bundle: Path) -> StoppedRun:
 
 
 def first_steps(store: Path, bundle: Path, out: Path, steps: int | None = None, precision: str = "float32",
-                only: list[str] | None = None) -> None:
+                only: list[str] | None = None, memory: float | None = None) -> None:
     """Train the stages of a bundle again, each on what the bundle's work folder has of the others, into `out`."""
     run = finished_run(store, bundle)
-    run.steps, run.precision = steps, precision
+    run.steps, run.precision, run.memory = steps, precision, memory
     stages = list(closure(wanted(run.config), run.config))
     for stage in stages:
         run.get(stage)
@@ -102,7 +102,11 @@ def main() -> None:
     torch.set_num_threads(1)
     for name, order in json.loads(Path(sys.argv[1]).read_text()):
         if name == "train":
-            assert train.main(order["arguments"]) == order["code"]
+            try:
+                code: Any = train.main(order["arguments"])
+            except SystemExit as stopped:
+                code = stopped.code
+            assert code == order["code"]
             continue
         given = {key: Path(value) if key in ("store", "bundle", "out") else value for key, value in order.items()}
         with distributed.joined():

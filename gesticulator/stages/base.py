@@ -100,6 +100,8 @@ class Run:
     """Processes that cut and encode recordings."""
     precision: str = "float32"
     """See `gesticulator.fit.FitOptions`."""
+    memory: float | None = None
+    """Bytes that the corpus may take; a larger one stays on the disk. None for any."""
     figures: dict[str, Figures] = field(default_factory=dict)
     """Stage -> its figures on the validation split, once it was asked for."""
     _values: dict[str, Any] = field(default_factory=dict, repr=False)

@@ -39,6 +39,8 @@ class TrainOptions:
     only: str | None = None
     precision: str = "float32"
     """See `gesticulator.fit.FitOptions`."""
+    memory: float | None = None
+    """See `gesticulator.stages.base.Run`."""
 
 
 def train(config: Config, store: Store, out: Path, work: Path, options: TrainOptions | None = None) -> Bundle | None:
@@ -55,7 +57,7 @@ def train(config: Config, store: Store, out: Path, work: Path, options: TrainOpt
                              "see text, gate and front_end in --set")
         stages = [STAGES[options.only]]
     run = TimedRun(config, store, work, options.device, options.progress and distributed.leads(), options.speech,
-                   options.workers, options.precision)
+                   options.workers, options.precision, options.memory)
     with contextlib.ExitStack() as held:
         processes = distributed.processes()
 

@@ -15,7 +15,8 @@ from data_module.parallel import own_rows
 from gesticulator.config import ControlConfig
 from gesticulator.features import control_rows
 from gesticulator.fit import Batch
-from gesticulator.stages.corpus import Corpus, settled
+from gesticulator.stages.corpus import Corpus
+from gesticulator.stages.measured import settled
 
 
 @dataclass(frozen=True)
@@ -95,10 +96,11 @@ class Windows:
                  control: ControlConfig | None = None, moving: bool = False) -> None:
         self.corpus, self.parts, self.length = corpus, parts, blocks + 1
         self.text, self.control, self.moving = text, control, moving
-        self.starts = np.array([(p, s) for p, part in enumerate(parts)
-                                for s in range(max(1, len(part.motion) - blocks))], dtype=np.int64)
-        if len(self.starts) == 0:
+        if not parts:
             raise InputError("store", "has no recording for this split", "build the store again")
+        rooms = [max(1, len(part.motion) - blocks) for part in parts]
+        self.starts = np.stack([np.repeat(np.arange(len(parts)), rooms),
+                                np.concatenate([np.arange(room) for room in rooms])], axis=1)
 
     def sample(self, rng: np.random.Generator, count: int) -> Batch:
         """A batch of `count` windows at random; of these the rows that are this process's."""
@@ -160,7 +162,7 @@ class Windows:
             batch["text"] = corpus.text(stacked["audio"])
         if given is not None:
             assert corpus.statistics.levels is not None
-            values = corpus.control[stacked["motion"].numpy()]
+            values = np.asarray(corpus.control[stacked["motion"].numpy()])
             asked = np.broadcast_to(given[:, None, None], values.shape)
             batch["control"] = torch.as_tensor(control_rows(corpus.statistics.levels, values, asked))
         return batch
