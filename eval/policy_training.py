@@ -39,7 +39,7 @@ from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages import CORPUS, ENCODER, Corpus, Run
 from gesticulator.stages import base as stages
-from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.caches import weights_hash
 from gesticulator.stages.interpreter import teacher_logits
 from gesticulator.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.stages.reward import reward_table, taught_reward

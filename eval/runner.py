@@ -66,7 +66,7 @@ from gesticulator.stages import (
     assemble,
     wanted,
 )
-from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.caches import weights_hash
 from gesticulator.stages.q_network import takes_of
 
 VERSION = 2
