@@ -20,6 +20,7 @@ from typing import TypeAlias
 
 from data_module.build import end_with_parent
 from data_module.errors import InputError, complain, one_line
+from data_module.files import remove_unfinished_of
 from gesticulator.cli import PROGRAM
 from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, table
 
@@ -185,6 +186,9 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Se
                 waiting[task.number] = row
         kept = sum(notes.rows[str(task.source)].status == DONE for task in mine
                    if task.number not in waiting and task.fault is None)
+        # What was killed may have left something half-written: a run before this one, or a worker of this one.
+        begun = [output for task in mine if task.number in waiting for output in task.outputs]
+        remove_unfinished_of(begun)
         with tqdm(total=round(sum(row.seconds for row in waiting.values())), unit=" s of sound",
                   disable=quiet or not sys.stderr.isatty()) as bar:
             for one in outcomes(list(waiting)) if waiting else ():
@@ -194,6 +198,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Se
                                   error=one.error, time=one.time, worker=one.worker))
                 if one.error:
                     complain(f"{PROGRAM}: {one.error}")
+        remove_unfinished_of(begun)
         rows = [notes.rows[str(task.source)] for task in mine]
     if not quiet:
         print(f"{manifest}:\n{table(rows, kept)}", flush=True)

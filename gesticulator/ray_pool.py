@@ -90,7 +90,8 @@ def _connect(ray: Any, given: str) -> bool:
     if ray.is_initialized():
         return False
     # Packages are found by workers where they are found here, and each has one thread, as on one machine.
-    told = {name: os.environ[name] for name in ("PYTHONPATH",) if name in os.environ} | {"OMP_NUM_THREADS": "1"}
+    told = {name: os.environ[name] for name in ("PYTHONPATH", "GESTICULATOR_DATA") if name in os.environ} \
+        | {"OMP_NUM_THREADS": "1"}
     there: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR", "runtime_env": {"env_vars": told}}
     here = {**there, "address": "local", "include_dashboard": False}
     try:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +124,40 @@ def test_a_recording_that_does_not_fit_is_a_row_and_the_others_are_made(source: 
     assert read_manifest(notes)["clip_5"].status == DONE
     recordings = {name: data for name, data in plain.items() if name.startswith("recordings/") or name == "store.json"}
     assert {name: contents(out)[name] for name in recordings} == recordings
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of its own, of four megabytes."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(place)]
+    if shutil.which("mount") is None or subprocess.run(command, check=False, capture_output=True).returncode:
+        pytest.skip("a small file system cannot be mounted here")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_full_disk_loses_nothing(source: Path, plain: dict[str, bytes], small_disk: Path,
+                                   capsys: pytest.CaptureFixture[str]) -> None:
+    """Filled but for what two recordings need; the manifest lies on it, too."""
+    needed = sum(len(data) for data in plain.values())
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes((4 << 20) - needed * 2 // 5))
+    out = small_disk / "store"
+    command = asked(source, out, "--manifest", str(small_disk / "m.jsonl"))
+    with pytest.raises(SystemExit) as caught:
+        COMMAND.main("gesticulator build", command)
+    said = capsys.readouterr().err.splitlines()
+    assert caught.value.code == 2 and "No space left on device" in " ".join(said) and not out.exists()
+    assert not [file for file in small_disk.rglob(".*") if file.is_file()], "nothing half-written"
+    made = [file.read_bytes() for file in small_disk.rglob("*.npz")]
+    assert 0 < len(made) < len(NAMES) - 1
+    assert set(made) <= {data for name, data in plain.items() if name.endswith(".npz")}
+    ballast.unlink()
+    assert COMMAND.main("gesticulator build", command) == 0 and contents(out) == plain
+    rows = read_manifest(small_disk / "m.jsonl")
+    assert {name: row.status for name, row in rows.items()} == dict.fromkeys(NAMES, DONE) | {BAD: FAILED}
 
 
 def test_a_worker_with_other_files_is_told(source: Path, tmp_path: Path) -> None:
