@@ -14,6 +14,7 @@ from torch import Tensor
 from data_module.motion.movement import PAST, Pasts
 from generator.flow import Circumstances, FlowGenerator, FlowInputs, alone
 from gesticulator.bundle import Bundle
+from gesticulator.candidates import CandidateChooser
 from gesticulator.config import UNTOLD
 from gesticulator.features import SpeechBlock
 from interpreters.base import BlockFeatures
@@ -61,10 +62,12 @@ HURRIED_STEPS = 2
 
 class Drawer(Protocol):
     """Draws one block after the other; it keeps what it must remember between them. keys: of the next block's noise;
-    hurried: it is to cost less, where it can."""
+    hurried: it is to cost less, where it can; unseen: nobody looks at the next block, because the body rests in it, so
+    that any will do."""
 
     keys: Keys
     hurried: bool
+    unseen: bool
 
     def fork(self) -> Drawer:
         """A twin that goes on from here by itself."""
@@ -88,7 +91,7 @@ class RegressionDrawer:
 
     def __init__(self, bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool) -> None:
         self.bundle, self.keys = bundle, keys  # it draws a block in one way, whatever the keys
-        self.hurried = False  # and it costs little anyhow
+        self.hurried = self.unseen = False  # and it costs little anyhow
         self.generator = cast("Generator", bundle.generator)
         self.style = (bundle.style_text if text else None) or bundle.style
         self.style_state = None if self.style is None else self.style.start(speaker)
@@ -121,6 +124,7 @@ class FlowDrawer:
     def __init__(self, bundle: Bundle, speaker: int, keys: Keys) -> None:
         self.generator = cast(FlowGenerator, bundle.generator)
         self.lexicon = cast("MovementLexicon", bundle.lexicon)
+        self.chooser = CandidateChooser(bundle, speaker)
         self.chosen, self.keys, self.device = bundle.config.selection, keys, bundle.vectors.device
         self.place = Circumstances()
         self.speaker = torch.nn.functional.one_hot(torch.tensor([speaker], device=self.device),
@@ -131,7 +135,7 @@ class FlowDrawer:
         self.told: Pasts | None = None
         self.base = torch.zeros(0)
         """[1, K, D_m] what the body would do in the last block if nothing new came."""
-        self.hurried = False
+        self.hurried = self.unseen = False
 
     def fork(self) -> FlowDrawer:
         """See `Drawer.fork`."""
@@ -152,6 +156,8 @@ class FlowDrawer:
             place = alone(place)
         given, gains = self._given(place, features, lexeme, past)
         context, self.state = self.generator.contexts(given, added.expand(len(given.audio), 1, -1), self.state)
+        if self.unseen:  # all but the states of what comes next
+            return self.base * self.generator.present, past[:, :0, 0]
         candidates, steps = self.chosen.candidates, self.chosen.flow_steps
         pull = torch.tensor(gains, device=self.device)[:, None] * self.share
         if self.hurried:
@@ -160,9 +166,9 @@ class FlowDrawer:
             context, pull = context[:1], pull[:0]
         noise = self.keys.noise(speech.number, (candidates, self.generator.basis.width)).to(self.device) * self.noise
         drawn = self.generator.draw(context[:, 0], pull, noise, steps)
-        best = self._showing(lexeme, drawn)
-        block = self.base + self.generator.basis.expand(drawn[best:best + 1])
-        return block * self.generator.present, past[:, :0, 0]
+        made = (self.base + self.generator.basis.expand(drawn)) * self.generator.present
+        best = self._best(speech, lexeme, drawn, made, past, features)
+        return made[best:best + 1], past[:, :0, 0]
 
     def _of_trunk(self, trunk: float) -> Tensor:
         """[n] this value for the coefficients of torso and head, 1 for the others."""
@@ -197,10 +203,12 @@ class FlowDrawer:
             torch.tensor([what == "audio" for what in left], device=self.device),
             torch.tensor([what == "history" for what in left], device=self.device)), list(gained.values())
 
-    def _showing(self, lexeme: int, drawn: Tensor) -> int:
-        """Which candidate shows the lexeme: the first of those where fewest lexemes are nearer."""
+    def _best(self, speech: SpeechBlock, lexeme: int, drawn: Tensor, made: Tensor, past: Tensor,
+              features: BlockFeatures) -> int:
+        """Which candidate is kept, of coefficients [C, n] and the blocks [C, K, D_m] that they make."""
         if len(drawn) == 1:
             return 0
         away = self.lexicon.distances(drawn)
         nearer = (away < away[:, lexeme, None]).sum(-1)
-        return int(nearer.argmin())
+        asked = None if features.control is None else features.control.cpu().numpy()
+        return self.chooser.choose(speech, past[0].cpu().numpy(), made.cpu().numpy(), nearer.cpu().numpy(), asked)

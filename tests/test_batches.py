@@ -18,7 +18,7 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError
-from gesticulator import infer
+from gesticulator import batch, infer
 from gesticulator import manifest as manifests
 from gesticulator.batch import BatchTask, TaskOutcome, done_here, run_batch, sharded
 from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
@@ -102,6 +102,38 @@ def test_manifests_of_shards_are_joined_and_shown(tmp_path: Path, capsys: pytest
     assert read_manifest(tmp_path / "all.parquet") == rows
 
 
+# ------------------------------------------------------------------------------------------- what is read before
+
+def test_a_folder_that_answers_late_is_asked_for_many_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    together = threading.Barrier(batch.READERS, timeout=30)
+
+    def late(path: Path) -> str:
+        together.wait()  # until as many ask: one after the other they would wait in vain
+        return path.name
+
+    monkeypatch.setattr(batch, "file_hash", late)
+    tasks = [task(number) for number in range(4 * batch.READERS)]
+    run_batch(tasks, tmp_path / "m.jsonl", lambda numbers: iter([TaskOutcome(n, 1.0, "", 1.0, "") for n in numbers]),
+              quiet=True)
+    rows = read_manifest(tmp_path / "m.jsonl")
+    assert len(rows) == len(tasks) and all(row.sha256 == Path(name).name for name, row in rows.items())
+
+
+def test_what_fails_while_it_is_read_does_not_wait_for_the_rest(tmp_path: Path,
+                                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
+
+    def failing(path: Path) -> str:
+        read.append(path.name)
+        time.sleep(0.02)
+        raise RuntimeError("no folder")
+
+    monkeypatch.setattr(batch, "file_hash", failing)
+    with pytest.raises(RuntimeError, match="no folder"):
+        run_batch([task(number) for number in range(2000)], tmp_path / "m.jsonl", lambda numbers: iter(()), quiet=True)
+    assert len(read) < 1000
+
+
 # ------------------------------------------------------------------------------------------- what is done again
 
 class Copier:
@@ -141,6 +173,17 @@ def again(tasks: Sequence[BatchTask], tmp_path: Path) -> list[int]:
     copier = Copier(tasks)
     run_batch(tasks, tmp_path / "m.parquet", partial(done_here, copier), quiet=True)
     return copier.done
+
+
+def test_what_was_half_written_goes_and_nothing_else(tasks: list[BatchTask], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    left = [out / ".2.bvh.0123456789ab", out / ".4.bvh.fedcba987654"]
+    stays = [out / ".9.bvh.0123456789ab", out / ".2.bvh.notes", out / ".2.bvh.0123456789AB"]
+    for file in (*left, *stays):
+        file.touch()
+    again(tasks, tmp_path)
+    assert not any(file.exists() for file in left) and all(file.exists() for file in stays)
 
 
 def test_only_what_is_missing_or_changed_is_done_again(tasks: list[BatchTask], tmp_path: Path,

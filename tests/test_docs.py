@@ -237,7 +237,7 @@ def tables(name: str) -> dict[str, Table]:
 
 def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
     quality, claims = tables("quality.json"), tables("claims.json")["Claims"].facts
-    motion = tables("motion.json")
+    motion, asked = tables("motion.json"), tables("style_editing_shipped.json")["Style editing"].rows
     seen, held = motion["Beside others, BEAT voice"].rows, motion["Acceptance of the motion"].rows
     judged = [row["holds"] for row in result("racer_acceptance.json")]
     speed, onsets = result("realtime.json"), [row["f"] for row in result("onsets.json")["rows"].values()]
@@ -247,25 +247,25 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
         cell: Any = quality[title].rows[row][column]
         return cell.text(digits) if bounds else f"{cell.mean:.{digits}f}"
 
-    rhythm, hands, right = "In time with the voice", "Hands", "Lexeme accuracy"
+    hands, right = "Hands", "Lexeme accuracy"
 
     def eye(row: str, system: str) -> str:
         return str(seen[row][system])
 
+    timing = "PMB above chance, 0.1 s, first detector, %"
     far, size = "window Frechet distance to real, all clips together", "stroke amplitude, median, cm"
     expected = [
         [eye(far, "ours"), eye(far, "unit selection")], [eye(size, "ours"), eye(size, "real take")],
         [f"{sum(int(str(row['hold'])) for row in held.values())} of "
          f"{sum(int(str(row['of'])) for row in held.values())}",
          f"{judged.count(True)} of {judged.count(True) + judged.count(False)}"],
-        [shown(rhythm, name, "above 0.1", 1) for name in ("lstm", "performer")],
-        [shown(rhythm, name, "above 0.1", 1) for name in ("lstm with text", "statistical")],
+        [str(motion["Beside others, test split"].rows[timing][own]) for own in ("ours", "corpus", "unit selection")],
+        [eye(timing, system) for system in ("ours", "unit selection", "real take")],
+        [", ".join(f"{row['in_order']:.0f}" for row in asked.values())],
         [shown(hands, name, "speech", 2) for name in ("lstm", "performer")],
         [shown(hands, name, "silence", 3) for name in ("lstm", "performer")],
         [shown(right, "lstm", "free_running", 1),
          *(shown(right, name, "free_running", 1, False) for name in ("previous lexeme and speaker", "majority"))],
-        [shown("Reconstruction", "quantised", "error", 3),
-         shown("Reconstruction", "always the most frequent lexeme", "error", 3, False)],
         [f"{sum(onsets) / len(onsets):.2f}"],
         [" / ".join(str(count[verdict]) for verdict in ("holds", "does not hold", "undecided"))],
         [f"{times['warm_lstm']:.2f} / {times['cold']:.2f}",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 import socket
 import time
 import urllib.error
@@ -30,6 +31,7 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
 from gesticulator.serve import schema
+from gesticulator.serve import server as server_module
 from gesticulator.serve.pace import PASSES
 from gesticulator.serve.protocol import CloseCode, StreamRequest, published
 from gesticulator.serve.server import LiveServer, ServerAddress
@@ -64,11 +66,11 @@ class Running:
 
 
 @asynccontextmanager
-async def running(limits: ServerLimits = LIMITS, work: float = 0.0, share: float = 0.0, **address: Any
-                  ) -> AsyncIterator[Running]:
+async def running(limits: ServerLimits = LIMITS, work: float = 0.0, share: float = 0.0, folder: Path | None = None,
+                  worker: int = 0, **address: Any) -> AsyncIterator[Running]:
     told = ServerAddress(port=0, **address)
     listening = told.listen()
-    server = LiveServer(told, limits, opener(limits, work, share))
+    server = LiveServer(told, limits, opener(limits, work, share), folder=folder, worker=worker)
     ended = asyncio.create_task(server.run(listening))
     try:
         yield Running(server, listening.getsockname()[1], ended)
@@ -693,6 +695,58 @@ def test_health_and_metrics_are_on_the_same_port() -> None:
             assert figures['gesticulator_closed_total{worker="0",code="1000"}'] == 1
             assert figures['gesticulator_compute_seconds_bucket{worker="0",le="+Inf"}'] \
                 == figures['gesticulator_compute_seconds_count{worker="0"}'] >= 5
+
+    run(test)
+
+
+def test_workers_tell_each_other_their_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                               caplog: pytest.LogCaptureFixture) -> None:
+    """From the first moment; again after the folder could not be written; and one that died is not waited for."""
+    monkeypatch.setattr(server_module, "SAVE_SECONDS", 0.02)
+
+    async def told(at: Running, line: str) -> bool:
+        return line in (await at.get("/metrics"))[1]
+
+    async def test() -> None:
+        async with running(folder=tmp_path) as one, running(folder=tmp_path, worker=1) as other:
+            for at in (one, other):
+                text = (await at.get("/metrics"))[1]
+                assert [_read_exposition(text)[f'gesticulator_streams{{worker="{k}"}}'] for k in (0, 1)] == [0, 0]
+            for file in tmp_path.iterdir():
+                file.unlink()
+            tmp_path.rmdir()
+            while "cannot be told" not in caplog.text:
+                await asyncio.sleep(0.01)
+            assert not await told(one, 'worker="1"')
+            await talk(other.url, pcm(2.0))
+            tmp_path.mkdir()
+            while not await told(one, 'gesticulator_frames_total{worker="1"} 120'):
+                await asyncio.sleep(0.02)
+            assert caplog.text.count("cannot be told") == 2, "each says it once"
+
+    run(test)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+def test_a_disk_that_stands_still_stops_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "SAVE_SECONDS", 0.02)
+
+    async def test() -> None:
+        async with running(folder=tmp_path) as at:
+            await at.get("/healthz")
+            stuck = tmp_path / f".0.{os.getpid()}"  # what is written to it waits for a reader
+            while not stuck.is_fifo():
+                with suppress(FileExistsError):
+                    os.mkfifo(stuck)
+            try:
+                await asyncio.sleep(0.1)
+                poses, _ = await talk(at.url, pcm(2.0))
+                assert_whole(poses, 2.0)
+                assert await at.get("/healthz") == (200, "ok\n")
+            finally:
+                monkeypatch.setattr(server_module, "SAVE_SECONDS", 100.0)
+                os.close(os.open(stuck, os.O_RDONLY | os.O_NONBLOCK))
+                await asyncio.sleep(0.05)
 
     run(test)
 

@@ -10,7 +10,7 @@ import signal
 import socket
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
+from data_module.files import lock
+from gesticulator.serve.metrics import figures_file
 from gesticulator.serve.settings import ServerLimits
 
 if TYPE_CHECKING:
@@ -29,6 +31,9 @@ SAMPLE_RATE = 16000
 """Hertz that the models work at."""
 _WARM_UP = 2
 """Seconds of sound: a block or two."""
+_WARM = "warm"
+"""File that says that a worker of this server is ready."""
+_TURN_SECONDS = 0.05
 _MOST_WORKERS = 256
 _SHORT_LIFE = 5.0
 """Seconds: a worker that dies sooner did not do any work."""
@@ -97,7 +102,7 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
 
     torch.set_num_threads(asked.threads)
     system = Gesticulator.from_pretrained(asked.bundle)
-    _warm_up(system)
+    _warm_up_in_turn(system, folder)
 
     async def serve() -> None:
         output = None
@@ -109,11 +114,27 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
             ServerAddress(asked.host, asked.port, asked.origins, asked.token), asked.limits,
             session_opener(system, asked.limits), output, _pages(asked), folder, worker)
         playing = None if output is None else asyncio.create_task(output.run())
+        _end_with_parent(server.stop)
         await server.run(listening, lambda: _tell_ready(asked, listening, worker))
         if playing is not None:
             playing.cancel()
 
     asyncio.run(serve())
+
+
+def _warm_up_in_turn(system: Gesticulator, folder: Path | None) -> None:
+    """Warm up; of the workers of one server the others only after the first one has. What numba compiles for librosa it
+    keeps in files, and of two processes that write them at once one crashes, every third time."""
+    with contextlib.ExitStack() as held:
+        while folder is not None and not (folder / _WARM).exists():
+            try:
+                held.enter_context(lock(folder / "first", "a worker's start"))
+                break
+            except InputError:  # another worker is at it; should it die, the system lets go of the lock
+                time.sleep(_TURN_SECONDS)
+        _warm_up(system)
+        if folder is not None:
+            (folder / _WARM).touch()
 
 
 def _warm_up(system: Gesticulator) -> None:
@@ -125,6 +146,24 @@ def _warm_up(system: Gesticulator) -> None:
     stream.feed(noise)
     stream.idle(0.5)
     stream.finish()
+
+
+def _end_with_parent(stop: Callable[[], None]) -> None:
+    """In a worker: stop where the process that started it is no more, so that none is left behind if that is killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    import asyncio
+
+    loop, sentinel = asyncio.get_running_loop(), parent.sentinel
+
+    def ended() -> None:
+        loop.remove_reader(sentinel)
+        LOG.warning("the process that started this worker is gone")
+        stop()
+
+    with contextlib.suppress(NotImplementedError):  # Windows, which ends them together
+        loop.add_reader(sentinel, ended)
 
 
 def _tell_ready(asked: Launch, listening: socket.socket, worker: int) -> None:
@@ -213,6 +252,7 @@ class _Parent:
             self.short_lives = self.short_lives + 1 if lived < _SHORT_LIFE else 0
             if self.short_lives >= _MOST_SHORT_LIVES:
                 raise InputError("workers", "end as soon as they begin", "see what they print")
+            figures_file(self.folder, number).unlink(missing_ok=True)  # its streams are gone
             LOG.error("worker %d (process %d) died with exit code %s; another takes its place", number, worker.pid,
                       worker.exitcode)
             if lived < _SHORT_LIFE:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-from data_module.files import write_text
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 BUCKETS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -73,23 +72,36 @@ class ServerMetrics:
         return {"worker": self.worker, "numbers": self.numbers, "coded": self.coded,
                 "histograms": {name: [own.counts, own.total] for name, own in self.histograms.items()}}
 
-    def save(self, folder: Path) -> None:
-        """Write the figures where the other workers read them."""
-        write_text(folder / f"{self.worker}.json", json.dumps(self.figures()))
+
+def write_figures(folder: Path, worker: int, text: str) -> None:
+    """Write a worker's figures, as JSON, where the others read them: whole, and not synced. They are of no use after
+    the system's end, and to sync takes seconds on a busy disk."""
+    temporary = folder / f".{worker}.{os.getpid()}"
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(figures_file(folder, worker))
 
 
-def of_workers(own: ServerMetrics, folder: Path | None) -> list[dict[str, Any]]:
-    """The figures of all workers: one's own as they are, the others' as they wrote them last."""
-    found = {own.worker: own.figures()}
-    for file in sorted(folder.glob("*.json")) if folder is not None else ():
-        told = json.loads(file.read_text(encoding="utf-8"))
-        found.setdefault(int(told["worker"]), told)
-    return [found[worker] for worker in sorted(found)]
+def figures_file(folder: Path, worker: int) -> Path:
+    """Where a worker's figures are."""
+    return folder / f"{worker}.json"
+
+
+def read_figures(folder: Path, but: int) -> list[dict[str, Any]]:
+    """The figures of the workers other than `but`, as they wrote them last."""
+    found = []
+    for file in folder.glob("[0-9]*.json"):
+        try:
+            told = json.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:  # its worker died meanwhile
+            continue
+        if told["worker"] != but:
+            found.append(told)
+    return found
 
 
 def exposition(workers: Sequence[dict[str, Any]]) -> str:
     """Figures of one or more workers as Prometheus reads them."""
-    lines = []
+    lines, workers = [], sorted(workers, key=lambda told: int(told["worker"]))
     for name, (kind, about) in _KINDS.items():
         full = f"gesticulator_{name}"
         lines += [f"# HELP {full} {about}", f"# TYPE {full} {kind}"]

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import http
 import itertools
+import json
 import logging
 import signal
 import socket
@@ -24,7 +25,7 @@ from websockets.http11 import Request, Response
 
 from data_module.errors import InputError
 from gesticulator.serve.connection import CLOSE_SECONDS, Connection, Workplace
-from gesticulator.serve.metrics import CONTENT_TYPE, ServerMetrics, exposition, of_workers
+from gesticulator.serve.metrics import CONTENT_TYPE, ServerMetrics, exposition, read_figures, write_figures
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, published
 from gesticulator.serve.settings import SOCKET_BYTES, ServerLimits
 
@@ -116,6 +117,8 @@ class LiveServer:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="compute")
         self._numbers = itertools.count(1)
         self._stop = asyncio.Event()
+        self._untold = False
+        """The last attempt to tell the other workers the figures failed."""
 
     def stop(self) -> None:
         """End: no new streams, `drain_seconds` for those that are open, then their rest. Twice: at once."""
@@ -131,12 +134,13 @@ class LiveServer:
         for name in (signal.SIGTERM, signal.SIGINT):
             with contextlib.suppress(NotImplementedError, ValueError, RuntimeError):  # Windows; not the main thread
                 loop.add_signal_handler(name, self.stop)
+        await self._save()  # who is asked for the figures can tell those of all that are ready
         server = await serve(
             self._serve_one, sock=listening, process_request=self._answer, select_subprotocol=_subprotocol,
             max_size=self.limits.message_bytes, max_queue=_SOUND_QUEUE, compression=None, open_timeout=10,
             ping_interval=_PING_SECONDS, ping_timeout=_PING_SECONDS, close_timeout=CLOSE_SECONDS, logger=_quiet(),
             server_header=None)
-        saver = asyncio.create_task(self._save())
+        saver = asyncio.create_task(self._keep_saving())
         try:
             if ready is not None:
                 ready()
@@ -200,15 +204,32 @@ class LiveServer:
                 while self.connections:
                     await asyncio.sleep(0.02)
 
-    async def _save(self) -> None:
+    async def _keep_saving(self) -> None:
         while self.folder is not None:
             await asyncio.sleep(SAVE_SECONDS)
-            with contextlib.suppress(OSError):  # a full disk must not end the streams
-                self.metrics.save(self.folder)
+            await self._save()
+
+    async def _save(self) -> None:
+        """Tell the other workers the figures. A thread writes them, so that a slow disk stops no stream."""
+        if self.folder is None:
+            return
+        text = json.dumps(self.metrics.figures())
+        try:
+            await asyncio.to_thread(write_figures, self.folder, self.worker, text)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the next second may do better
+            if not self._untold:
+                LOG.warning("the other workers cannot be told the figures (%s: %s)", type(error).__name__, error)
+            self._untold = True
+        else:
+            self._untold = False
+
+    async def _figures(self) -> str:
+        others = [] if self.folder is None else await asyncio.to_thread(read_figures, self.folder, self.worker)
+        return exposition([self.metrics.figures(), *others])
 
     # ------------------------------------------------------------ what is asked before there is a WebSocket
 
-    def _answer(self, ws: ServerConnection, request: Request) -> Response | None:
+    async def _answer(self, ws: ServerConnection, request: Request) -> Response | None:
         """None to open a WebSocket; else the response."""
         path = request.path.partition("?")[0]
         if path == published()["path"]:
@@ -220,8 +241,7 @@ class LiveServer:
             return self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, "stopping\n") if self.draining \
                 else _response(http.HTTPStatus.OK, b"ok\n", "text/plain; charset=utf-8")
         if path == "/metrics":
-            text = exposition(of_workers(self.metrics, self.folder))
-            return _response(http.HTTPStatus.OK, text.encode(), CONTENT_TYPE)
+            return _response(http.HTTPStatus.OK, (await self._figures()).encode(), CONTENT_TYPE)
         if path in self.pages:
             return _response(http.HTTPStatus.OK, self.pages[path].body, self.pages[path].kind)
         return self._refusal(http.HTTPStatus.NOT_FOUND, f"there are {published()['path']}, /healthz and /metrics\n")
