@@ -63,14 +63,18 @@ def joined(device: str = "cpu") -> Iterator[str]:
         process_group.destroy_process_group()
 
 
+def _in_group() -> bool:
+    return process_group.is_available() and process_group.is_initialized()
+
+
 def processes() -> int:
     """Among how many processes a training step is divided."""
-    return process_group.get_world_size() if process_group.is_initialized() and not _leading else 1
+    return process_group.get_world_size() if _in_group() and not _leading else 1
 
 
 def leads() -> bool:
     """Whether this process writes the files and talks to the user."""
-    return not process_group.is_initialized() or process_group.get_rank() == 0
+    return not _in_group() or process_group.get_rank() == 0
 
 
 # ------------------------------------------------------------------------------------------- done once, by the first

@@ -135,10 +135,11 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                        help="let her stand on legs (54 joints): she shifts her weight, her feet stay planted")
     style.add_argument("--seated", action="store_true", help="let her sit on a chair, legs and hips still (54 joints)")
     style.add_argument("--intensity", type=number("intensity"), default=1.0, metavar="0..2",
-                       help="how large gestures are; 0 holds the hands at their mean place (default 1)")
+                       help="how large gestures are; at 0 the hands hang (default 1)")
     style.add_argument("--energy", choices=tuple(ENERGIES), default="neutral",
                        help="on top of them: calm is .6 of intensity and activity, lively 1.5 of intensity")
-    style.add_argument("--handedness", choices=HANDS, help="which hand is preferred")
+    style.add_argument("--handedness", choices=HANDS, help="the hand that is preferred, or both of them, "
+                       "each taking part in the strokes of the other")
     style.add_argument("--mirror", action="store_true", help="exchange left and right")
     style.add_argument("--hold-still", type=_seconds, action="append", default=[], metavar="FROM-TO",
                        help="seconds in which the hands rest, such as 3.2-5.0; may be given several times")

@@ -4,6 +4,7 @@ as torchrun would start it."""
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -100,7 +101,8 @@ def codebooks(out: Path, steps: int) -> None:
 def main() -> None:
     """Follow the orders: calls of the functions above, or the arguments of `gesticulator train`."""
     torch.set_num_threads(1)
-    for name, order in json.loads(Path(sys.argv[1]).read_text()):
+    for port, name, order in json.loads(Path(sys.argv[1]).read_text()):
+        os.environ["MASTER_PORT"] = str(port)  # one each: the first process may be late to leave the one before
         if name == "train":
             try:
                 code: Any = train.main(order["arguments"])

@@ -119,8 +119,13 @@ def test_the_corpus_on_the_disk_is_the_one_in_memory(both: tuple[Corpus, Corpus]
         np.testing.assert_array_equal(one, other, err_msg=name)
         assert one.dtype == other.dtype, name
     assert there.high is there.low and there.names == here.names and there.text_width == here.text_width
-    for name, value in here.statistics.to_dict().items():
-        np.testing.assert_array_equal(value, there.statistics.to_dict()[name], err_msg=name)
+    one, other = here.statistics, there.statistics
+    for name in ("mean_pose", "rest_pose", "deviation", "bounds", "quiet_low", "quiet_high"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert one.levels is not None and other.levels is not None
+    for fitted, again in ((one.low, other.low), (one.high, other.high), (one.levels, other.levels)):
+        for name, value in fitted.to_dict().items():
+            np.testing.assert_array_equal(value, again.to_dict()[name], err_msg=name)
     for key in (slice(None), torch.tensor([[0, 1], [5, 0]])):
         assert torch.equal(here.pasts[key].frames, there.pasts[key].frames)
         assert torch.equal(here.pasts.ratio[key], there.pasts.ratio[key])
