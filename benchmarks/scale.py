@@ -4,7 +4,8 @@ With `--suffix .bvh,.glb` both files are written by one run.
 `python benchmarks/scale.py ray --clips 24`: what Ray adds, and how two workers share. Clips of ten seconds are done by
 one process, then by one worker and by two; cpu: seconds of processor time of all processes, Ray's own included, so that
 other work on the machine counts little. Then tasks that sleep, whose time does not depend on other work: of no length,
-for what a task costs; of a quarter of a second by one worker and two; and with one worker of two ten times slower.
+for what a task costs; of a quarter of a second by one worker and two; and of three seconds with one worker of two ten
+times slower.
 
 The recording is a speech over and over (`--speech`), at its own rate. Each length is done by a process of its own;
 seconds: of its processor time; peak: MB that it held at most, the interpreter, torch and the models included.
@@ -128,7 +129,7 @@ def sleeping(workers: int, count: int, seconds: float, slow: bool = False, doubl
                                       range(count + workers), doubles=doubles)
         used, began = 0.0, 0.0
         for place, _ in enumerate(stream):
-            if place == workers - 1:  # all of them have begun, or nearly
+            if place == (0 if slow else workers - 1):  # all of them have begun, or nearly
                 began, used = time.monotonic(), time.process_time()
         wall = time.monotonic() - began
     ideal = count * seconds / (1 + (workers - 1) * (1 / SLOWER if slow else 1))
@@ -150,7 +151,7 @@ def ray_rows(speech: Path, clips: int) -> list[dict[str, Any]]:
     from gesticulator import ray_pool
 
     ray_pool.SLOW_SECONDS = 1.0  # as tasks are short
-    rows += [sleeping(2, 80, 0.25, slow=True, doubles=doubles) for doubles in (False, True)]
+    rows += [sleeping(2, 6, 3.0, slow=True, doubles=doubles) for doubles in (False, True)]
     ray.shutdown()
     return rows
 
