@@ -104,8 +104,8 @@ def _connect(ray: Any, given: str) -> bool:
             if not _answers(given):
                 raise ConnectionError("nothing answers there")
             ray.init(address=given, **there)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise InputError(f"--ray {given}", f"cannot be reached ({str(error).splitlines()[0][:100]})",
+    except Exception as error:  # noqa: BLE001 - Ray raises a plain Exception where it cannot start
+        raise InputError(f"--ray {given}", f"cannot be reached ({' '.join(str(error).split())[:100]})",
                          "check the address, and RAY_AUTH_MODE where the cluster has a token, or say local:N"
                          ) from None
     return True
