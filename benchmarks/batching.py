@@ -21,7 +21,7 @@ from realtime import processor
 from torch import Tensor
 
 from data_module.speech.audio import SAMPLE_RATE, load_speech
-from generator.flow import FlowGenerator, FlowInputs
+from generator.flow import FlowGenerator, FlowInputs, flow_time
 from gesticulator.pipeline import Gesticulator
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -93,14 +93,13 @@ def wider(given: FlowInputs, added: Tensor, state: Any, count: int) -> tuple[Flo
 
 def drawn_together(generator: FlowGenerator, contexts: Tensor, gains: Tensor, noise: Tensor, steps: int) -> Tensor:
     """As `FlowGenerator.draw` for streams [S]: contexts [S, 1 + G, C], noise [S, M, n] -> [S, M, n]."""
-    conditions = [layer[:, :, None].expand(-1, -1, noise.shape[1], -1)
-                  for layer in generator.head.conditions(contexts)]
+    conditions = [(scale[:, :, None], shift[:, :, None]) for scale, shift in generator.head.conditions(contexts)]
     mix = torch.cat([1.0 + gains.sum(0, keepdim=True), -gains])[:, None]
     u, step = noise, 1.0 / steps
 
     def v(at: Tensor, now: float) -> Tensor:
         wide = at[:, None].expand(-1, contexts.shape[1], -1, -1)
-        return (generator.head(wide, torch.full_like(wide[..., :1], now), conditions) * mix).sum(1)
+        return (generator.head(wide, flow_time(now, at.device, at.dtype), conditions) * mix).sum(1)
 
     for i in range(steps):
         first = v(u, i * step)

@@ -100,6 +100,29 @@ class FlowInputs:
         return Pasts(self.before[..., -PAST:, :], self.ratio)
 
 
+@dataclass(frozen=True)
+class FlowTime:
+    """What `FlowHead` needs of times t. told: [..., 2 F] sines and cosines; deviation: [..., 1] sqrt(s); share:
+    [..., 1] (2 t - 1) / s."""
+
+    told: Tensor
+    deviation: Tensor
+    share: Tensor
+
+    @classmethod
+    def of(cls, time: Tensor) -> FlowTime:
+        """Of times [..., 1] from 0 (noise) to 1."""
+        angles, variance = time * _rates(time.device, time.dtype), time**2 + (1 - time) ** 2
+        return cls(torch.cat([angles.sin(), angles.cos()], -1), variance.sqrt(), (2 * time - 1) / variance)
+
+
+@lru_cache(maxsize=64)
+def flow_time(time: float, device: torch.device, dtype: torch.dtype) -> FlowTime:
+    """Of one time. All blocks are drawn in the same few, and so small sums cost as much as a layer."""
+    with torch.inference_mode(False), torch.no_grad():
+        return FlowTime.of(torch.full((1,), time, device=device, dtype=dtype))
+
+
 class FlowHead(nn.Module):
     """v(u_t, t, h): what unit Gaussian data would have, and an MLP of residual blocks for the rest, each scaled and
     shifted by the context:
@@ -122,20 +145,20 @@ class FlowHead(nn.Module):
         nn.init.zeros_(self.leave.weight)
         nn.init.zeros_(self.leave.bias)
 
-    def conditions(self, context: Tensor) -> list[Tensor]:
-        """What the context [..., C] says to every layer: it does not change along the way of drawing."""
-        return [layer(context) for layer in self.condition]
+    def conditions(self, context: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """What every layer is scaled and shifted by for the context [..., C]: it does not change along the way of
+        drawing."""
+        both = (layer(context).chunk(2, -1) for layer in self.condition)
+        return [(1 + gain, shift) for gain, shift in both]
 
-    def forward(self, noisy: Tensor, time: Tensor, conditions: list[Tensor]) -> Tensor:
-        """noisy: [..., n]; time: [..., 1] from 0 (noise) to 1; conditions: of `conditions`. Gives v [..., n]."""
-        rates = _rates(noisy.device, noisy.dtype)
-        angles, variance = time * rates, time**2 + (1 - time) ** 2
-        x = self.enter(torch.cat([noisy / variance.sqrt(), angles.sin(), angles.cos()], -1))
-        for condition, inner, outer in zip(conditions, self.inner, self.outer, strict=True):
-            gain, shift = condition.chunk(2, -1)
-            x = x + outer(functional.gelu(inner(functional.layer_norm(x, x.shape[-1:]) * (1 + gain) + shift)))
+    def forward(self, noisy: Tensor, time: FlowTime, conditions: list[tuple[Tensor, Tensor]]) -> Tensor:
+        """noisy: [..., n] at a time; conditions: of `conditions`. Gives v [..., n]."""
+        told = time.told.expand(*noisy.shape[:-1], -1)
+        x = self.enter(torch.cat([noisy / time.deviation, told], -1))
+        for (scale, shift), inner, outer in zip(conditions, self.inner, self.outer, strict=True):
+            x = x + outer(functional.gelu(inner(functional.layer_norm(x, x.shape[-1:]) * scale + shift)))
         # No last normalisation: how large the noise is must reach the end, or large movements could not be drawn.
-        v: Tensor = (2 * time - 1) / variance * noisy + self.leave(x) / variance.sqrt()
+        v: Tensor = time.share * noisy + self.leave(x) / time.deviation
         return v
 
 
@@ -278,7 +301,7 @@ class FlowGenerator(nn.Module):
         total = u.new_zeros(())
         for _ in range(c.draws):
             time, noise = torch.rand(*u.shape[:2], 1, device=u.device), torch.randn_like(u)
-            v = self.head((1 - time) * noise + time * u, time, conditions)
+            v = self.head((1 - time) * noise + time * u, FlowTime.of(time), conditions)
             total = total + batch_ratio(((v - (u - noise)).pow(2) * weight).sum(), weight.sum())
         return {"flow": total / c.draws}
 
@@ -313,12 +336,12 @@ class FlowGenerator(nn.Module):
         contexts: [1 + G, C] of the block as it is, and with one thing left out each; gains: [G, n] how far each
         coefficient goes from those (classifier-free guidance).
         """
-        conditions = [layer[:, None].expand(-1, len(noise), -1) for layer in self.head.conditions(contexts)]
+        conditions = [(scale[:, None], shift[:, None]) for scale, shift in self.head.conditions(contexts)]
         mix = torch.cat([1.0 + gains.sum(0, keepdim=True), -gains])[:, None]
 
         def v(u: Tensor, time: float) -> Tensor:
             wide = u.expand(len(contexts), -1, -1)
-            return (self.head(wide, torch.full_like(wide[..., :1], time), conditions) * mix).sum(0)
+            return (self.head(wide, flow_time(time, u.device, u.dtype), conditions) * mix).sum(0)
 
         u, step = noise, 1.0 / steps
         for i in range(steps):

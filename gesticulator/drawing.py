@@ -62,10 +62,12 @@ HURRIED_STEPS = 2
 
 class Drawer(Protocol):
     """Draws one block after the other; it keeps what it must remember between them. keys: of the next block's noise;
-    hurried: it is to cost less, where it can."""
+    hurried: it is to cost less, where it can; unseen: nobody looks at the next block, because the body rests in it, so
+    that any will do."""
 
     keys: Keys
     hurried: bool
+    unseen: bool
 
     def fork(self) -> Drawer:
         """A twin that goes on from here by itself."""
@@ -89,7 +91,7 @@ class RegressionDrawer:
 
     def __init__(self, bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool) -> None:
         self.bundle, self.keys = bundle, keys  # it draws a block in one way, whatever the keys
-        self.hurried = False  # and it costs little anyhow
+        self.hurried = self.unseen = False  # and it costs little anyhow
         self.generator = cast("Generator", bundle.generator)
         self.style = (bundle.style_text if text else None) or bundle.style
         self.style_state = None if self.style is None else self.style.start(speaker)
@@ -133,7 +135,7 @@ class FlowDrawer:
         self.told: Pasts | None = None
         self.base = torch.zeros(0)
         """[1, K, D_m] what the body would do in the last block if nothing new came."""
-        self.hurried = False
+        self.hurried = self.unseen = False
 
     def fork(self) -> FlowDrawer:
         """See `Drawer.fork`."""
@@ -154,6 +156,8 @@ class FlowDrawer:
             place = alone(place)
         given, gains = self._given(place, features, lexeme, past)
         context, self.state = self.generator.contexts(given, added.expand(len(given.audio), 1, -1), self.state)
+        if self.unseen:  # all but the states of what comes next
+            return self.base * self.generator.present, past[:, :0, 0]
         candidates, steps = self.chosen.candidates, self.chosen.flow_steps
         pull = torch.tensor(gains, device=self.device)[:, None] * self.share
         if self.hurried:

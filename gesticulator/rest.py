@@ -49,8 +49,12 @@ SINKING = 0.065
 of a hand's mean speed in speech (0.34 to 0.45 m/s)."""
 BREAKS_OFF = 0.18
 """Seconds in which whoever is interrupted stops: within 0.3 s of the word, what was drawn already included."""
-RETREATS = 0.95
-"""Seconds in which her hands then hang: a person who falls silent lets them down in about one."""
+LETS_DOWN, HANGS = 0.22, 1.15
+"""Seconds after the word from which on her hands go down, so that they are slow still at 0.3 s, and at which they hang:
+as late as 1.2 s allow with what is smoothed, because a hand that is high has 0.4 m to go."""
+_EVENLY = 0.18
+"""Share of that way in which they get faster, and slower again at its end. Between they go at one speed, 1.2 times the
+mean, where the smooth step of who sinks into rest reaches 1.5."""
 LONGEST_PHRASE = 3.0
 """Seconds of speech without a pause after which a new phrase begins (talks: 2.6 s in the mean)."""
 
@@ -224,7 +228,8 @@ class Phrases:
 class _Stop:
     """A way into rest: from a pose with a velocity at `begin` seconds to a stop, and from there to the resting pose.
 
-    stops_in: [D] seconds, for each dimension; hold: seconds before it sinks; sinks_in: seconds.
+    stops_in: [D] seconds, for each dimension; hold: seconds before it sinks; sinks_in: seconds; evenly: at one speed
+    for the most part, not along a smooth step.
     """
 
     begin: float
@@ -235,13 +240,24 @@ class _Stop:
     rest: Array
     sinks_in: float
     hold: float = HOLD
+    evenly: bool = False
 
     def at(self, time: float) -> Array:
         s = np.minimum((time - self.begin) / self.stops_in, 1.0)
         stopped = _hermite(s, self.pose, self.velocity * self.stops_in, self.stopped)
         u = min(max((time - self.begin - self.hold) / self.sinks_in, 0.0), 1.0)
-        way: Array = stopped + u * u * (3.0 - 2.0 * u) * (self.rest - stopped)
+        way: Array = stopped + (_even(u) if self.evenly else u * u * (3.0 - 2.0 * u)) * (self.rest - stopped)
         return way
+
+
+def _even(u: float) -> float:
+    """0 to 1 with a speed that rises evenly over `_EVENLY` of the time, stays, and falls so."""
+    edge, speed = _EVENLY, 1.0 / (1.0 - _EVENLY)
+    if u < edge:
+        return speed * u * u / (2.0 * edge)
+    if u > 1.0 - edge:
+        return 1.0 - speed * (1.0 - u) ** 2 / (2.0 * edge)
+    return speed * (u - edge / 2.0)
 
 
 def _hermite(s: Array | float, start: Array, slope: Array, end: Array) -> Array:
@@ -294,13 +310,14 @@ class RestingPart:
         self._join = None
         return out
 
-    def break_off(self, last: list[tuple[float, Array]]) -> None:
-        """Stop and go to rest at once, from the last two times and poses (the way since then did not happen)."""
+    def break_off(self, last: list[tuple[float, Array]], word: float) -> None:
+        """Stop and go to rest at once, from the last two times and poses (the way since then did not happen). word:
+        seconds at which she was interrupted, a little before."""
         self._last, self._join = last, None
         now, pose = last[1]
         stopped = np.clip(pose + self._velocity() * BREAKS_OFF / 3.0, *self.bounds)
         self._stop = _Stop(now, pose, self._velocity(), stopped, np.full(len(pose), BREAKS_OFF), self.rest,
-                           RETREATS - BREAKS_OFF, BREAKS_OFF)
+                           HANGS - LETS_DOWN, max(word + LETS_DOWN - now, 0.0), evenly=True)
 
     def _velocity(self) -> Array:
         (before, one), (now, two) = self._last
@@ -457,16 +474,21 @@ class Rest:
         self._rests = [pause, hands if still is None else hands | still]
         return bool(self._rests[1].mean() >= 0.5)
 
+    @property
+    def rests_wholly(self) -> bool:
+        """Whether the body rests in every frame of the block that was heard last: what is drawn of it is not shown."""
+        return all(bool(rests.all()) for rests in self._rests)
+
     def rest(self, span: Span) -> None:
         """Instead of `hear`: nothing is to be heard, and nothing to be done."""
         self._pauses, self._span = Pauses(), span
         self._rests = [np.ones(len(span.quiet), bool)] * 2
 
-    def break_off(self, shown: RestKnots) -> None:
-        """Go back to what was shown last, and to rest from there at once."""
+    def break_off(self, shown: RestKnots, word: float) -> None:
+        """Go back to what was shown last, and to rest from there at once; word: see `RestingPart.break_off`."""
         for columns, part in self._parts:
             part.break_off([(float(time), pose[columns].astype(np.float64))
-                            for time, pose in zip(shown.times[-2:], shown.poses[-2:], strict=True)])
+                            for time, pose in zip(shown.times[-2:], shown.poses[-2:], strict=True)], word)
         self._gains = [_Gain(*gain) for gain in shown.gains[-1].tolist()]
         self._shown = shown.poses[-1].astype(np.float64)
 

@@ -206,6 +206,7 @@ class Rollout:
             # A block on which nothing is to be done is one on which nothing is said.
             features = replace(features, low=self._quiet_low, silent=True)
         self._drawer.keys = direction.keys or self.sampling.keys
+        self._drawer.unseen = self.life is not None and self.life.rests_wholly
         block, code = self._drawer.block(speech, features, self._previous, self._past)
         self._resting = self._resting + 1 if quiet else 0
         rest_decay = b.config.silence.rest_decay
@@ -233,13 +234,14 @@ class Rollout:
         """Draw blocks at less cost from now on, or as well as can be."""
         self._drawer.hurried = on
 
-    def break_off(self, shown: RestKnots) -> None:
-        """Go back to what was shown last (K frames or more), and to rest from there at once."""
+    def break_off(self, shown: RestKnots, word: float) -> None:
+        """Go back to what was shown last (K frames or more), and to rest from there at once; word: seconds at which she
+        was interrupted."""
         assert self.life is not None
         frames = self.bundle.frames
         before = np.repeat(shown.poses[:1], max(frames - len(shown.poses), 0), axis=0)
         self._past = self._tensor(np.concatenate([before, shown.poses[-frames:]]))[None]
-        self.life.break_off(shown)
+        self.life.break_off(shown, word)
 
     @property
     def past(self) -> NDArray[np.float32]:

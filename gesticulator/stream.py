@@ -281,7 +281,7 @@ class Stream:
         kept = RestKnots(knots.times[:last], knots.poses[:last], knots.gains[:last])
         if last > 1:
             for one in self._rollouts:
-                one.break_off(kept)
+                one.break_off(kept, at)
             self._path.rewind(kept.times, shown[:last], min(math.ceil(at * self.fps - 1e-6), self._path.next))
         self._shown = deque([(kept, shown[:last])])
         self._committed = float(kept.times[-1])

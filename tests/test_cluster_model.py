@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -93,4 +94,22 @@ def test_the_command_prints_what_the_model_says(capsys: pytest.CaptureFixture[st
     monkeypatch.setattr(sys, "argv", ["cluster_model.py", "simulate", "--costs", str(tmp_path / "costs.json"),
                                       "--cores", "64", "--files", "64000", "--dispatch", "0.0001"])
     model.main()
-    assert "| 64 | 10.1 |" in capsys.readouterr().out  # 4 + 1000 * 0.6 + what waits for the driver
+    assert "| 64 cores | 10.1 |" in capsys.readouterr().out  # 4 + 1000 * 0.6 + what waits for the driver
+
+
+def test_what_the_goal_allows_meets_it_just() -> None:
+    costs = Costs(start=4.0, per_second=0.06, per_file=0.01, plan=0.0005, dispatch=0.0)
+    just = model.allowed(costs)
+    goal = [model.GOAL_SECONDS] * model.GOAL_FILES
+    made = simulate(goal, model.replace(costs, per_second=just), Workers(model.CLUSTER))
+    assert made.wall == pytest.approx(60 * model.GOAL_MINUTES, rel=1e-6)
+
+
+def test_a_gigabit_link_is_filled_by_as_many_cores_as_write_so_much() -> None:
+    """20 hours of sound an hour and core, 360 MB each: 2 MB/s of 117."""
+    assert model.link_cores(Costs(0.0, 0.05, 0.0), 360e6) == pytest.approx(58.5)
+
+
+def test_the_stored_table_is_that_of_the_stored_figures() -> None:
+    results = Path(__file__).parents[1] / "docs" / "results"
+    assert (results / "cluster.md").read_text() == model.table(json.loads((results / "cluster.json").read_text()))

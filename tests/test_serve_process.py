@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +27,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = "import sys; from gesticulator.serve.command import COMMAND; " \
           "sys.exit(COMMAND.main('gesticulator serve', sys.argv[1:]))"
 RATE = 16000
+_PATIENCE = 300.0
+"""Seconds for a line: three processes that start on a core that ten others share took more than 100."""
 
 
 class Served:
@@ -52,7 +55,7 @@ class Served:
     def await_line(self, pattern: str) -> re.Match[str]:
         """The next line that has the pattern."""
         try:
-            while (line := self._new.get(timeout=100)) is not None:
+            while (line := self._new.get(timeout=_PATIENCE)) is not None:
                 if found := re.search(pattern, line):
                     return found
         except queue.Empty:
@@ -134,6 +137,20 @@ def test_workers_share_a_port_and_a_dead_one_is_replaced() -> None:
         assert at.lines[-1].endswith("stopped")
 
 
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="no list of processes")
+def test_no_worker_is_left_behind_when_its_parent_is_killed() -> None:
+    with served("--workers", "2") as at:
+        at.await_line("worker . is ready")
+        workers = [child for child in _children(at.process.pid) if _serves(child)]
+        assert len(workers) == 2
+        at.process.kill()
+        for _ in range(1200):
+            if not any(_serves(worker) for worker in workers):
+                return
+            time.sleep(0.1)
+        raise AssertionError(f"they live: {at.lines}")
+
+
 def _both_tell(text: str) -> bool:
     return all(f'gesticulator_streams{{worker="{worker}"}}' in text for worker in (0, 1))
 
@@ -144,8 +161,15 @@ def _children(pid: int) -> list[int]:
 
 
 def _worker_of(children: list[int]) -> int:
-    """One that serves; multiprocessing has a helper beside them."""
-    return next(child for child in children if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text())
+    return next(child for child in children if _serves(child))
+
+
+def _serves(pid: int) -> bool:
+    """Whether it is a worker that lives; multiprocessing has a helper beside them."""
+    try:
+        return "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 def test_a_single_server_ends_with_code_0_in_the_middle_of_a_stream() -> None:

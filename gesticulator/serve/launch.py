@@ -10,7 +10,7 @@ import signal
 import socket
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
@@ -114,6 +114,7 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
             ServerAddress(asked.host, asked.port, asked.origins, asked.token), asked.limits,
             session_opener(system, asked.limits), output, _pages(asked), folder, worker)
         playing = None if output is None else asyncio.create_task(output.run())
+        _end_with_parent(server.stop)
         await server.run(listening, lambda: _tell_ready(asked, listening, worker))
         if playing is not None:
             playing.cancel()
@@ -145,6 +146,24 @@ def _warm_up(system: Gesticulator) -> None:
     stream.feed(noise)
     stream.idle(0.5)
     stream.finish()
+
+
+def _end_with_parent(stop: Callable[[], None]) -> None:
+    """In a worker: stop where the process that started it is no more, so that none is left behind if that is killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    import asyncio
+
+    loop, sentinel = asyncio.get_running_loop(), parent.sentinel
+
+    def ended() -> None:
+        loop.remove_reader(sentinel)
+        LOG.warning("the process that started this worker is gone")
+        stop()
+
+    with contextlib.suppress(NotImplementedError):  # Windows, which ends them together
+        loop.add_reader(sentinel, ended)
 
 
 def _tell_ready(asked: Launch, listening: socket.socket, worker: int) -> None:

@@ -20,6 +20,10 @@ PASSES = 1.0
 latency stream poses wait for about as long anyhow."""
 CATCHES_UP = 1.0
 """Seconds."""
+_FAST = 1.02
+"""Seconds that a client's clock is taken to go by in one of ours. One that is fast by 1 % sends 36 s more than an hour
+of sound in an hour: held to be ahead by them, it would be 36 s late before that is noticed. What a synthesiser is
+ahead by a minute is held to be 59 s."""
 _MEMORY = 1.0
 """Seconds of sound over which the time of the work is taken: three blocks."""
 
@@ -33,7 +37,7 @@ class Effort(StrEnum):
 
 
 class Pace:
-    """Of one stream. In `late` seconds, see the module."""
+    """Of one stream, see the module. A client's clock may be slow, or fast by 2 %, for ever."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """clock: gives seconds."""
@@ -54,7 +58,7 @@ class Pace:
     @property
     def ahead(self) -> float:
         """Seconds that were sent and cannot have been played yet."""
-        return max(0.0, self._ahead - (self._clock() - self._last))
+        return max(0.0, self._ahead - _FAST * (self._clock() - self._last))
 
     def late(self, waiting: float) -> float:
         """Of so many seconds of sound that wait, those that must have been played."""
