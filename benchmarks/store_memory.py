@@ -1,6 +1,6 @@
 """Peak memory of `gesticulator train` as the store grows: `python benchmarks/store_memory.py --hours 1 64`.
 
-The store is made up: the blocks and features of a small one, over and over, written once as a recording of ten minutes
+The store is made up: the blocks and features of a small one, over and over, written once as a recording of six minutes
 and linked under as many names as the hours need (nothing is cut or heard again). What is real is the training: the
 corpus is written to the work folder, statistics, the lexicon (predictors and k-means), labels, steps of interpreter,
 gate and generator, and the bundle. Each row is a process of its own; peak: MB that it held at most, the interpreter and
@@ -35,10 +35,10 @@ used = resource.getrusage(resource.RUSAGE_SELF)
 print(used.ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6, used.ru_utime + used.ru_stime)
 sys.exit(code)
 """
-LONG = 2000
-"""Blocks of a made-up recording, some ten minutes."""
-HELD = 10
-"""Every tenth recording is of the validation split."""
+LONG = 1000
+"""Blocks of a made-up recording, some six minutes."""
+HELD = 5
+"""Every fifth recording is of the validation split."""
 
 
 def settings(steps: int) -> list[str]:

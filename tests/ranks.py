@@ -50,18 +50,17 @@ def first_steps(store: Path, bundle: Path, out: Path, steps: int | None = None, 
     """Train the stages of a bundle again, each on what the bundle's work folder has of the others, into `out`."""
     run = finished_run(store, bundle)
     run.steps, run.precision, run.memory = steps, precision, memory
-    stages = list(closure(wanted(run.config), run.config))
-    for stage in stages:
+    asked = [stage for stage in wanted(run.config) if only is None or stage.name in only]
+    for stage in closure(asked, run.config):
         run.get(stage)
-    for stage in stages:
-        if only is None or stage.name in only:
-            folder = out / stage.name
-            folder.mkdir(parents=True, exist_ok=True)
-            assert stage.build is not None and stage.train is not None
-            torch.manual_seed(run.seed(stage))
-            model = stage.build(run)
-            stage.train(run, model, folder)
-            note(folder, model)
+    for stage in asked:
+        folder = out / stage.name
+        folder.mkdir(parents=True, exist_ok=True)
+        assert stage.build is not None and stage.train is not None
+        torch.manual_seed(run.seed(stage))
+        model = stage.build(run)
+        stage.train(run, model, folder)
+        note(folder, model)
 
 
 def note(folder: Path, model: nn.Module) -> None:

@@ -30,7 +30,8 @@ from tests import ranks
 STEPS = 4
 TINY = ("speech", "contrast", "lexicon", "interpreter", "interpreter_text", "gate", "reward", "reward_judge",
         "q_network", "advantage", "generator", "style", "style_text")
-MOVING = ("interpreter", "gate", "reward", "reward_judge", "q_network", "advantage", "generator")
+MOVING = ("reward", "generator")
+"""Of the movements' stages those whose losses are others."""
 
 
 def together(count: int, orders: list[tuple[str, dict[str, Any]]], folder: Path) -> list[str]:
@@ -49,7 +50,7 @@ def together(count: int, orders: list[tuple[str, dict[str, Any]]], folder: Path)
     started = [subprocess.Popen([sys.executable, ranks.__file__, str(file)], stderr=subprocess.PIPE, text=True,
                                 env={**common, "RANK": str(rank), "LOCAL_RANK": str(rank)}) for rank in range(count)]
     with ThreadPoolExecutor(count) as pool:
-        ends = [pool.submit(process.communicate, None, 600) for process in started]
+        ends = [pool.submit(process.communicate, None, 1500) for process in started]
         while any(end.running() for end in ends) and not any(process.poll() for process in started):
             time.sleep(0.2)
         if any(process.poll() for process in started):
@@ -74,7 +75,8 @@ def two(tiny_store: Path, tiny_bundle: Path, tiny_movement_bundle: Path, tmp_pat
                "--stage", "gate"]
     said = together(2, [
         ("first_steps", {"store": tiny_store, "bundle": tiny_bundle, "out": out / "tiny", "steps": STEPS}),
-        ("first_steps", {"store": tiny_store, "bundle": tiny_movement_bundle, "out": out / "moving", "steps": STEPS}),
+        ("first_steps", {"store": tiny_store, "bundle": tiny_movement_bundle, "out": out / "moving", "steps": STEPS,
+                         "only": MOVING}),
         ("first_steps", {"store": tiny_store, "bundle": tiny_bundle, "out": out / "resumed", "steps": 3,
                          "only": ["gate"]}),
         ("codebooks", {"out": out / "codebooks", "steps": 100}),
@@ -222,11 +224,12 @@ def test_half_precision_is_for_gpus_and_keeps_the_losses(tiny_store: Path, tiny_
     with pytest.raises(SystemExit, match="2"):
         train.main(["--data", str(tiny_store), "--out", str(tmp_path / "b"), "--precision", "bfloat16"])
     assert "is for GPUs" in capsys.readouterr().err
-    for bundle in (tiny_bundle, tiny_movement_bundle):
-        out = tmp_path / bundle.name / bundle.parent.name
-        ranks.first_steps(tiny_store, bundle, out, steps=2, precision="bfloat16")
+    for number, bundle in enumerate((tiny_bundle, tiny_movement_bundle)):
+        out = tmp_path / str(number)
+        only = None if bundle is tiny_bundle else list(MOVING)
+        ranks.first_steps(tiny_store, bundle, out, steps=2, precision="bfloat16", only=only)
         for file in out.glob("*/*.jsonl"):
             alone = rows(next(bundle.with_name(bundle.name + ".work").glob(f"{file.stem}-*")), file.stem)
             ours = rows(file.parent, file.stem)
             assert ours[0]["loss"] == pytest.approx(alone[0]["loss"], rel=0.02), file.stem
-            assert ours[0]["loss"] != alone[0]["loss"], f"{file.stem}: computed in single precision"
+            assert ours != alone[:2], f"{file.stem}: computed in single precision"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -135,15 +134,14 @@ def test_the_corpus_on_the_disk_is_the_one_in_memory(both: tuple[Corpus, Corpus]
 
 def test_every_stage_learns_the_same_from_the_disk(tiny_store: Path, tiny_bundle: Path, tiny_movement_bundle: Path,
                                                    tmp_path: Path) -> None:
-    for bundle in (tiny_bundle, tiny_movement_bundle):
-        out = tmp_path / bundle.parent.name
+    for number, bundle in enumerate((tiny_bundle, tiny_movement_bundle)):
+        out = tmp_path / str(number)
         ranks.first_steps(tiny_store, bundle, out, steps=3, memory=0.0)
         logs = sorted(out.glob("*/*.jsonl"))
         assert len(logs) >= 7
         for file in logs:
             alone = next(bundle.with_name(bundle.name + ".work").glob(f"{file.stem}-*")) / file.name
-            ours = [json.loads(line) for line in file.read_text().splitlines()]
-            assert ours == [json.loads(line) for line in alone.read_text().splitlines()][:3], file.stem
+            assert file.read_text().splitlines() == alone.read_text().splitlines()[:3], file.stem
 
 
 def test_little_memory_is_a_flag(tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,7 +25,7 @@ from gesticulator.stages.base import Node, Run
 from gesticulator.stages.caches import cut, encode_all, read_arrays, read_words, word_file
 from gesticulator.stages.measured import measured
 from gesticulator.stages.rows import PastRows, StoredRows, evenly
-from gesticulator.stages.stored import MEASURED, CachedBlocks, bytes_of, measured_of, written
+from gesticulator.stages.stored import CHECKED, MEASURED, CachedBlocks, bytes_of, measured_of, written
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
@@ -85,7 +85,8 @@ class Corpus:
     def some(self, split: str) -> NDArray[np.int64]:
         """Block numbers of a split to measure or to fit on: all, or evenly taken ones where the corpus stays on the
         disk."""
-        return evenly(self.select(split), MEASURED) if self.stored else self.select(split)
+        every = self.select(split)
+        return evenly(every, MEASURED if split == "train" else CHECKED) if self.stored else every
 
     def text(self, blocks: NDArray[np.int64] | Tensor) -> Tensor:
         """[..., 3K, d_t + 1] word vectors around blocks [...]."""

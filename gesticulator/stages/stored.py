@@ -22,6 +22,8 @@ from gesticulator.stages.rows import RowsWriter, StoredRows, stretches
 MEASURED = 16_384
 """Blocks (80 minutes) that statistics, predictors and k-means are made of where the corpus stays on the disk: a mean is
 then told to a hundredth of a deviation."""
+CHECKED = 4_096
+"""Blocks of the validation split that figures of the lexicon are made of then."""
 _SMALL = "small.npz"
 """Of what is written last, so that it stands for the whole: what there is one number or one pose of."""
 _SPARE = ("silent", "edges", "first", "mask")
