@@ -94,6 +94,27 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
         page.screenshot(path=os.environ["SCREENSHOT"])
 
 
+def test_the_page_tells_that_the_machine_is_too_slow_and_that_it_keeps_up_again(recording: Path) -> None:
+    work = [3.0]  # seconds for a second of sound
+    with (served(ServerLimits(), pages(), share=lambda: work[0]) as (_, port),
+          chromium(*MICROPHONE, f"--use-file-for-fake-audio-capture={recording}") as window):
+        page = window.new_page(viewport={"width": 640, "height": 480})
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+        assert page.is_hidden("#pace")
+        page.click("#microphone")
+        page.wait_for_function("() => /slower than the sound: [0-9.]+ s were passed over/.test("
+                               "document.querySelector('#pace').textContent)", timeout=30_000)
+        assert page.is_visible("#pace")
+        if os.environ.get("SCREENSHOT"):
+            page.screenshot(path=os.environ["SCREENSHOT"])
+        work[0] = 0.01
+        page.wait_for_function("() => /keeps up again; [0-9.]+ s/.test(document.querySelector('#pace').textContent)",
+                               timeout=30_000)
+        page.click("#stop")
+        page.wait_for_function("() => document.querySelector('#pace').hidden")
+
+
 def test_a_character_is_dropped_on_the_page(opened: tuple[Any, list[str], list[str]], tmp_path: Path) -> None:
     page, complaints, _ = opened
     vrm = write_character(tmp_path / "small.vrm", vrm="1.0").read_bytes()

@@ -45,8 +45,9 @@ function heard(of, message) {
 /** What this machine has no time for. */
 function pace({ effort, passed }) {
   if (effort !== "full") $("pace").hidden = false; // it stays, so that the desk does not jump
-  $("pace").textContent = passed > 0 ? `This machine is slower than the sound: ${passed.toFixed(1)} s were passed over.`
-    : "This machine is slower than the sound: gestures are drawn at less cost.";
+  const lost = passed > 0 ? `${passed.toFixed(1)} s were passed over` : "";
+  if (effort === "full") $("pace").textContent = lost ? `This machine keeps up again; ${lost}.` : "This machine keeps up again.";
+  else $("pace").textContent = `This machine is slower than the sound: ${lost || "gestures are drawn at less cost"}.`;
 }
 
 /** Another voice: its own stream, and a blend from the pose that is shown. */
