@@ -53,10 +53,12 @@ def opened(recording: Path) -> Iterator[tuple[Any, list[str], list[str]]]:
         yield page, complaints, requests
 
 
-def _yaw(page: Any) -> float:
-    """How far the figure's hips are turned: it says which frame is shown."""
-    turn = page.evaluate("() => live.performer.figure.bones[0].quaternion.toArray()")
-    return float(2 * np.arctan2(turn[1], turn[3]))
+def _shown(page: Any) -> tuple[float, float, float]:
+    """How far the figure's hips are turned, which says what frame is shown; the media time; and the sound's: all in one
+    picture, right after it was drawn, because a slow machine draws few."""
+    turn, time, now = page.evaluate("""() => new Promise((told) => requestAnimationFrame(() => told(
+        [live.performer.figure.bones[0].quaternion.toArray(), live.voice.time(), live.voice.now?.() ?? 0])))""")
+    return float(2 * np.arctan2(turn[1], turn[3])), time, now
 
 
 def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[str]], recording: Path) -> None:
@@ -70,12 +72,13 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
                            timeout=30_000)
     assert page.get_attribute("#microphone", "aria-pressed") == "true"
     assert page.inner_text("#state") == "speaking"
-    # The stream looks half a second ahead: that, and some time on the way and for the browser's pieces.
+    # The stream looks half a second ahead: that, some time on the way and for the browser's pieces, and on a machine
+    # that does much else seconds more.
     latency = float(page.inner_text("#latency").removesuffix(" ms"))
-    assert 450 < latency < 2000
-    shown, now = page.evaluate("() => [live.voice.time(), live.voice.now()]")
+    assert 450 < latency < 5000
+    yaw, shown, now = _shown(page)
     assert shown == pytest.approx(now - latency / 1000, abs=0.4)
-    assert _yaw(page) == pytest.approx(shown * 60 * TURN, abs=0.03), "the frame of that time is shown"
+    assert yaw == pytest.approx(shown * 60 * TURN, abs=0.03), "the frame of that time is shown"
 
     page.click("#stop")
     page.wait_for_function("() => live.voice.kind === 'idle'")
@@ -84,8 +87,8 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
                            timeout=30_000)
     assert page.evaluate("() => live.stream.end") > 60 * 2, "poses lie ready before their sound"
     assert page.inner_text("#latency") == "0 ms"
-    shown = page.evaluate("() => live.voice.time()")
-    assert _yaw(page) == pytest.approx(shown * 60 * TURN, abs=0.03)
+    yaw, shown, _ = _shown(page)
+    assert yaw == pytest.approx(shown * 60 * TURN, abs=0.03)
     page.wait_for_function("() => live.voice.kind === 'idle'", timeout=20_000)
 
     assert complaints == []
@@ -108,6 +111,7 @@ def test_the_page_tells_that_the_machine_is_too_slow_and_that_it_keeps_up_again(
         assert page.is_visible("#pace")
         if os.environ.get("SCREENSHOT"):
             page.screenshot(path=os.environ["SCREENSHOT"])
+        assert "keeps up" not in page.inner_text("#pace")
         work[0] = 0.01
         page.wait_for_function("() => /keeps up again; [0-9.]+ s/.test(document.querySelector('#pace').textContent)",
                                timeout=30_000)
