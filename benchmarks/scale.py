@@ -1,4 +1,5 @@
 """Memory and speed of `gesticulator infer` as recordings grow: `python benchmarks/scale.py memory --minutes 5 60`.
+With `--suffix .bvh,.glb` both files are written by one run.
 
 The recording is a speech over and over (`--speech`), at its own rate. Each length is done by a process of its own;
 seconds: of its processor time; peak: MB that it held at most, the interpreter, torch and the models included.
@@ -41,13 +42,15 @@ def recording(path: Path, speech: Path, minutes: float) -> None:
 def one(speech: Path, minutes: float, suffix: str, asked: list[str]) -> dict[str, Any]:
     """A row: what a recording of so many minutes takes."""
     with tempfile.TemporaryDirectory() as folder:
-        sound, out = Path(folder, "speech.flac"), Path(folder, f"out{suffix}")
+        sound, outputs = Path(folder, "speech.flac"), [Path(folder, f"out{one}") for one in suffix.split(",")]
         recording(sound, speech, minutes)
-        done = subprocess.run([sys.executable, "-c", CHILD, str(sound), "-o", str(out), "--quiet", "--any-length",
+        named = [word for out in outputs for word in ("-o", str(out))]
+        done = subprocess.run([sys.executable, "-c", CHILD, str(sound), *named, "--quiet", "--any-length",
                                *asked], check=True, capture_output=True, text=True)
         peak, seconds = map(float, done.stdout.split())
+        size = sum(out.stat().st_size for out in outputs)
         return {"minutes": minutes, "format": suffix, "peak_mb": round(peak), "seconds": round(seconds, 1),
-                "real_time_factor": round(seconds / minutes / 60, 4), "output_mb": round(out.stat().st_size / 1e6, 1)}
+                "real_time_factor": round(seconds / minutes / 60, 4), "output_mb": round(size / 1e6, 1)}
 
 
 def main() -> None:

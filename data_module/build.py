@@ -18,10 +18,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from data_module import build_report as reports
 from data_module.build_report import Outcome, Report
@@ -30,14 +31,13 @@ from data_module.files import lock, remove_unfinished, write_text
 
 if TYPE_CHECKING:
     from data_module.corpora import Item, Options
-    from data_module.store import StoreWriter
 
 DATASET = "dataset"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass
-class _Workshop:
+class Workshop:
     """What a worker needs to make recordings; opened once per process."""
 
     corpus: str
@@ -47,8 +47,32 @@ class _Workshop:
     dataset: Path | None
     reader: Any = field(default=None, repr=False)
 
+    def outcome_file(self, item: Item) -> Path:
+        """Where a recording's outcome waits for the end of the build; the finished store has it in its report."""
+        return Path(self.writer.partial / "recordings" / f"{item.info.name}.report")
+
+    def outcome(self, item: Item) -> Outcome | None:
+        """What became of a recording; None where nothing is noted."""
+        try:
+            return Outcome.from_json(self.outcome_file(item).read_text(encoding="utf-8"))
+        except (OSError, ValueError, TypeError, KeyError):
+            return None
+
+    def made(self, item: Item) -> Outcome | None:
+        """The outcome of a recording that a build that was stopped had finished, whole, in store, report and data set;
+        None for any other."""
+        name, outcome = item.info.name, self.outcome(item)
+        whole = outcome is not None and self.writer.has(name) and (
+            self.dataset is None or (self.dataset / f"{name}.json").is_file())
+        return outcome if whole else None
+
     def make(self, item: Item) -> Outcome:
-        """Read one recording and write it into the data set and the store, the mark of completion last."""
+        """Read one recording and write it into the data set and the store, the outcome last."""
+        outcome = self._written(item)
+        write_text(self.outcome_file(item), outcome.as_json())
+        return outcome
+
+    def _written(self, item: Item) -> Outcome:
         import warnings
 
         from data_module import corpora, intervals
@@ -79,94 +103,136 @@ class _Workshop:
         known = "given" if recording.speech.words else ""
         unit, words = (recording.unit, recording.words) if isinstance(recording, corpora.Imported) else ("", known)
         said = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
-        outcome = Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
-                          words, warnings=said)
-        write_text(_outcome_file(self.writer, item), outcome.as_json())
         self.writer.add(recording, character)
-        return outcome
+        return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
+                       words, warnings=said)
 
 
-def _outcome_file(writer: StoreWriter, item: Item) -> Path:
-    """Where a recording's outcome waits for the end of the build; the finished store has it in its report."""
-    return Path(writer.partial / "recordings" / f"{item.info.name}.report")
+Making: TypeAlias = "Callable[[Workshop, Sequence[Item]], Iterator[Outcome]]"
+"""Makes recordings, in any order, and gives what became of each; of those that failed it gives nothing."""
 
 
-def build(corpus: str, source: Path | None, out: Path, options: Options, *, workers: int = 1, dataset: bool = True,
-          progress: bool = True) -> Report:
-    """Build the store `out` of a corpus, with `workers` processes, and the data set `out`/dataset when asked.
+@dataclass(frozen=True)
+class BuildRequest:
+    """What to build: the store `out` of a corpus, and where `dataset` says so the data set `out`/dataset."""
+
+    corpus: str
+    source: Path | None
+    out: Path
+    options: Options
+    dataset: bool = True
+
+
+def build(request: BuildRequest, making: Making | None = None, progress: bool = True) -> Report:
+    """Build a store; making: by whom the recordings are made (this process, one after the other).
 
     A store that is there already with the same settings is left as it is. `InputError` when it has other settings,
-    when nothing can be used, or while another process builds there.
+    when nothing can be used, when recordings failed, or while another process builds there.
     """
-    with lock(out, "a build", beside=True):
-        return _build(corpus, source, out, options, workers, dataset, progress)
-
-
-def _build(corpus: str, source: Path | None, out: Path, options: Options, workers: int, dataset: bool,
-           progress: bool) -> Report:
-    from data_module import corpora, store
-
     begun = time.monotonic()
-    reader = corpora.open_corpus(corpus, source, options)
-    settings = dict(reader.settings())
-    there = store.matching(out, corpus, settings, options.seed)
-    if there is not None:
-        if dataset and not (out / DATASET).is_dir():
-            raise InputError(out, "was built without its data set", "delete it, or say --no-dataset")
-        return Report(there, reports.report_of(there), time.monotonic() - begun, len(there.recordings))
-    writer = store.StoreWriter(out, corpus, settings, options.seed, reader.licence)
-    folder = writer.partial / DATASET if dataset else None
-    if folder is not None:
-        folder.mkdir(exist_ok=True)
-    items = reader.items()
-    todo = [item for item in items if not _is_done(writer, folder, item)]
-    waiting = {item.info.name for item in todo}
-    outcomes = {item.info.name: Outcome.from_json(_outcome_file(writer, item).read_text(encoding="utf-8"))
-                for item in items if item.info.name not in waiting}
-    workshop = _Workshop(corpus, source, options, writer, folder)
-    outcomes |= {outcome.name: outcome for outcome in _made(workshop, todo, workers, progress)}
-    kept = [item.info for item in items if not outcomes[item.info.name].dropped]
-    if not kept:
-        reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
-        writer.discard()
-        raise InputError(source or corpus, f"has no recording that can be used ({reason})", "see the formats in --help")
-    if folder is not None:
-        for info in kept:
-            _share(writer.partial / "recordings" / f"{info.name}.flac", folder / f"{info.name}.flac")
-    infos = [replace(info, seconds=outcomes[info.name].seconds, absent=outcomes[info.name].absent) for info in kept]
-    told = reports.summary(infos, [outcomes[item.info.name] for item in items], reader.notes())
-    write_text(writer.partial / reports.FILE, json.dumps(told, indent=1, ensure_ascii=False))
-    remove_unfinished(writer.partial)
-    finished = writer.finish([info.name for info in kept])
-    return Report(finished, told, time.monotonic() - begun, len(items) - len(todo))
+    with lock(request.out, "a build", beside=True):
+        site = _Site.opened(request)
+        if isinstance(site, Report):
+            return site
+        outcomes = {outcome.name: outcome for outcome in site.build(site.items, making or one_by_one, progress)}
+        return replace(site.finish(outcomes), elapsed=time.monotonic() - begun)
 
 
-def _is_done(writer: StoreWriter, folder: Path | None, item: Item) -> bool:
-    """Whether a build that was stopped had finished this recording, whole, in store, report and data set."""
-    name = item.info.name
-    try:
-        Outcome.from_json(_outcome_file(writer, item).read_text(encoding="utf-8"))
-    except (OSError, ValueError, TypeError, KeyError):
-        return False
-    return (writer.has(name)
-            and (folder is None or (folder / f"{name}.json").is_file()))
+def build_share(request: BuildRequest, making: Making, mine: Callable[[Sequence[Item]], Sequence[Item]],
+                progress: bool = True) -> list[Outcome] | None:
+    """Make the recordings of a store that `mine` picks, beside others who make others; their outcomes (those of
+    recordings that were there as well), None where the store is there.
+
+    The store is finished by `build`. `InputError` as there.
+    """
+    with lock(request.out, "a share of a build", beside=True, shared=True):
+        site = _Site.opened(request)
+        return None if isinstance(site, Report) else list(site.build(mine(site.items), making, progress))
 
 
-def _made(workshop: _Workshop, items: Sequence[Item], workers: int, progress: bool) -> Iterator[Outcome]:
-    from tqdm import tqdm
+@dataclass
+class _Site:
+    """A build that is under way. reused: how many recordings were there."""
 
-    # None: no bar where the output is no terminal.
-    with tqdm(total=len(items), unit="recording", disable=None if progress else True) as bar:
-        results = map(workshop.make, items) if workers <= 1 else _in_parallel(workshop, items, workers)
-        for outcome in results:
-            bar.update()
-            yield outcome
+    request: BuildRequest
+    workshop: Workshop
+    items: Sequence[Item]
+    reused: int = 0
+
+    @classmethod
+    def opened(cls, request: BuildRequest) -> _Site | Report:
+        """Begun or taken up again; the report of a store that is there already."""
+        from data_module import corpora, store
+
+        begun, corpus, source, out = time.monotonic(), request.corpus, request.source, request.out
+        reader = corpora.open_corpus(corpus, source, request.options)
+        settings, seed = dict(reader.settings()), request.options.seed
+        there = store.matching(out, corpus, settings, seed)
+        if there is not None:
+            if request.dataset and not (out / DATASET).is_dir():
+                raise InputError(out, "was built without its data set", "delete it, or say --no-dataset")
+            return Report(there, reports.report_of(there), time.monotonic() - begun, len(there.recordings))
+        writer = store.StoreWriter(out, corpus, settings, seed, reader.licence)
+        folder = writer.partial / DATASET if request.dataset else None
+        if folder is not None:
+            folder.mkdir(exist_ok=True)
+        return cls(request, Workshop(corpus, source, request.options, writer, folder, reader), reader.items())
+
+    def build(self, items: Sequence[Item], making: Making, progress: bool) -> Iterator[Outcome]:
+        """Make those of the items that are not there; the outcomes of all but those that failed."""
+        from tqdm import tqdm
+
+        todo = []
+        for item in items:
+            there = self.workshop.made(item)
+            if there is None:
+                todo.append(item)
+            else:
+                yield there
+        self.reused = len(items) - len(todo)
+        # A reader is opened again in each process. None: no bar where the output is no terminal.
+        with tqdm(total=len(todo), unit="recording", disable=None if progress else True) as bar:
+            for outcome in making(replace(self.workshop, reader=None), todo):
+                bar.update()
+                yield outcome
+
+    def finish(self, outcomes: Mapping[str, Outcome]) -> Report:
+        """Write the report and give the store its name. outcomes: of all recordings by name."""
+        workshop, items, writer = self.workshop, self.items, self.workshop.writer
+        failed = [item.info.name for item in items if item.info.name not in outcomes]
+        if failed:
+            raise InputError(self.request.out, f"is not finished: {len(failed)} of {len(items)} recordings failed, "
+                             f"such as {failed[0]}", "mend them and build again; what is made stays")
+        kept = [item.info for item in items if not outcomes[item.info.name].dropped]
+        if not kept:
+            reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
+            writer.discard()
+            raise InputError(workshop.source or workshop.corpus, f"has no recording that can be used ({reason})",
+                             "see the formats in --help")
+        if workshop.dataset is not None:
+            for info in kept:
+                _share(writer.partial / "recordings" / f"{info.name}.flac", workshop.dataset / f"{info.name}.flac")
+        infos = [replace(info, seconds=outcomes[info.name].seconds, absent=outcomes[info.name].absent)
+                 for info in kept]
+        told = reports.summary(infos, [outcomes[item.info.name] for item in items], workshop.reader.notes())
+        write_text(writer.partial / reports.FILE, json.dumps(told, indent=1, ensure_ascii=False))
+        remove_unfinished(writer.partial)
+        return Report(writer.finish([info.name for info in kept]), told, 0.0, self.reused)
 
 
-_workshop: _Workshop | None = None
+def one_by_one(workshop: Workshop, items: Sequence[Item]) -> Iterator[Outcome]:
+    """Make recordings in this process."""
+    return map(workshop.make, items)
 
 
-def _in_parallel(workshop: _Workshop, items: Sequence[Item], workers: int) -> Iterator[Outcome]:
+_workshop: Workshop | None = None
+
+
+def in_processes(workers: int, workshop: Workshop, items: Sequence[Item]) -> Iterator[Outcome]:
+    """Make recordings in so many processes."""
+    if workers <= 1:
+        yield from one_by_one(workshop, items)
+        return
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor, as_completed
 
@@ -182,15 +248,15 @@ def _in_parallel(workshop: _Workshop, items: Sequence[Item], workers: int) -> It
             raise
 
 
-def _begin(workshop: _Workshop) -> None:
+def _begin(workshop: Workshop) -> None:
     global _workshop
     for variable in _ONE_THREAD:
         os.environ[variable] = "1"
     _workshop = workshop
-    _end_with_parent()
+    end_with_parent()
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """A worker whose build was killed would wait for work for ever."""
     import multiprocessing
     import threading
@@ -290,11 +356,11 @@ def _check_histogram(file: Path) -> None:
                          "pip install 'gesticulator[figures]'")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Build what `arguments` ask for and print the report. Returns 0; InputError when the input cannot be used."""
+def asked_for(arguments: argparse.Namespace) -> BuildRequest:
+    """What `arguments` ask for; InputError for what cannot be asked."""
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
-    from data_module.corpora import STROKE_SOURCES, Options
+    from data_module.corpora import Options
 
     for name in ("hours", "workers", "fps", "unit"):
         value = getattr(arguments, name)
@@ -309,15 +375,23 @@ def run(arguments: argparse.Namespace) -> int:
     for name in ("split", "speaker"):
         if getattr(arguments, name) and arguments.corpus != "folder":
             raise InputError(f"--{name}", f"is not for {arguments.corpus}, which has its own", "leave it out")
+    if arguments.histogram is not None:
+        _check_histogram(arguments.histogram)
     languages = tuple(filter(None, arguments.languages.split(",")))
     options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit, languages,
                       arguments.split, arguments.speaker)
-    if arguments.corpus in STROKE_SOURCES:
-        return _make_strokes(arguments.corpus, source, arguments.out, options)
-    if arguments.histogram is not None:
-        _check_histogram(arguments.histogram)
-    report = build(arguments.corpus, source, arguments.out, options, workers=arguments.workers,
-                   dataset=not arguments.no_dataset)
+    return BuildRequest(arguments.corpus, source, arguments.out, options, not arguments.no_dataset)
+
+
+def run(arguments: argparse.Namespace, making: Making | None = None) -> int:
+    """Build what `arguments` ask for and print the report; making: see `build` (as many processes as were asked for).
+    Returns 0; InputError when the input cannot be used."""
+    request = asked_for(arguments)
+    from data_module.corpora import STROKE_SOURCES
+
+    if request.corpus in STROKE_SOURCES:
+        return _make_strokes(request.corpus, request.source, request.out, request.options)
+    report = build(request, making or partial(in_processes, arguments.workers))
     for line in report.lines():
         print(line)
     if arguments.histogram is not None:

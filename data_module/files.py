@@ -11,7 +11,7 @@ import re
 import secrets
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,10 +21,15 @@ LARGEST_TEXT = 1 << 24
 """Bytes (16 MiB) of a text file that is read: the words of an hour, phone by phone and in UTF-16, take half of it."""
 LOCK = ".lock"
 """Name of the file that marks a folder as in use."""
+WAIT = 0.5
+"""Seconds between two looks at a lock that is waited for."""
 
 # What a text file may begin with when another program wrote it: Praat writes UTF-16.
 _MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
-_UNFINISHED = re.compile(r"\..{1,40}\.[0-9a-f]{12}")
+_PREFIX, _TOKEN = 40, 12
+"""Characters of a file's name, and of chance, in that of its temporary file: a long name plus an ending could pass the
+file system's limit."""
+_UNFINISHED = re.compile(rf"\..{{1,{_PREFIX}}}\.[0-9a-f]{{{_TOKEN}}}")
 """Names of the temporary files of `write_bytes`."""
 _NO_LOCKS = frozenset({errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL})
 """Errors with which a file system says that it has no locks (some network drives)."""
@@ -68,8 +73,7 @@ def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 def _new_file(target: Path) -> tuple[Path, int]:
     """A new file beside `target`, open for writing, with the rights that the process gives to its files."""
     while True:
-        # A short prefix: a long name plus the temporary ending could pass the file system's limit.
-        temporary = target.parent / f".{target.name[:40]}.{secrets.token_hex(6)}"
+        temporary = target.parent / f".{target.name[:_PREFIX]}.{secrets.token_hex(_TOKEN // 2)}"
         with contextlib.suppress(FileExistsError):
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
             return temporary, os.open(temporary, flags, 0o666)
@@ -80,6 +84,18 @@ def remove_unfinished(folder: Path) -> None:
     for file in folder.rglob(".*"):
         if _UNFINISHED.fullmatch(file.name):
             file.unlink(missing_ok=True)
+
+
+def remove_unfinished_of(targets: Iterable[Path]) -> None:
+    """Delete what `write_bytes` had begun of these files when its process was killed."""
+    names: dict[Path, set[str]] = {}
+    for target in targets:
+        names.setdefault(target.parent, set()).add(f".{target.name[:_PREFIX]}.")
+    for folder, wanted in names.items():
+        with contextlib.suppress(OSError):
+            for entry in os.scandir(folder):
+                if _UNFINISHED.fullmatch(entry.name) and entry.name[:-_TOKEN] in wanted:
+                    Path(entry.path).unlink(missing_ok=True)
 
 
 def rename(source: Path, target: Path) -> None:
@@ -148,11 +164,14 @@ def read_table(path: str | os.PathLike[str], advice: str) -> list[tuple[int, dic
 # ---------------------------------------------------------------------------------------------------- locks
 
 @contextlib.contextmanager
-def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False) -> Iterator[None]:
+def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False, shared: bool = False,
+         wait: bool = False) -> Iterator[None]:
     """Hold a folder, which is made where it is missing, against every other process and thread.
 
     what: the work, for the message ("a training"). beside: put the lock file next to the folder, not into it, for a
-    folder that is renamed while it is held. The system itself lets go when a process dies, so no lock is ever stale.
+    folder that is renamed while it is held. shared: together with others who say so, and against those who do not
+    (Windows cannot: there it is held alone). wait: until it is free. The system itself lets go when a process dies, so
+    no lock is ever stale.
     InputError when somebody else holds the folder. Where the file system has no locks, the work goes on without one.
     """
     place = Path(folder)
@@ -162,12 +181,13 @@ def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False) -> 
     else:
         file = place / LOCK
         place.mkdir(parents=True, exist_ok=True)
-    handle = _locked(file, place, what)
+    handle = _locked(file, place, what, shared, wait)
     try:
         yield
     finally:
         if os.name == "posix":  # while it is held, so that nobody loses a lock to it; see `_locked`
-            file.unlink(missing_ok=True)
+            if not shared or _take(handle):  # whoever is the last to share it
+                file.unlink(missing_ok=True)
             os.close(handle)
         else:
             _release(handle)
@@ -176,16 +196,18 @@ def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False) -> 
                 file.unlink(missing_ok=True)
 
 
-def _locked(file: Path, folder: Path, what: str) -> int:
+def _locked(file: Path, folder: Path, what: str, shared: bool, wait: bool) -> int:
     """A descriptor that holds the lock on `file`."""
     while True:
-        handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+        handle, pause = os.open(file, os.O_RDWR | os.O_CREAT, 0o666), 0.01
         try:
-            if not _take(handle):
-                raise InputError(folder, f"is in use by {_holder(handle)}",
-                                 "wait until it has ended, or choose another folder")
+            if not _take(handle, shared):
+                if not wait:
+                    raise InputError(folder, f"is in use by {_holder(handle)}",
+                                     "wait until it has ended, or choose another folder")
+                pause = WAIT
             # Whoever held it before removes the file: a lock on a removed file holds nothing.
-            if file.exists() and os.path.samestat(os.fstat(handle), file.stat()):
+            elif file.exists() and os.path.samestat(os.fstat(handle), file.stat()):
                 os.ftruncate(handle, 0)
                 os.write(handle, f"{what}\n{os.getpid()}\n{socket.gethostname()}\n".encode())
                 return handle
@@ -193,7 +215,7 @@ def _locked(file: Path, folder: Path, what: str) -> int:
             os.close(handle)
             raise
         os.close(handle)
-        time.sleep(0.01)
+        time.sleep(pause)
 
 
 def _holder(handle: int) -> str:
@@ -207,7 +229,7 @@ def _holder(handle: int) -> str:
     return f"{lines[0]} (process {lines[1]} on {lines[2]})"
 
 
-def _take(handle: int) -> bool:
+def _take(handle: int, shared: bool = False) -> bool:
     """Whether the lock could be had, without waiting."""
     try:
         if os.name == "nt":
@@ -220,7 +242,7 @@ def _take(handle: int) -> bool:
         else:
             import fcntl
 
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError as error:
         return error.errno in _NO_LOCKS
     return True

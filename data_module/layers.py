@@ -24,9 +24,34 @@ def convolutions(widths: Sequence[int], kernel: int = 3, *, norm: bool = True, l
         if last_linear and index == len(widths) - 2:
             break
         if norm:
-            layers.append(nn.BatchNorm1d(b))
+            layers.append(BatchNorm(b))
         layers.append(nn.LeakyReLU(SLOPE))
     return nn.Sequential(*layers)
+
+
+class BatchNorm(nn.BatchNorm1d):
+    """Batch normalisation over [B, D, T] or [B, D], in training by the moments of the whole batch, also where several
+    processes share it."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """The same shape."""
+        if not self.training:
+            return super().forward(input)
+        from data_module.parallel import batch_moments, shares  # only training asks for them
+
+        if shares() == 1:
+            return super().forward(input)
+        rows = input.transpose(1, 2).flatten(0, 1) if input.dim() == 3 else input
+        mean, variance, count = batch_moments(rows)
+        with torch.no_grad():
+            assert self.running_mean is not None and self.running_var is not None and self.momentum is not None
+            assert self.num_batches_tracked is not None
+            self.num_batches_tracked += 1
+            self.running_mean.lerp_(mean, self.momentum)
+            self.running_var.lerp_(variance * (count / max(count - 1, 1)), self.momentum)
+        scale = self.weight * (variance + self.eps).rsqrt()
+        shift = self.bias - mean * scale
+        return input * scale[:, None] + shift[:, None] if input.dim() == 3 else input * scale + shift
 
 
 class BlockLinear(nn.Module):
@@ -81,8 +106,10 @@ def freeze(module: nn.Module) -> nn.Module:
 
 
 def masked_mean(values: Tensor, mask: Tensor | None) -> Tensor:
-    """Mean of values [..., D] over the entries that `mask` (broadcastable, 0 or 1) keeps."""
+    """Mean of values [..., D] over the entries that `mask` (broadcastable, 0 or 1) keeps, of the whole batch."""
+    from data_module.parallel import batch_mean, batch_ratio  # only training asks for them
+
     if mask is None:
-        return values.mean()
+        return batch_mean(values)
     weights = mask.to(values.dtype).expand_as(values)
-    return (values * weights).sum() / weights.sum().clamp_min(1.0)
+    return batch_ratio((values * weights).sum(), weights.sum())

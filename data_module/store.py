@@ -178,6 +178,9 @@ class StoreWriter:
         if self.path.exists() and not (self.path.is_dir() and not any(self.path.iterdir())):
             raise InputError(self.path, "is already there", "delete it or choose another folder")
         begun = self.partial / _BEGUN
+        # Looked at before: another process may begin the same store at this moment, with this folder, then that file.
+        strange = [entry for entry in (self.partial.iterdir() if self.partial.exists() else ())
+                   if entry.name[0] != "." and (entry.name != _FOLDER or any(entry.iterdir()))]
         if begun.is_file():
             try:
                 before = _typed(json.loads(read_text(begun, "delete its folder")), dict)
@@ -186,11 +189,16 @@ class StoreWriter:
             if before != self._head:
                 raise InputError(self.partial, f"was begun with {_difference(before, self._head)}",
                                  "delete it, or use what it was begun with")
-        elif self.partial.exists() and any(self.partial.iterdir()):
+        elif strange:
             raise InputError(self.partial, "stands in the way", "delete it or choose another folder")
         (self.partial / _FOLDER).mkdir(parents=True, exist_ok=True)
         if not begun.is_file():
             write_text(begun, json.dumps(self._head, indent=1))
+
+    @property
+    def head(self) -> Mapping[str, Any]:
+        """What the store is made with, as plain values."""
+        return self._head
 
     def has(self, name: str) -> bool:
         """Whether the recording is finished already, its files whole."""

@@ -25,9 +25,10 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from data_module.errors import InputError, one_line_errors
 from eval.rows import CONTROLS, REFERENCES, ROWS, TABLES, rg
@@ -76,31 +77,47 @@ def listing() -> str:
 
 # ------------------------------------------------------------------------------------------------------------- running
 
+AtOnce: TypeAlias = "Callable[[AblationContext, Sequence[tuple[str, int]]], dict[str, str]]"
+"""Does rows and seeds at once; gives what failed, and why."""
+
+
+def chosen_rows(only: Sequence[str]) -> list[str]:
+    """The rows among what is asked for (all)."""
+    return [name for name in ROWS if name in (only or ROWS)]
+
+
+def row_seeds(names: Sequence[str], seeds: int) -> list[tuple[str, int]]:
+    """All rows at one seed before the next."""
+    return [(name, seed) for seed in range(1, seeds + 1) for name in names]
+
+
 def run_rows(context: AblationContext, names: Sequence[str], seeds: int) -> None:
-    """Run the rows that are not finished, all of them at one seed before the next."""
+    """Run the rows that are not finished, one after the other."""
     from tqdm import tqdm
 
     from eval.runner import cell
 
-    bar = tqdm([(name, seed) for seed in range(1, seeds + 1) for name in names], desc="rows",
-               disable=not context.first.progress)
+    bar = tqdm(row_seeds(names, seeds), desc="rows", disable=not context.first.progress)
     for name, seed in bar:
         bar.set_postfix_str(f"{name}, seed {seed}")
         cell(context, name, seed)
 
 
 def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = SEEDS,
-           systems: Mapping[str, Path] | None = None) -> dict[str, Any]:
+           systems: Mapping[str, Path] | None = None, at_once: AtOnce | None = None) -> dict[str, Any]:
     """Run the rows and figures that are asked for (all) and not finished; write the tables of all that is finished.
 
-    systems: folders of other systems' motion for the test speech. Gives the facts of the first table.
+    systems: folders of other systems' motion for the test speech. at_once: does rows and seeds at once and gives what
+    failed. Gives the facts of the first table.
     """
     from eval.cells import family, summaries
     from eval.runner import reference, system
 
-    names = [name for name in ROWS if name in (only or ROWS)]
-    refused: dict[str, str] = {}
-    run_rows(context, names, seeds)
+    names = chosen_rows(only)
+    context.cells.gather()
+    refused: dict[str, str] = at_once(context, row_seeds(names, seeds)) if at_once is not None else {}
+    if not refused:  # those that failed are not tried again here
+        run_rows(context, names, seeds)
     shared = {group: context.shared(group) for group in dict.fromkeys(map(family, names))}
     if shared.keys() != {"racer"}:
         shared["rg"] = context.shared("rg")
@@ -178,6 +195,11 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--list", action="store_true", help="show every row, table and figure, and stop")
     p.add_argument("--tables", action="store_true", help="write the tables again from OUT/cells.jsonl, and stop")
     p.add_argument("--quiet", action="store_true", help="no progress bars")
+    many = p.add_argument_group("many machines")
+    many.add_argument("--ray", metavar="WHERE", help="rows and seeds at once on a Ray cluster: auto, its address, or "
+                      "local:N for N workers here")
+    many.add_argument("--slurm", nargs="*", metavar="NAME=VALUE", help="submit each row and seed as a job of Slurm and "
+                      "stop; options of submitit, such as slurm_partition=cpu timeout_min=600 (needs submitit)")
 
 
 def _checked(arguments: argparse.Namespace) -> dict[str, Path]:
@@ -209,12 +231,32 @@ def run(arguments: argparse.Namespace) -> int:
         redraw(Path(arguments.out))
         return 0
     systems = _checked(arguments)
+    from eval.table import load
+
+    make = partial(context_of, arguments)
+    if arguments.slurm is not None:
+        return _submit(arguments, make)
+    at_once: AtOnce | None = None
+    if arguments.ray:
+        from eval import sweep
+        from gesticulator.ray_pool import check_ray, done_on_ray
+
+        check_ray(arguments.ray)
+        own = partial(context_of, argparse.Namespace(**{**vars(arguments), "quiet": True, "workers": 1}))
+        at_once = partial(sweep.rows_at_once, make=own, outcomes=partial(done_on_ray, arguments.ray, doubles=False))
+    context = make()
+    facts = ablate(context, only=arguments.only, seeds=arguments.seeds, systems=systems, at_once=at_once)
+    print("\n".join(table.terminal() for table in load(context.out / "table.json")), end="")
+    return 1 if any(", seed " in name for name in facts["refused"]) else 0
+
+
+def context_of(arguments: argparse.Namespace) -> AblationContext:
+    """What rows stand on, as `arguments` ask for it; workers on other machines make it anew."""
     import torch
 
     from data_module.store import Store
     from eval.metrics import gesture_features
     from eval.runner import AblationContext
-    from eval.table import load
     from gesticulator import bundle as bundles
     from gesticulator import config as configs
     from gesticulator.stages import Run
@@ -231,9 +273,21 @@ def run(arguments: argparse.Namespace) -> int:
     by = ([gesture_features.RawFeatures(34, count=1)] if arguments.preset == "tiny"
           else gesture_features.networks(store, work, first.progress))
     bundle = str(bundles.SHIPPED) if arguments.bundle == "shipped" else arguments.bundle
-    ablate(AblationContext(first, by, out, arguments.limit, bundle), only=arguments.only, seeds=arguments.seeds,
-           systems=systems)
-    print("\n".join(table.terminal() for table in load(out / "table.json")), end="")
+    return AblationContext(first, by, out, arguments.limit, bundle)
+
+
+def _submit(arguments: argparse.Namespace, make: Callable[[], AblationContext]) -> int:
+    """Submit jobs for the rows, and say what to do when they have ended."""
+    from eval import sweep
+
+    options = sweep.slurm_options(arguments.slurm)
+    tasks = row_seeds(chosen_rows(arguments.only), arguments.seeds)
+    if not tasks:
+        raise InputError("--slurm", "is for rows, and none is asked for", "leave it out")
+    folder = Path(arguments.work).absolute() / "slurm"
+    jobs = sweep.submit(make, tasks, folder, options)
+    print(f"{folder}: {len(jobs)} jobs, {jobs[0]} for what the rows share and {jobs[1]} to {jobs[-1]} for rows and "
+          "seeds\nwhen they have ended, the same command without --slurm does what is missing and writes the tables")
     return 0
 
 

@@ -256,7 +256,21 @@ def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
         return moved
 
     text = None if encoded.text is None else np.roll(encoded.text, by, axis=0)
-    return replace(encoded, blocks=blocks, low=late(encoded.low), high=late(encoded.high), text=text)
+    return replace(encoded, blocks=blocks, low=late(encoded.low), high=late(encoded.high), text=text,
+                   onsets=_onsets_late(encoded, by))
+
+
+def _onsets_late(encoded: SpeechFeatures, by: int) -> tuple[Array, ...] | None:
+    """The onsets within the blocks that stood `by` blocks before, where they lie on the grid of the blocks' own."""
+    if encoded.onsets is None:
+        return None
+    edges, count = encoded.blocks.edges, len(encoded)
+    out = []
+    for own in range(count):
+        heard = (own - by) % count
+        share = (encoded.onsets[heard] - edges[heard]) / (edges[heard + 1] - edges[heard])
+        out.append(edges[own] + share * (edges[own + 1] - edges[own]))
+    return tuple(out)
 
 
 # -------------------------------------------------------------------------------------------------------- interpreters

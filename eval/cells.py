@@ -8,6 +8,7 @@ may divide the rows between them. Of two lines of one row and seed the later cou
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.files import write_text
 from data_module.types import Array
 from eval import stats
 from eval.rows.racer import PREFIX
@@ -24,6 +26,8 @@ from eval.rows.row import COLUMNS, DECIDED, DECISIONS, RowColumn
 from eval.table import dumps, loads
 
 FILE = "cells.jsonl"
+PARTS = "cells"
+"""The folder of cells that are not gathered."""
 Cell = dict[str, Any]
 Cells = dict[str, dict[int, Cell]]
 """By row and seed; what has no seed is at 0."""
@@ -31,9 +35,11 @@ Cells = dict[str, dict[int, Cell]]
 
 @dataclass(frozen=True)
 class CellStore:
-    """The cells of a folder."""
+    """The cells of a folder. alone: whether nobody else writes there; if others do, each cell is a file of its own,
+    until it is gathered."""
 
     folder: Path
+    alone: bool = True
 
     @property
     def file(self) -> Path:
@@ -41,20 +47,28 @@ class CellStore:
         return self.folder / FILE
 
     def lines(self) -> list[Cell]:
-        """Every whole line, in the order in which they were finished."""
-        try:
-            text = self.file.read_text()
-        except FileNotFoundError:
-            return []
+        """Every whole line, in the order in which they were finished, then what is not gathered."""
         found = []
-        for line in text.splitlines():
-            try:
-                cell = loads(line)
-            except ValueError:
-                continue  # cut short: that cell is made again
-            if isinstance(cell, dict) and {"row", "seed", "key", "clips"} <= set(cell):
-                found.append(cell)
+        for file in (self.file, *self._parts()):
+            with contextlib.suppress(FileNotFoundError):  # nothing yet, or gathered since
+                found += _cells(file.read_text())
         return found
+
+    def _parts(self) -> list[Path]:
+        return sorted((self.folder / PARTS).glob("*.json"))
+
+    def gather(self) -> None:
+        """Take what others wrote into the one file."""
+        for part in self._parts():
+            cells = _cells(part.read_text())
+            known = {(cell["row"], cell["seed"], cell["key"]) for cell in _cells(self.file.read_text())} \
+                if self.file.exists() else set()
+            for cell in cells:
+                if (cell["row"], cell["seed"], cell["key"]) not in known:  # a gathering that was killed had it
+                    self._append(cell)
+            part.unlink()
+        with contextlib.suppress(OSError):
+            (self.folder / PARTS).rmdir()
 
     def finished(self, row: str, seed: int, key: str) -> Cell | None:
         """The cell of a row at a seed; None where it is missing or of other settings."""
@@ -62,7 +76,15 @@ class CellStore:
         return same[-1] if same else None
 
     def add(self, cell: Cell) -> None:
-        """Append a cell in one write, on a line of its own, and sync it."""
+        """Keep a cell."""
+        if self.alone:
+            self._append(cell)
+            return
+        (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
+        write_text(self.folder / PARTS / f"{cell['row']}-{cell['seed']}-{cell['key']}.json", dumps(cell))
+
+    def _append(self, cell: Cell) -> None:
+        """In one write, on a line of its own, synced."""
         self.folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(self.file, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         try:
@@ -90,6 +112,18 @@ class CellStore:
             raise InputError(self.file, "holds figures of different presets, stores or versions",
                              "keep them in two folders")
         return dict(sorted(cells.items()))
+
+
+def _cells(text: str) -> list[Cell]:
+    found = []
+    for line in text.splitlines():
+        try:
+            cell = loads(line)
+        except ValueError:
+            continue  # cut short: that cell is made again
+        if isinstance(cell, dict) and {"row", "seed", "key", "clips"} <= set(cell):
+            found.append(cell)
+    return found
 
 
 def family(row: str) -> str:

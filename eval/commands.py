@@ -35,6 +35,7 @@ SCORE = verb("real, generated and foreign motion side by side, with the controls
              "score --truth real --system ours=generated --speech wav --bundle shipped --out score.json")
 ABLATE = verb("every table, figure and claim of both papers, run again", "eval.ablate",
               "ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
+              "ablate --data STORE --work DIR --ray local:8", "ablate --data STORE --work DIR --slurm mem_gb=8",
               "ablate --tables --out docs/results/ablation")
 PROBE = choice("probe", "one question about a bundle or a data set (--list shows them)", PROBES, _publish, _out,
                ("probe --list", "probe quality --data STORE", "probe parts --data STORE --out parts.json"))

@@ -21,6 +21,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from data_module.errors import InputError
+from data_module.files import lock
 from data_module.layers import freeze
 from data_module.store import Store
 from eval.clip import measure, motion_values
@@ -38,7 +39,7 @@ from gesticulator.config import Config
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stages import CORPUS, ENCODER, Corpus, Run
 from gesticulator.stages import base as stages
-from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.caches import weights_hash
 from gesticulator.stages.interpreter import teacher_logits
 from gesticulator.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.stages.reward import reward_table, taught_reward
@@ -230,12 +231,13 @@ def _episodes(context: RacerContext, config: Config) -> Episodes:
     """The offline data set with the contrastive reward, kept in the work folder; every seed learns from the same."""
     plain = replace(config.episodes, reward="contrastive")
     file = context.run.work / f"racer-{configs.digest(context.shapes, plain, config.statistical, config.seed)}.npz"
-    if not file.exists():
-        interpreters: dict[str, LexemeInterpreter] = {
-            "sampled": context.bundle.block_models.interpreter, "statistical": context.bundle.statistical()}
-        build(context.takes, plain, context.taught(config).sequence, silent=context.silent,
-              vectors=context.bundle.vectors.numpy(), seed=config.seed,
-              policies=BehaviourPolicies(interpreters, features_of(context.corpus))).save(file)
+    with lock(file, "a row that makes its data", beside=True, wait=True):
+        if not file.exists():
+            interpreters: dict[str, LexemeInterpreter] = {
+                "sampled": context.bundle.block_models.interpreter, "statistical": context.bundle.statistical()}
+            build(context.takes, plain, context.taught(config).sequence, silent=context.silent,
+                  vectors=context.bundle.vectors.numpy(), seed=config.seed,
+                  policies=BehaviourPolicies(interpreters, features_of(context.corpus))).save(file)
     return Episodes.load(file)
 
 
@@ -343,11 +345,17 @@ TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 def trained(context: RacerContext, name: str, seed: int) -> tuple[QNetwork | ActorCritic, float]:
     """The network of a row, trained now or read from the work folder, and how many seconds that took.
 
-    A training that is stopped begins anew: what was remembered of roll-outs is not kept.
+    A training that is stopped begins anew: what was remembered of roll-outs is not kept. One that another process is at
+    is waited for.
     """
     name = ROWS[name].matched or name
-    row, config, began = ROWS[name], context.config(name), time.monotonic()
     folder = context.run.work / f"{name}-{context.key(name, seed)}"
+    with lock(folder, "a row", beside=True, wait=True):
+        return _trained(context, name, seed, folder)
+
+
+def _trained(context: RacerContext, name: str, seed: int, folder: Path) -> tuple[QNetwork | ActorCritic, float]:
+    row, config, began = ROWS[name], context.config(name), time.monotonic()
     network = context.untrained(name, seed)
     if stages.finished(folder):
         policy: QNetwork | ActorCritic = network

@@ -30,7 +30,7 @@ from torch import nn
 from tqdm import tqdm
 
 from data_module.errors import InputError
-from data_module.files import write_bytes
+from data_module.files import lock, write_bytes
 from data_module.motion.bvh import write_bvh
 from data_module.motion.kinematics import resample
 from data_module.speech.audio import SAMPLE_RATE
@@ -66,7 +66,7 @@ from gesticulator.stages import (
     assemble,
     wanted,
 )
-from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.caches import weights_hash
 from gesticulator.stages.q_network import takes_of
 
 VERSION = 2
@@ -96,8 +96,13 @@ class RowRun(Run):
     """By how much each stage's validation still became better in the last quarter of its training, as a share."""
 
     def get(self, node: Node[T]) -> T:
-        """See `Run.get`."""
-        return self.taken[node.name].get(node) if node.name in self.taken else super().get(node)
+        """See `Run.get`; what another process is making is waited for."""
+        if node.name in self.taken:
+            return self.taken[node.name].get(node)
+        if node.name in self._values or node.name not in (BLOCKS.name, CORPUS.name):
+            return super().get(node)
+        with lock(self.work / node.name, f"a row that makes {node.name}", beside=True, wait=True):
+            return super().get(node)
 
     def key(self, node: Node[Any]) -> str:
         """See `Run.key`."""
@@ -105,8 +110,9 @@ class RowRun(Run):
 
     def train_stage(self, stage: Stage[Any], model: nn.Module) -> dict[str, float]:
         """See `Run.train_stage`; the seconds are noted."""
-        began, there = time.monotonic(), self.finished(stage)
-        figures = super().train_stage(stage, model)
+        with lock(self.folder(stage), f"a row that trains {stage.name}", beside=True, wait=True):
+            began, there = time.monotonic(), self.finished(stage)
+            figures = super().train_stage(stage, model)
         self.seconds[stage.name] = 0.0 if there else round(time.monotonic() - began, 1)
         log = self.folder(stage) / f"{stage.name}.jsonl"
         if log.is_file():
@@ -120,13 +126,15 @@ class RowRun(Run):
 class AblationContext:
     """What all rows stand on. first: the run of the preset as it is; by: what the Frechet distance is measured in, the
     first of which the tables show; out: where the cells are; limit: recordings of a split at most; bundle: what RACER's
-    rows stand on (the row "q-network" where none is given). What is costly is made when it is asked for."""
+    rows stand on (the row "q-network" where none is given); alone: see `CellStore`. What is costly is made when it is
+    asked for."""
 
     first: Run
     by: Sequence[gesture_features.Features]
     out: Path
     limit: int | None = None
     bundle: str | None = None
+    alone: bool = True
     _corpora: dict[str, Run] = field(default_factory=dict)
     _real: dict[str, list[list[Array]]] = field(default_factory=dict)
     _encoded: dict[str, dict[str, SpeechFeatures]] = field(default_factory=dict)
@@ -135,7 +143,7 @@ class AblationContext:
     @property
     def cells(self) -> CellStore:
         """What is finished."""
-        return CellStore(self.out)
+        return CellStore(self.out, self.alone)
 
     @property
     def store(self) -> Store:
@@ -317,11 +325,16 @@ class PlayedStore:
 
 # --------------------------------------------------------------------------------------------------------------- cells
 
+def original(context: AblationContext, name: str) -> str:
+    """The row whose cell a row is a copy of: of RACER's rows that are one network, the first; else itself."""
+    return racer.twins(context.racer.run.config)[name] if family(name) == "racer" else name
+
+
 def cell(context: AblationContext, name: str, seed: int) -> Cell:
     """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
     made: Callable[[], Mapping[str, Any]]
     if family(name) == "racer":
-        same = racer.twins(context.racer.run.config)[name]
+        same = original(context, name)
         key = context.key(same, seed)
         made = ((lambda: policy_training.measured(context.racer, name, seed, context.by)) if same == name else
                 (lambda: {**cell(context, same, seed), "run_as": same}))

@@ -268,6 +268,8 @@ class FlowGenerator(nn.Module):
         left_out: chances that a window hears nothing, that it is told no lexeme, that it is not told how the body moved
         before, and that a block is not told what the one before added; those of the settings where None.
         """
+        from data_module.parallel import batch_ratio, draws_along, full_precision  # only training asks for them
+
         c, motion = self.config, batch["motion"]
         deaf, unnamed, forgetful, untold = left_out or (c.audio_dropout, c.lexeme_dropout, c.history_dropout,
                                                         c.added_dropout)
@@ -276,13 +278,14 @@ class FlowGenerator(nn.Module):
         past = Pasts(before[..., -PAST:, :], ratio)
         fading = _fade(self.frames, motion)[:, None]
         back = true + (before[..., -1:, :] - motion[:, :-1, -1:]) * fading
-        y = self.basis.coefficients(back, past)
+        y = full_precision(self.basis.coefficients)(back, past)
         u = self.squeeze(y)
         added = torch.cat([torch.zeros_like(u[:, :1]), u[:, :-1]], 1)
         share = torch.rand(*u.shape[:2], 1, device=u.device)
         added = torch.where(share < untold, torch.zeros_like(added), added)
-        lexeme = nearest(y.flatten(0, 1)).unflatten(0, y.shape[:2])
-        some = torch.rand(3, len(motion), device=u.device)
+        lexeme = full_precision(nearest)(y.flatten(0, 1)).unflatten(0, y.shape[:2])
+        with draws_along(1):
+            some = torch.rand(3, len(motion), device=u.device)
         lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
         asked = batch["control"][:, 1:] if self.control_width and "control" in batch else None
         audio, place = batch["audio"][:, 1:], batch["circumstances"][:, 1:]
@@ -299,7 +302,7 @@ class FlowGenerator(nn.Module):
         for _ in range(c.draws):
             time, noise = torch.rand(*u.shape[:2], 1, device=u.device), torch.randn_like(u)
             v = self.head((1 - time) * noise + time * u, FlowTime.of(time), conditions)
-            total = total + ((v - (u - noise)).pow(2) * weight).sum() / weight.sum().clamp_min(1.0)
+            total = total + batch_ratio(((v - (u - noise)).pow(2) * weight).sum(), weight.sum())
         return {"flow": total / c.draws}
 
     def component_weights(self) -> Tensor:

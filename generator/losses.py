@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from data_module.layers import masked_mean
+from data_module.parallel import batch_mean, batch_moments, shares
 
 Encoder = Callable[[Tensor], Tensor]
 """The frozen encoder of the lexicon: blocks [B, K, D_m] to latents [B, D_s]."""
@@ -22,7 +23,7 @@ def perceptual(generated: Tensor, motion: Tensor, encoder: Encoder) -> Tensor:
     """L_perc = |E(M*) - E(M)|^2 with the frozen encoder, before quantisation, over [B, K, D_m] (RG Eq. 11)."""
     with torch.no_grad():
         target = encoder(motion)
-    return (encoder(generated) - target).pow(2).mean()
+    return batch_mean((encoder(generated) - target).pow(2))
 
 
 def lexeme(generated: Tensor, lexemes: Tensor, encoder: Encoder) -> Tensor:
@@ -39,8 +40,10 @@ def style_divergence(codes: Tensor, eps: float = 1e-6) -> Tensor:
     Moment matching: mu and sigma are those of the mini-batch. Zero for exact N(0, 1) moments, finite for a batch of 1,
     zero where there are no codes, or codes of width 0.
     """
-    if codes.numel() == 0:
+    if codes.numel() == 0 and shares() == 1:
         return codes.new_zeros(())
-    mean = codes.mean(0)
-    variance = codes.var(0, unbiased=False) + eps
+    mean, variance, count = batch_moments(codes)
+    if count == 0 or codes.shape[1] == 0:
+        return codes.new_zeros(())
+    variance = variance + eps
     return 0.5 * (variance + mean.pow(2) - 1.0 - variance.log()).mean()

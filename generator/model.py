@@ -365,18 +365,24 @@ class Generator(nn.Module):
     def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,
                      encoder: Encoder, control: Tensor | None) -> Tensor:
         """RG Eq. 12 and 13: past, audio, style (and control) of random blocks j of the batch, lexemes of blocks i."""
+        from data_module.parallel import batch_rows, draws_along, own_rows, shares
         from generator.losses import lexeme as lexeme_loss
 
-        past, heard = motion[:, :-1].flatten(0, 1), audio.flatten(0, 1)
-        wanted, styles = lexemes.flatten(0, 1), style.flatten(0, 1)
+        past, heard = batch_rows(motion[:, :-1].flatten(0, 1)), batch_rows(audio.flatten(0, 1))
+        wanted, styles = batch_rows(lexemes.flatten(0, 1)), batch_rows(style.flatten(0, 1))
+        control = None if control is None else batch_rows(control.flatten(0, 1))
         count = max(1, round(len(past) * self.config.swap_share))
+        # Where the pairs cannot be divided evenly, every process takes them all, with the same noise.
+        divided = count % shares() == 0
+        own = own_rows(count) if divided else slice(count)
         total = motion.new_zeros(())
         for _ in range(self.config.swaps):
-            i = torch.randperm(len(past), device=past.device)[:count]
-            j = torch.randperm(len(past), device=past.device)[:count]
+            i = torch.randperm(len(past), device=past.device)[:count][own]
+            j = torch.randperm(len(past), device=past.device)[:count][own]
             state = self.first_state(past[j, -1], wanted[i])
-            asked = None if control is None else control.flatten(0, 1)[j]
-            made, _, _ = self.step(past[j], self.encode_audio(heard[j]), wanted[i], styles[j], state, temperature,
-                                   asked)
+            asked = None if control is None else control[j]
+            with draws_along(0 if divided else None):
+                made, _, _ = self.step(past[j], self.encode_audio(heard[j]), wanted[i], styles[j], state, temperature,
+                                       asked)
             total = total + lexeme_loss(made, wanted[i], encoder)
         return total / max(self.config.swaps, 1)

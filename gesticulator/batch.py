@@ -18,7 +18,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
+from data_module.build import end_with_parent
 from data_module.errors import InputError, complain, one_line
+from data_module.files import remove_unfinished_of
 from gesticulator.cli import PROGRAM
 from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, table
 
@@ -87,6 +89,14 @@ def told_seconds(path: Path) -> float:
         return 0.0
 
 
+def asked_shard(text: str | None) -> tuple[int, int]:
+    """A shard such as 2/8; the whole, 1/1, where none is asked for."""
+    index, mark, count = (text or "1/1").partition("/")
+    if not (mark and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
+        raise InputError(f"--shard {index[:20]}{mark}{count[:20]}", "is no shard", "write it as 1/8 to 8/8")
+    return int(index), int(count)
+
+
 def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTask]:
     """The tasks of shard 1 to `count`: the longest goes first, each to the shard that has the least to do."""
     loads = [(0.0, index) for index in range(1, count + 1)]
@@ -108,6 +118,44 @@ def attempted(doing: Doing, number: int) -> TaskOutcome:
     except (InputError, OSError) as error:
         fault = one_line(error)
     return TaskOutcome(number, seconds, fault, time.perf_counter() - begin, f"{socket.gethostname()}:{os.getpid()}")
+
+
+def done_in_processes(workers: int, make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
+    """Do them in so many processes of this machine; `InputError` where one of these is killed."""
+    if workers <= 1 or len(numbers) <= 1:
+        yield from done_here(make, numbers)
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from concurrent.futures.process import BrokenProcessPool
+
+    # Spawned, not forked: the same on every system, and numpy reads the number of threads anew.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(numbers)), context, _begin, (make,)) as pool:
+        try:
+            for future in as_completed([pool.submit(_do, number) for number in numbers]):
+                yield future.result()
+        except BrokenProcessPool:
+            raise InputError("a process", "was ended from outside (perhaps memory ran out)", "do the same again with "
+                             "fewer processes: what is done stays") from None
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+_doing: Doing | None = None
+"""Of a process of `done_in_processes`."""
+
+
+def _begin(make: Maker) -> None:
+    global _doing
+    end_with_parent()
+    _doing = make()
+
+
+def _do(number: int) -> TaskOutcome:
+    assert _doing is not None
+    return attempted(_doing, number)
 
 
 def done_here(make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
@@ -138,6 +186,9 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Se
                 waiting[task.number] = row
         kept = sum(notes.rows[str(task.source)].status == DONE for task in mine
                    if task.number not in waiting and task.fault is None)
+        # What was killed may have left something half-written: a run before this one, or a worker of this one.
+        begun = [output for task in mine if task.number in waiting for output in task.outputs]
+        remove_unfinished_of(begun)
         with tqdm(total=round(sum(row.seconds for row in waiting.values())), unit=" s of sound",
                   disable=quiet or not sys.stderr.isatty()) as bar:
             for one in outcomes(list(waiting)) if waiting else ():
@@ -147,6 +198,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Se
                                   error=one.error, time=one.time, worker=one.worker))
                 if one.error:
                     complain(f"{PROGRAM}: {one.error}")
+        remove_unfinished_of(begun)
         rows = [notes.rows[str(task.source)] for task in mine]
     if not quiet:
         print(f"{manifest}:\n{table(rows, kept)}", flush=True)

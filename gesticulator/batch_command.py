@@ -11,7 +11,7 @@ from typing import Protocol
 
 from data_module.errors import InputError
 from gesticulator import __version__, ray_pool
-from gesticulator.batch import BatchTask, Maker, done_here, file_hash, run_batch
+from gesticulator.batch import BatchTask, Maker, asked_shard, done_here, file_hash, run_batch
 from gesticulator.bundle import INDEX, SHIPPED, read_index
 from gesticulator.manifest import check_manifest, default_name
 
@@ -48,9 +48,8 @@ def run_jobs(jobs: Sequence[NamedRecording], asked: argparse.Namespace, make: Ma
     """
     if any(job.source is None for job in jobs):
         raise InputError("standard input", "is no recording of a batch", "name files or folders")
-    index, count = _shard(asked.shard) if asked.shard else (1, 1)
-    name = default_name() if count == 1 else default_name().replace(".", f".{index}-of-{count}.")
-    path = Path(asked.manifest) if asked.manifest else jobs[0].targets[0].parent / name
+    shard = asked_shard(asked.shard)
+    path = Path(asked.manifest) if asked.manifest else jobs[0].targets[0].parent / default_name(*shard)
     check_manifest(path)
     if asked.ray:
         ray_pool.check_ray(asked.ray)
@@ -60,7 +59,7 @@ def run_jobs(jobs: Sequence[NamedRecording], asked: argparse.Namespace, make: Ma
     tasks = [BatchTask(number, job.source, job.targets, (__version__, bundle, _with_text(settings, job.text)),
                        job.fault) for number, job in enumerate(jobs) if job.source is not None]
     outcomes = partial(ray_pool.done_on_ray, asked.ray, make) if asked.ray else partial(done_here, make)
-    return run_batch(tasks, path, outcomes, (index, count), asked.quiet)
+    return run_batch(tasks, path, outcomes, shard, asked.quiet)
 
 
 def _settings_hash(asked: argparse.Namespace) -> str:
@@ -76,11 +75,3 @@ def _with_text(settings: str, text: Path | None) -> str:
     if text is None or not text.is_file():
         return settings
     return hashlib.sha256(settings.encode() + text.read_bytes()).hexdigest()
-
-
-def _shard(text: str) -> tuple[int, int]:
-    """A shard such as 2/8."""
-    index, mark, count = text.partition("/")
-    if not (mark and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
-        raise InputError(f"--shard {text[:40]}", "is no shard", "write it as 1/8 to 8/8")
-    return int(index), int(count)

@@ -6,17 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from data_module import build
 from gesticulator import silent
+from gesticulator.build_command import COMMAND as BUILD
 from gesticulator.cli import Command
 from gesticulator.train import COMMAND as TRAIN
 
 __all__ = ["BUILD", "BUNDLE", "TRAIN"]
-
-BUILD = Command(
-    "turn recordings of speech and motion into a store to train on", build.add_arguments, build.run,
-    examples=("build performer --preset tiny --out store", "build folder --source DIR --out store",
-              "build beat --source DIR --out store --workers 4"))
 
 
 def _arguments(p: argparse.ArgumentParser) -> None:

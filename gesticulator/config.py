@@ -216,8 +216,16 @@ class SelectionConfig:
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
     """Of Heun's method, from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
-    """Blocks that the flow head draws at once, of which the first that shows the lexeme is kept; else the one that
-    comes nearest to showing it."""
+    """Blocks that the flow head draws at once, of which one that shows the lexeme is kept, or else one that comes
+    nearest to showing it; of several the one most in time (`timing`), or the first."""
+    timing: NotNegative = 0.0
+    """Of the candidates that show the lexeme: how much it counts that the hands brake at the onsets of the sound; 0
+    does not look (`gesticulator.candidates`)."""
+    seam: NotNegative = 0.0
+    """How much it counts beside `timing` that a candidate joins on to the block before without a jolt."""
+    as_asked: NotNegative = 0.0
+    """How much it counts, beside `timing`, that a candidate does what is asked of the hands, a spread of training each;
+    it then need only be among the five lexemes nearest to it."""
     activity: Share = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of the time of
     speech that is gestured."""

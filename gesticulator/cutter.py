@@ -45,6 +45,8 @@ LATENCIES = ("full", "low")
 TICK = 800
 """Samples (50 ms) that are taken at a time: half a step of the noise floor, five spectra."""
 _STEP_SAMPLES = round(STEP * FRAME * SAMPLE_RATE)
+_SAME = 1e-6
+"""Seconds between two times that are one."""
 _WORDS_NEAR = 30.0
 """Seconds around a block in which words are looked for: no pause that is bridged is longer."""
 _NOTHING = LoudnessStep(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, bool))
@@ -53,7 +55,7 @@ _NOTHING = LoudnessStep(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, bool)
 @dataclass(frozen=True)
 class _CutBlock:
     """A block of sound that was cut: seconds, why it ends, its sound stretched [L], whether it is silent, whether its
-    frames are [K], and how loud the voice was known to be at its end, dBFS."""
+    frames are [K], how loud the voice was known to be at its end, dBFS, and its onsets [n]."""
 
     start: float
     end: float
@@ -62,6 +64,7 @@ class _CutBlock:
     silent: bool
     quiet: NDArray[np.bool_]
     reference: float
+    onsets: Array
 
     @property
     def duration(self) -> float:
@@ -136,6 +139,7 @@ class BlockCutter:
         self._sound, self._from = np.zeros(self._context, np.float32), -self._context
         self._heard = self._levels = self._frames = self._count = 0
         self._edges: list[tuple[float, BeatFlag]] = [(start, BeatFlag.BOUNDARY)]  # of blocks that are not cut yet
+        self._rises: list[float] = []  # onsets of blocks that are not cut yet
         self._cut: list[_CutBlock] = []  # the block before, and those that are not given yet
         self._ended = self._told = False
 
@@ -183,6 +187,7 @@ class BlockCutter:
         self._pending, self._waiting, self._ended = [], 0, True
         heard, onsets = self._hear(left)
         onsets += self._onsets.finish()
+        self._rises += [time for time, _ in onsets]
         self._quiet.add(self._start.finish().tolist())
         self._pauses.close()
         self._quiet.close()
@@ -192,6 +197,7 @@ class BlockCutter:
 
     def _tick(self, samples: Samples) -> list[SpeechBlock]:
         heard, onsets = self._hear(samples)
+        self._rises += [time for time, _ in onsets]
         if not self._told:
             self._edges += self._beats.step(onsets, heard.silent.tolist(), self._onsets.known_until,
                                             self._heard / SAMPLE_RATE)
@@ -218,6 +224,7 @@ class BlockCutter:
         while len(self._edges) > 1 and self._ready(self._edges[1][0]):
             self._cut.append(self._cut_block(self._edges[0][0], *self._edges[1]))
             del self._edges[0]
+            self._rises = [time for time in self._rises if time >= self._edges[0][0] - _SAME]
         while len(self._cut) > (self._count > 0):
             at = int(self._count > 0)
             own, last = self._cut[at], len(self._cut) == at + 1
@@ -236,6 +243,8 @@ class BlockCutter:
             return True
         if self._heard < round(end * SAMPLE_RATE) + self._context + 1 or self._frames < round(end / FRAME):
             return False
+        if self._onsets.known_until <= end + _SAME:
+            return False
         # A frame's middle or end may lie a frame beyond.
         return self._low or min(self._pauses.certain, self._quiet.certain) > end / FRAME + 1
 
@@ -246,7 +255,8 @@ class BlockCutter:
         first, last = frame_after(np.array([start, end])).tolist()
         silent = in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))
         return _CutBlock(start, end, flag, self._stretched(start, end), silent,
-                         self._quiet.at(frame_before(frames), ended), self._voice.block(end))
+                         self._quiet.at(frame_before(frames), ended), self._voice.block(end),
+                         np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]))
 
     def _foreseen(self, own: _CutBlock) -> _CutBlock:
         """The block after one: as long as this, at its own pace as far as it was heard, and from there on backwards."""
@@ -255,7 +265,7 @@ class BlockCutter:
         first, last = frame_after(np.array([start, end])).tolist()
         return _CutBlock(start, end, BeatFlag.EVEN_PSEUDO, self._stretched(start, end),
                          in_pause(self._pauses.between(first, last)),
-                         self._quiet.at(frame_before(start + own.duration * share), False), 0.0)
+                         self._quiet.at(frame_before(start + own.duration * share), False), 0.0, np.zeros(0))
 
     def _stretched(self, start: float, end: float) -> Samples:
         first, last = (round(edge * SAMPLE_RATE) for edge in (start, end))
@@ -284,7 +294,7 @@ class BlockCutter:
             text = np.concatenate([self._words.rows(part, rhythm.frames, rhythm.fps) for part in (before, own, after)])
         return SpeechBlock(self._count, own.start, own.end, (three[0].duration, own.duration, three[2].duration),
                            (three[0].silent, own.silent, three[2].silent), low, high, text, own.quiet,
-                           None if after is None else after.quiet, own.flag)
+                           None if after is None else after.quiet, own.flag, onsets=own.onsets)
 
     def _forget(self, start: float) -> None:
         """Let go of the sound and the flags before a block that was given."""
@@ -362,4 +372,5 @@ def gathered(found: Sequence[SpeechBlock], config: Config) -> SpeechFeatures:
     text = None if found[0].text is None else np.stack([block.text for block in found if block.text is not None])
     blocks = Blocks(edges, np.array([block.flag for block in found], np.int8),
                     np.array([block.silent[1] for block in found]), config.rhythm.frames, config.rhythm.fps)
-    return SpeechFeatures(blocks, low, high, text, np.stack([block.quiet for block in found]))
+    return SpeechFeatures(blocks, low, high, text, np.stack([block.quiet for block in found]),
+                          tuple(block.onsets for block in found))

@@ -14,6 +14,7 @@ from torch import Tensor
 from data_module.motion.movement import PAST, Pasts
 from generator.flow import Circumstances, FlowGenerator, FlowInputs, alone
 from gesticulator.bundle import Bundle
+from gesticulator.candidates import CandidateChooser
 from gesticulator.config import UNTOLD
 from gesticulator.features import SpeechBlock
 from interpreters.base import BlockFeatures
@@ -123,6 +124,7 @@ class FlowDrawer:
     def __init__(self, bundle: Bundle, speaker: int, keys: Keys) -> None:
         self.generator = cast(FlowGenerator, bundle.generator)
         self.lexicon = cast("MovementLexicon", bundle.lexicon)
+        self.chooser = CandidateChooser(bundle, speaker)
         self.chosen, self.keys, self.device = bundle.config.selection, keys, bundle.vectors.device
         self.place = Circumstances()
         self.speaker = torch.nn.functional.one_hot(torch.tensor([speaker], device=self.device),
@@ -164,9 +166,9 @@ class FlowDrawer:
             context, pull = context[:1], pull[:0]
         noise = self.keys.noise(speech.number, (candidates, self.generator.basis.width)).to(self.device) * self.noise
         drawn = self.generator.draw(context[:, 0], pull, noise, steps)
-        best = self._showing(lexeme, drawn)
-        block = self.base + self.generator.basis.expand(drawn[best:best + 1])
-        return block * self.generator.present, past[:, :0, 0]
+        made = (self.base + self.generator.basis.expand(drawn)) * self.generator.present
+        best = self._best(speech, lexeme, drawn, made, past, features)
+        return made[best:best + 1], past[:, :0, 0]
 
     def _of_trunk(self, trunk: float) -> Tensor:
         """[n] this value for the coefficients of torso and head, 1 for the others."""
@@ -201,10 +203,12 @@ class FlowDrawer:
             torch.tensor([what == "audio" for what in left], device=self.device),
             torch.tensor([what == "history" for what in left], device=self.device)), list(gained.values())
 
-    def _showing(self, lexeme: int, drawn: Tensor) -> int:
-        """Which candidate shows the lexeme: the first of those where fewest lexemes are nearer."""
+    def _best(self, speech: SpeechBlock, lexeme: int, drawn: Tensor, made: Tensor, past: Tensor,
+              features: BlockFeatures) -> int:
+        """Which candidate is kept, of coefficients [C, n] and the blocks [C, K, D_m] that they make."""
         if len(drawn) == 1:
             return 0
         away = self.lexicon.distances(drawn)
         nearer = (away < away[:, lexeme, None]).sum(-1)
-        return int(nearer.argmin())
+        asked = None if features.control is None else features.control.cpu().numpy()
+        return self.chooser.choose(speech, past[0].cpu().numpy(), made.cpu().numpy(), nearer.cpu().numpy(), asked)

@@ -7,7 +7,7 @@ training split, and travels in the bundle.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -142,13 +142,15 @@ class SpeechFeatures:
     """blocks: N of them. low, high: [N, 3K, d + 1] features of the block before, the block and the block after; the
     last column is the logarithm of each block's duration over the longest allowed (time-scaling hides the tempo).
     text: [N, 3K, d_t + 1] word vectors on the same windows, the last column the flag of the empty word; None in the
-    audio-only path. quiet: [N, K] whether each frame lies in a pause; None where only whole blocks are known to."""
+    audio-only path. quiet: [N, K] whether each frame lies in a pause; None where only whole blocks are known to.
+    onsets: of each block, [n] seconds from its start to its end, both included; None where nobody listened for them."""
 
     blocks: Blocks
     low: Features
     high: Features
     text: Features | None = None
     quiet: NDArray[np.bool_] | None = None
+    onsets: tuple[Array, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.blocks)
@@ -162,7 +164,8 @@ class SpeechFeatures:
         quiet = [np.full(blocks.frames, blocks.silent[n]) if self.quiet is None else self.quiet[n] for n in three[1:]]
         return SpeechBlock(i, float(blocks.edges[i]), float(blocks.edges[i + 1]), (before, own, after),
                            (was, now, then), self.low[i], self.high[i], None if self.text is None else self.text[i],
-                           quiet[0], quiet[1] if i + 1 < count else None, BeatFlag(int(blocks.flags[i])))
+                           quiet[0], quiet[1] if i + 1 < count else None, BeatFlag(int(blocks.flags[i])),
+                           onsets=np.zeros(0) if self.onsets is None else self.onsets[i])
 
 
 @dataclass(frozen=True)
@@ -172,7 +175,8 @@ class SpeechBlock:
     number: from 0. start, end: seconds; flag: of the beat at its end. durations, silent: of the block before, the block
     and the block after (its own where there is none). low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K]
     whether each frame lies in a pause; ahead: [K] the same of the block after, None where the speech ends. foreseen:
-    the block after is what was heard of it when it was not known yet.
+    the block after is what was heard of it when it was not known yet. onsets: [n] seconds from its start to its end,
+    both included.
     """
 
     number: int
@@ -187,6 +191,7 @@ class SpeechBlock:
     ahead: NDArray[np.bool_] | None = None
     flag: BeatFlag = BeatFlag.EVEN_PSEUDO
     foreseen: bool = False
+    onsets: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:

@@ -2,7 +2,8 @@
 
 A model offers `losses(batch, progress) -> dict[str, Tensor]` and `weights`, keyed alike; it never knows the trainer.
 Every step is a function of (seed, step) alone: the batch, the dropout and the Gumbel noise are drawn from generators
-seeded with both. So a run that was stopped and resumed gives the same weights as one that was not.
+seeded with both. So a run that was stopped and resumed gives the same weights as one that was not, and one in several
+processes (`gesticulator.distributed`) the weights of one alone, but for rounding.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from data_module.errors import InputError
 from data_module.files import rename
+from gesticulator import distributed
 from gesticulator.config import FitSettings
 
 Batch = dict[str, Tensor]
@@ -127,11 +130,14 @@ class BestWeights:
 
 
 class StepLog:
-    """One JSON line a step; lines past the step that a run resumes from are dropped."""
+    """One JSON line a step; lines past the step that a run resumes from are dropped. Of several processes the first
+    writes it."""
 
     def __init__(self, path: Path, from_step: int) -> None:
+        if not distributed.leads():
+            path = Path(os.devnull)
         kept = []
-        if path.exists():
+        if path.is_file():
             kept = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
         path.write_text("".join(line + "\n" for line in kept))
         self._stream = path.open("a", buffering=1)
@@ -156,10 +162,11 @@ def _step_of(line: str) -> int:
 class Task:
     """What a stage is taught: batches, their losses, and what is done beside them.
 
-    make_batch(rng): a batch from random numbers alone. losses(batch, progress): the terms, keyed like the model's
-    `weights`; the model's own where None. validate(): figures on the validation split. before_step(step): what must
-    happen at a certain step; it must depend on the step alone. watch: the figure of `validate` that tells when to stop
-    (less is better), where the settings have patience; empty for none.
+    make_batch(rng): a batch from random numbers alone; where several processes share it, this one's rows
+    (`data_module.parallel.own_rows`), with the same numbers drawn whatever the rows. losses(batch, progress): the
+    terms, keyed like the model's `weights`; the model's own where None. validate(): figures on the validation split.
+    before_step(step): what must happen at a certain step; it must depend on the step alone. watch: the figure of
+    `validate` that tells when to stop (less is better), where the settings have patience; empty for none.
     """
 
     make_batch: MakeBatch
@@ -179,6 +186,8 @@ class FitOptions:
     """Between two checkpoints: a minute is what a kill may cost."""
     progress: bool = True
     stop_after: int | None = None
+    precision: str = "float32"
+    """"bfloat16" computes the losses under autocast; weights, gradients and sums stay as they are."""
 
 
 def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder: Path, options: FitOptions
@@ -187,7 +196,8 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     that the task watches has not become better for so many validations: the weights and figures are then the best ones.
 
     folder receives `STAGE.ckpt` (resumed from when it is there and whole) and `STAGE.jsonl` (a line a step).
-    FloatingPointError when the loss is no longer a number.
+    Of several processes the first one validates and writes the files. FloatingPointError when the loss is no longer a
+    number.
     """
     model.to(options.device).train()
     learner = _Learner(model, task, settings, options)
@@ -195,11 +205,15 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     checkpoint = Checkpoint(folder / f"{stage}.ckpt")
     best = BestWeights(task.watch) if settings.patience and task.watch and task.validate is not None else None
     first = checkpoint.load(model, plain, best)
+    if distributed.lead(lambda: first) != first:
+        raise InputError(folder, "holds another checkpoint for other processes", "put --work where all machines see it")
+    distributed.spread(model)
     log = StepLog(folder / f"{stage}.jsonl", first)
     every = max(1, settings.steps // settings.validations)
     figures: dict[str, float] = {}
     saved_at = time.monotonic()
-    bar = tqdm(total=settings.steps, initial=first, desc=stage, disable=not options.progress, leave=True,
+    bar = tqdm(total=settings.steps, initial=first, desc=stage, leave=True,
+               disable=not (options.progress and distributed.leads()),
                mininterval=1.0)
     try:
         for step in range(first, settings.steps):
@@ -217,7 +231,8 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
             log.write(row)
             bar.update()
             if time.monotonic() - saved_at > options.checkpoint_seconds or done == settings.steps:
-                checkpoint.save(done, model, plain, best)
+                if distributed.leads():
+                    checkpoint.save(done, model, plain, best)
                 saved_at = time.monotonic()
     finally:
         bar.close()
@@ -227,7 +242,7 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
         model.load_state_dict(best.weights)
         figures = best.figures
     if task.validate is not None and not figures:
-        figures = task.validate()
+        figures = distributed.lead(task.validate)
     return figures
 
 
@@ -252,7 +267,7 @@ def late_gain(log: Path) -> float:
 
 def _validated(model: nn.Module, validate: Validate) -> dict[str, float]:
     model.eval()
-    figures = validate()
+    figures = distributed.lead(validate)
     model.train()
     return figures
 
@@ -271,25 +286,36 @@ class _Learner:
         if self.task.before_step is not None:
             self.task.before_step(step)
         rng = generator_for(self.options.seed, step)
-        batch = {key: value.to(self.options.device) for key, value in self.task.make_batch(rng).items()}
-        torch.manual_seed(int(rng.integers(2**62)))
         factor = rate_factor(self.settings, step)
         for optimiser, rate in self.optimisers:
             for group in optimiser.param_groups:
                 group["lr"] = rate * factor
             optimiser.zero_grad(set_to_none=True)
-        terms = self.losses(batch, step / max(1, self.settings.steps))
-        total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
-                    start=torch.zeros((), device=self.options.device))
-        total.backward()
+        with distributed.dividing():
+            batch = {key: value.to(self.options.device) for key, value in self.task.make_batch(rng).items()}
+            torch.manual_seed(int(rng.integers(2**62)))
+            terms = self._terms(batch, step / max(1, self.settings.steps))
+            total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
+                        start=torch.zeros((), device=self.options.device))
+            distributed.backward(total, [p for optimiser, _ in self.optimisers for group in optimiser.param_groups
+                                         for p in group["params"]])
         norm = self._clipped()
-        if not math.isfinite(float(total.detach())) or not math.isfinite(norm):
-            raise FloatingPointError(f"the loss is no longer a number at step {step}: "
-                                     f"{ {key: float(term.detach()) for key, term in terms.items()} }")
+        figures = distributed.mean({"loss": float(total.detach()),
+                                    **{key: float(term.detach()) for key, term in terms.items()}})
+        loss = figures.pop("loss")
+        if not math.isfinite(loss) or not math.isfinite(norm):
+            raise FloatingPointError(f"the loss is no longer a number at step {step}: {figures}")
         for optimiser, _ in self.optimisers:
             optimiser.step()
-        return {"step": step, "loss": round(float(total.detach()), 6), "rate": self.settings.rate * factor,
-                "gradient": round(norm, 5), **{key: round(float(term.detach()), 6) for key, term in terms.items()}}
+        return {"step": step, "loss": round(loss, 6), "rate": self.settings.rate * factor,
+                "gradient": round(norm, 5), **{key: round(value, 6) for key, value in figures.items()}}
+
+    def _terms(self, batch: Batch, progress: float) -> dict[str, Tensor]:
+        if self.options.precision == "float32":
+            with distributed.batch_draws():
+                return self.losses(batch, progress)
+        with distributed.batch_draws(), torch.autocast(torch.device(self.options.device).type, torch.bfloat16):
+            return {key: term.float() for key, term in self.losses(batch, progress).items()}
 
     def _clipped(self) -> float:
         """The gradient's norm before it was cut to `clip`; 0 where it is left alone."""

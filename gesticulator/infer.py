@@ -1,19 +1,16 @@
 """`gesticulator infer speech.wav -o gesture.bvh --preview gesture.html`: the main job, as a command.
 
-`plan` tells which recordings a command line names, and which files are written for each. Everything that can be checked
-before the work is: names, suffixes, folders and rights. A fault of the command is an `InputError`; a fault of one
-recording is kept in its `Job`, so that the others are still done. Only what is needed is imported, and only after the
-command line is understood.
+Everything that can be checked before the work is (`gesticulator.jobs`). A fault of the command is an `InputError`; a
+fault of one recording is kept in its `Job`, so that the others are still done. Only what is needed is imported, and
+only after the command line is understood.
 """
 
 from __future__ import annotations
 
 import argparse
-import glob
-import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,6 +20,7 @@ from typing import TYPE_CHECKING
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
+from gesticulator.jobs import Job, is_folder, plan
 from gesticulator.performance import ENERGIES, FPS, HANDS, RANGES, UNITS, WRITERS, check_output
 from interpreters import INTERPRETERS
 
@@ -35,14 +33,10 @@ if TYPE_CHECKING:
     from gesticulator.plans.plan import GestureCue, GesturePlan
     from gesticulator.retarget import Retargeter
 
-STDIN = "-"
-"""The name of standard input on the command line."""
-TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
-"""Endings of the files that a folder of transcripts is searched for, in this order."""
 EXIT_PART_FAILED = 1
 _OUTPUTS = {"preview": ".html", "plan_out": ".json"}
 """Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
-STREAMED = (".bvh",)
+STREAMED = (".bvh", ".glb")
 """Endings of what can be written in pieces (`gesticulator.long_recordings`), in bounded memory."""
 _LONG = 300.0
 """Seconds from which on a recording is done in pieces; below, all of it takes less memory than the models do."""
@@ -141,10 +135,11 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                        help="let her stand on legs (54 joints): she shifts her weight, her feet stay planted")
     style.add_argument("--seated", action="store_true", help="let her sit on a chair, legs and hips still (54 joints)")
     style.add_argument("--intensity", type=number("intensity"), default=1.0, metavar="0..2",
-                       help="how large gestures are; 0 holds the hands at their mean place (default 1)")
+                       help="how large gestures are; at 0 the hands hang (default 1)")
     style.add_argument("--energy", choices=tuple(ENERGIES), default="neutral",
                        help="on top of them: calm is .6 of intensity and activity, lively 1.5 of intensity")
-    style.add_argument("--handedness", choices=HANDS, help="which hand is preferred")
+    style.add_argument("--handedness", choices=HANDS, help="the hand that is preferred, or both of them, "
+                       "each taking part in the strokes of the other")
     style.add_argument("--mirror", action="store_true", help="exchange left and right")
     style.add_argument("--hold-still", type=_seconds, action="append", default=[], metavar="FROM-TO",
                        help="seconds in which the hands rest, such as 3.2-5.0; may be given several times")
@@ -258,7 +253,7 @@ def _asked_outputs(asked: argparse.Namespace) -> dict[str, str]:
     for suffix, name in given:
         if suffix in outputs:
             raise InputError(name, f"is a second {suffix} beside {outputs[suffix]}", "name one of them")
-        check_output(Path(name) / f"gesture{suffix}" if _is_folder(name) else name)
+        check_output(Path(name) / f"gesture{suffix}" if is_folder(name) else name)
         outputs[suffix] = name
     if asked.unit != "cm" and ".bvh" not in outputs:
         raise InputError("--unit", "is for .bvh", "leave it out: other formats have their own")
@@ -267,7 +262,7 @@ def _asked_outputs(asked: argparse.Namespace) -> dict[str, str]:
 
 def _suffix_of(name: str, told: str | None) -> str:
     """The kind of file that an output is."""
-    if _is_folder(name):
+    if is_folder(name):
         return "." + (told or FORMAT).lower().lstrip(".")
     if told is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
@@ -462,135 +457,6 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
     if not quiet:
         print(f"{count} recordings done", flush=True)
     return 0
-
-
-# ---------------------------------------------------------------------------------------------------- the files
-
-@dataclass(frozen=True)
-class Job:
-    """A recording and what is to be written for it.
-
-    source: None is standard input. targets: a file for each thing that was asked for. text: its transcript, if any.
-    fault: why it cannot be done, known beforehand.
-    """
-
-    source: Path | None
-    targets: tuple[Path, ...] = ()
-    text: Path | None = None
-    fault: InputError | None = None
-
-    @property
-    def name(self) -> str:
-        """What the recording is called in messages."""
-        return "standard input" if self.source is None else self.source.name
-
-
-def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:
-    """The jobs of a command. names: files, folders, patterns, or "-". outputs: suffix (".bvh") -> the file or folder
-    to write to. text: a transcript, or a folder of transcripts named like the recordings.
-
-    A path that ends in a slash, or that is a folder, means a folder; anything else is a file. InputError where the
-    names or the outputs are wrong whatever the recordings hold: an output without the suffix, one file for several
-    recordings, two recordings of one name, a place that cannot be written.
-    """
-    sources = _sources(names)
-    if not outputs:
-        raise InputError("output", "is missing", "name a file or a folder with -o")
-    for suffix, given in outputs.items():
-        _check_output(given, suffix, len(sources))
-    if text is not None:
-        _check_text(text, len(sources))
-    written_by: dict[Path, Path | None] = {}
-    jobs = []
-    for source in sources:
-        stem = "stdin" if source is None else source.stem
-        targets = tuple(Path(given) / f"{stem}{suffix}" if _is_folder(given) else Path(given)
-                        for suffix, given in outputs.items())
-        for target in targets:
-            if target in written_by:
-                raise InputError(source or STDIN, f"would be written to {target}, like {written_by[target] or STDIN}",
-                                 "rename one of them, or give them folders of their own")
-            written_by[target] = source
-        try:
-            for target in targets:
-                _check_place(target)
-            jobs.append(Job(source, targets, _transcript(text, stem), None))
-        except InputError as fault:
-            jobs.append(Job(source, targets, None, fault))
-    return jobs
-
-
-def _is_folder(given: str) -> bool:
-    return given.endswith(("/", os.sep)) or Path(given).is_dir()
-
-
-def _sources(names: Sequence[str]) -> list[Path | None]:
-    """Every recording that is named, once, in the order of the command; what a folder or a pattern holds is sorted."""
-    from data_module.speech.audio import SOUNDS
-
-    found: dict[Path | None, Path | None] = {}
-    for name in names:
-        if name == STDIN:
-            found[None] = None
-            continue
-        path = Path(name)
-        if path.is_dir():
-            inside = sorted(file for file in path.iterdir()
-                            if file.suffix.lower() in SOUNDS and not file.name.startswith(".") and file.is_file())
-            if not inside:
-                raise InputError(path, "is a folder without sound files", f"give one with {', '.join(SOUNDS)}")
-        elif set(name) & set("*?[") and not os.path.lexists(name):
-            # A shell leaves a pattern as it is where it is quoted, and Windows always does.
-            matches = glob.glob(name, recursive=True)  # noqa: PTH207 - absolute patterns, and ** in one call
-            inside = sorted(Path(match) for match in matches if Path(match).is_file())
-            if not inside:
-                raise InputError(name, "matches no file", "check the pattern")
-        else:
-            inside = [path]
-        found.update({file.resolve(): file for file in inside if file.resolve() not in found})
-    return list(found.values())
-
-
-def _check_output(given: str, suffix: str, count: int) -> None:
-    if _is_folder(given):
-        return
-    stem = given[:-len(Path(given).suffix)] if Path(given).suffix else given
-    if count > 1:
-        raise InputError(given, f"is one file for {count} recordings", f"name a folder: {stem}/")
-    if Path(given).suffix.lower() != suffix:
-        raise InputError(given, f"does not end in {suffix}", f"name it {stem or 'gesture'}{suffix}, or {given}/ for a "
-                         "folder")
-
-
-def _check_text(given: str, count: int) -> None:
-    if not os.path.lexists(given):
-        raise InputError(given, "does not exist", "check --text")
-    if count > 1 and not Path(given).is_dir():
-        raise InputError(given, "is one transcript for several recordings",
-                         "name a folder of transcripts named like the recordings")
-
-
-def _transcript(given: str | None, stem: str) -> Path | None:
-    if given is None or not Path(given).is_dir():
-        return None if given is None else Path(given)
-    for suffix in TRANSCRIPTS:
-        if (Path(given) / f"{stem}{suffix}").is_file():
-            return Path(given) / f"{stem}{suffix}"
-    raise InputError(given, f"holds no transcript of {stem}",
-                     f"name it {stem}{' or '.join(TRANSCRIPTS)}, or leave --text out")
-
-
-def _check_place(target: Path) -> None:
-    """`InputError` where the target cannot be written; folders that are missing are made when it is."""
-    if target.is_dir():
-        raise InputError(target, "is a folder", "choose another output")
-    folder = target.parent
-    while not os.path.lexists(folder) and folder != folder.parent:
-        folder = folder.parent
-    if not folder.is_dir():
-        raise InputError(folder, "is not a folder", "choose another output")
-    if not os.access(folder, os.W_OK) or (target.exists() and not os.access(target, os.W_OK)):
-        raise InputError(target, "cannot be written", "choose another output or change its rights")
 
 
 COMMAND = Command(

@@ -6,6 +6,7 @@ What grows with the recording is a lexeme for each block: some 70 KB an hour.
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 from collections.abc import Callable, Collection, Sequence
@@ -34,6 +35,9 @@ _COPIED = 1 << 20
 class FrameWriter(Protocol):
     """Writes a motion whose frames come in pieces."""
 
+    def expect(self, frames: int) -> None:
+        """`InputError` where so many frames are more than the file can hold."""
+
     def add(self, motion: Motion) -> None:
         """Some more frames."""
 
@@ -51,6 +55,9 @@ class BvhFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._path, self._text = path, BvhWriter(skeleton, fps, UNITS[unit])
         self._rows: IO[bytes] = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - closed by `close`
+
+    def expect(self, frames: int) -> None:
+        """A BVH file holds any number of frames."""
 
     def add(self, motion: Motion) -> None:
         """Some more frames."""
@@ -79,7 +86,13 @@ class LongPerformance:
     note: str | None
 
 
-WRITERS: dict[str, Callable[[Path, Skeleton, float, str], FrameWriter]] = {".bvh": BvhFile}
+def _glb(path: Path, skeleton: Skeleton, fps: float, unit: str) -> FrameWriter:
+    from gesticulator.export.glb_pieces import GlbFile
+
+    return GlbFile(path, skeleton, fps)
+
+
+WRITERS: dict[str, Callable[[Path, Skeleton, float, str], FrameWriter]] = {".bvh": BvhFile, ".glb": _glb}
 """Suffix -> what writes it in pieces: (path, skeleton, frames per second, unit of a BVH file)."""
 
 
@@ -99,7 +112,8 @@ def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Pa
     """Write the gestures for a recording, whole or not at all.
 
     targets: files that `can_be_written`. unit: of a BVH file. on_sound(seconds) is called as sound was taken in.
-    `InputError` for what the recording cannot be used for, OSError where the disk refuses.
+    `InputError` for what the recording cannot be used for, or for more frames than a file can hold; OSError where the
+    disk refuses.
     """
     stream = system.stream(SAMPLE_RATE, **options)
     lexemes: list[int] = []
@@ -108,6 +122,8 @@ def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Pa
         writers = [WRITERS[target.suffix.lower()](target, stream.skeleton, stream.fps, unit) for target in targets]
         for writer in writers:
             open_files.callback(writer.close)
+        for writer in writers:
+            writer.expect(math.ceil(sound.seconds * stream.fps))
         for piece in sound.pieces:
             meter.add(np.clip(piece * gain, -1.0, 1.0).astype(np.float32))
             given = stream.feed(piece)

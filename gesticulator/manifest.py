@@ -86,9 +86,10 @@ def check_manifest(path: Path) -> None:
                          f"it {path.with_suffix('.jsonl')}")
 
 
-def default_name() -> str:
-    """What a manifest is called where nobody says."""
-    return "manifest.parquet" if find_spec("pyarrow") is not None else "manifest.jsonl"
+def default_name(index: int = 1, count: int = 1) -> str:
+    """What a manifest is called where nobody says; that of a shard bears its number."""
+    shard = "" if count == 1 else f".{index}-of-{count}"
+    return f"manifest{shard}.parquet" if find_spec("pyarrow") is not None else f"manifest{shard}.jsonl"
 
 
 def read_manifest(path: Path) -> dict[str, ManifestRow]:
@@ -172,7 +173,8 @@ class Manifest:
         self._journal.flush()
 
     def _settle(self) -> None:
-        write_manifest(self.path, self.rows.values())
+        if self.rows or self.path.exists():
+            write_manifest(self.path, self.rows.values())
         self._journal_path.unlink(missing_ok=True)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -115,7 +115,7 @@ RANGES = {
     "activity": Range(0, 1, "0 (stillness) to 1 (never holds back)"),
     "fps": Range(1, 1000, "1 to 1000 frames per second"),
     # 64 dB bring the faintest speech that is listened for (-90 dBFS) to the usual level (-26 dBFS).
-    "intensity": Range(0, 2, "0 (hands held at their mean place) to 2 (largest)"),
+    "intensity": Range(0, 2, "0 (the hands hang) to 2 (largest)"),
     "gain": Range(-70, 70, "-70 to 70 decibels"),
     # Far above any machine's cores; beyond the system's limit on threads torch ends the process.
     "threads": Range(1, 256, "1 to 256 threads", whole=True),
@@ -161,14 +161,14 @@ class InferenceOptions:
     controls: Controls | None = None
     """The three hand controls in one object, instead of them."""
     intensity: float = 1.0
-    """How large gestures are, 0 (hands held at their mean place) to 2; 1 as they are drawn
+    """How large gestures are, 0 (the hands hang) to 2; 1 as they are drawn
     (`gesticulator.plans.shaping`)."""
     mirror: bool = False
     """Exchange left and right."""
     energy: str = "neutral"
     """"calm", "neutral" or "lively": a named combination of intensity and activity, on top of them."""
     handedness: str | None = None
-    """Which hand's lexemes are preferred: "left", "right" or "both"."""
+    """Which hand is preferred: "left", "right", or "both", where each takes part in the other's strokes."""
     hold_still: tuple[tuple[float, float], ...] = ()
     """Ranges of seconds, each from and to, in which the hands rest."""
     cues: tuple[GestureCue, ...] = ()

@@ -43,7 +43,11 @@ def arguments(p: argparse.ArgumentParser) -> None:
                    help="change a setting of the preset, for example generator.lstm_width=320")
     p.add_argument("--work", metavar="DIR", help="where stages are kept (default: BUNDLE.work); resumed when there")
     p.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
-    p.add_argument("--threads", type=int, default=os.cpu_count() or 1, help="threads of torch (default: all cores)")
+    p.add_argument("--threads", type=int, help="threads of torch, of each process (default: all cores)")
+    p.add_argument("--precision", default="float32", choices=("float32", "bfloat16"),
+                   help="bfloat16: mixed precision, on a GPU")
+    p.add_argument("--corpus-memory", type=float, default=4.0, metavar="GB",
+                   help="a corpus that would take more memory stays on the disk (default 4)")
     p.add_argument("--stage", metavar="STAGE", help="train this stage (and what it needs) and stop")
     p.add_argument("--redo", action="append", default=[], metavar="STAGE", help="train this stage again")
     p.add_argument("--seed", type=int, help="the seed of the run")
@@ -53,14 +57,18 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Train; InputError for what cannot be."""
-    for flag, value, least, most in (("--threads", asked.threads, 1, MOST_THREADS),
-                                     ("--seed", asked.seed or 0, 0, LARGEST_SEED)):
+    machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes here, that torchrun started
+    threads = asked.threads if asked.threads is not None else max(1, (os.cpu_count() or 1) // machine)
+    for flag, value, least, most in (("--threads", threads, 1, MOST_THREADS),
+                                     ("--seed", asked.seed or 0, 0, LARGEST_SEED),
+                                     ("--corpus-memory", asked.corpus_memory, 0, 1e6)):
         if not least <= value <= most:
             raise InputError(f"{flag} {value}", "is out of range", f"choose {least} to {most}")
     import torch
 
     from data_module.store import Store
     from gesticulator.config import with_settings
+    from gesticulator.distributed import joined, leads
     from gesticulator.presets import preset
     from gesticulator.stages import STAGES
     from gesticulator.stages.training import TrainOptions, train
@@ -71,15 +79,20 @@ def run(asked: argparse.Namespace) -> int:
                 raise InputError(f"{flag} {name}", "is not a stage", f"choose among {', '.join(STAGES)}")
     if asked.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda", "there is no CUDA device", "use --device cpu")
-    torch.set_num_threads(asked.threads)
+    if asked.precision != "float32" and asked.device == "cpu":
+        raise InputError(f"--precision {asked.precision}", "is for GPUs", "add --device cuda, or leave it out")
+    torch.set_num_threads(threads)
     config = with_settings(preset(asked.preset), asked.settings)
     if asked.seed is not None:
         config = dataclasses.replace(config, seed=asked.seed)
     out = Path(asked.out)
     work = Path(asked.work) if asked.work else out.with_name(out.name + ".work")
-    made = train(config, Store.open(asked.data), out, work, TrainOptions(
-        asked.device, asked.threads, not asked.quiet, tuple(map(Path, asked.speech)), tuple(asked.redo), asked.stage))
-    if made is not None:
+    with joined(asked.device) as device:
+        made = train(config, Store.open(asked.data), out, work, TrainOptions(
+            device, threads * machine, not asked.quiet, tuple(map(Path, asked.speech)), tuple(asked.redo), asked.stage,
+            asked.precision, asked.corpus_memory * 1e9))
+        speaks = leads()
+    if made is not None and speaks:
         print(f"{out}: trained on {made.provenance['hours']['train']} h; "
               + "; ".join(f"{stage} " + ", ".join(f"{k} {v:.4g}" for k, v in figures.items())
                           for stage, figures in made.figures.items()))
@@ -90,7 +103,8 @@ COMMAND = Command(
     "train a bundle from a store: every stage, resumable", arguments, run,
     examples=("train --data store --out bundle", "train --data store --out bundle --preset tiny",
               "train --data store --out bundle --set generator.lstm_width=320 --seed 2",
-              "train --data store --out bundle --stage generator"))
+              "train --data store --out bundle --stage generator",
+              "train --data store --out bundle --device cuda --precision bfloat16"))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -12,14 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.infer import (
-    STDIN,
-    Job,
-    asked_controls,
-    load,
-    performance_arguments,
-    performed,
-)
+from gesticulator.infer import asked_controls, load, performance_arguments, performed
+from gesticulator.jobs import STDIN, Job
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:

@@ -124,6 +124,8 @@ class Critics(nn.Module):
         [B, T, k] lexemes that were put in the place of the action, and gained [B, T, k] what the blocks after it then
         earned more, NaN where nothing was tried; heard [B, J] 1 where a critic learns from the recording.
         """
+        from data_module.parallel import batch_mean  # only training asks for it
+
         found = self.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         valid = batch["valid"].unsqueeze(-1) * batch["heard"].unsqueeze(1)  # [B, T, J]
         prior = batch["log_prior"].softmax(-1)
@@ -141,8 +143,9 @@ class Critics(nn.Module):
             spread = self.advantage(found, batch["log_prior"]).square() * prior
             now = masked_mean(spread.sum(-1), batch["valid"]).sqrt()
             self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
+        share = batch_mean(tried.float()).clamp_min(1e-3)
         return {"reward": masked_mean(error.sum(-1), valid),
-                "future": masked_mean(missed.sum(-1), valid) / tried.float().mean().clamp_min(1e-3) / tried.shape[-1],
+                "future": masked_mean(missed.sum(-1), valid) / share / tried.shape[-1],
                 "value": masked_mean(((found.value - batch["return"].unsqueeze(-1)) / self.value_scale).square(),
                                      valid)}
 

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
+from data_module.parallel import own_rows
 from interpreters.base import BlockFeatures, LexemeInterpreter, Scores, select
 from interpreters.settings import BEHAVIOURS, EpisodeConfig
 
@@ -108,7 +109,8 @@ class Episodes:
         return len(self.episodes)
 
     def windows(self, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
-        """A batch of `count` windows of T decisions, and one position more to bootstrap from.
+        """A batch of `count` windows of T decisions, and one position more to bootstrap from; of these the rows that
+        are this process's.
 
         block, previous, action, behaviour: [B, T + 1] int64; reward, valid, cloned: [B, T + 1] float32; terminal,
         silent: [B, T + 1] bool; speaker: [B] int64. previous[:, i] is the lexeme before block[:, i]; previous[:, 0] is
@@ -117,7 +119,9 @@ class Episodes:
         """
         if self.stretch not in (0, decisions):
             raise ValueError(f"these rewards are of stretches of {self.stretch} decisions, not of {decisions}")
-        return self.cut(*draw_starts(rng, self.lengths, count, decisions, self.stretch), decisions)
+        episode, start = draw_starts(rng, self.lengths, count, decisions, self.stretch)
+        own = own_rows(count)
+        return self.cut(episode[own], start[own], decisions)
 
     def cut(self, episode: Integers, start: Integers, decisions: int) -> dict[str, Tensor]:
         """The windows [B, T + 1] of episodes [B] whose a_0 is the lexeme at `start` [B]."""

@@ -66,10 +66,12 @@ class ActivityGate(nn.Module):
         batch: audio_low [B, N + 1, 3K, d], active [B, N + 1] 1 where the block holds a gesture, speaker [B, speakers],
         valid [B, N + 1]. The seed block counts too: the gate is told nothing of it.
         """
+        from data_module.parallel import batch_ratio  # only training asks for it
+
         logits, _ = self.logits(batch["audio_low"], batch["speaker"])
         each = functional.binary_cross_entropy_with_logits(logits, batch["active"].to(logits), reduction="none")
         valid = batch["valid"].to(logits)
-        return {"activity": (each * valid).sum() / valid.sum().clamp_min(1)}
+        return {"activity": batch_ratio((each * valid).sum(), valid.sum())}
 
     def start(self, speaker: int) -> GateState:
         """The state before the first block, for a speaker (index)."""

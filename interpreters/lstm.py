@@ -192,6 +192,8 @@ class LstmInterpreter(nn.Module):
         valid [B, N + 1], and text [B, N + 1, 3K, d_t + 1] and control [B, N + 1, K, 2 F] where they are heard, motion
         [B, N + 1, K, D_m] and duration [B, N + 1] s where it is seen. The first block is the seed.
         """
+        from data_module.parallel import batch_ratio  # only training asks for it
+
         labels, audio = batch["lexeme"], batch["audio_high"][:, 1:]
         text = batch["text"][:, 1:] if self.config.reads else None
         control = batch["control"][:, 1:] if self.control_width else None
@@ -217,7 +219,7 @@ class LstmInterpreter(nn.Module):
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
                                         label_smoothing=self.config.label_smoothing)
         valid = batch["valid"][:, 1:].flatten()
-        return {"nll": (each * valid).sum() / valid.sum().clamp_min(1)}
+        return {"nll": batch_ratio((each * valid).sum(), valid.sum())}
 
     def seen(self, batch: dict[str, Tensor]) -> Tensor | None:
         """[B, N, 3 D_m] the pose before every block of a batch but the seed (see `losses`); None where it is not seen.
@@ -308,6 +310,8 @@ class StyleInterpreter(nn.Module):
         batch: code [B, N + 1, d_z] (learned), lexeme [B, N + 1], audio_low [B, N + 1, 3K, d], speaker,
         valid [B, N + 1], text [B, N + 1, 3K, d_t + 1] where it is read.
         """
+        from data_module.parallel import batch_ratio  # only training asks for it
+
         code = batch["code"]
         previous = code[:, :-1]
         if self.training:
@@ -317,7 +321,7 @@ class StyleInterpreter(nn.Module):
         text = batch["text"][:, 1:] if self.encode_text is not None else None
         made, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"], None, text)
         valid = batch["valid"][:, 1:, None].expand_as(made)
-        return {"code": ((made - code[:, 1:]).pow(2) * valid).sum() / valid.sum().clamp_min(1)}
+        return {"code": batch_ratio(((made - code[:, 1:]).pow(2) * valid).sum(), valid.sum())}
 
     def start(self, speaker: int) -> StyleState:
         """The state before the first block: the zero code of stillness."""

@@ -38,8 +38,13 @@ def contrast(motion: Tensor, audio: Tensor, temperature: Tensor | float, group: 
     other's negatives (see `similarities`). The paper adds the two directions up; their mean has the same minimum and
     makes chance log B.
     """
+    from data_module.parallel import batch_rows, full_precision  # only training asks for them
+
+    # Every window is told from those of the whole batch.
+    motion, audio, group = batch_rows(motion), batch_rows(audio), batch_rows(group)
+    rivals = None if rivals is None else batch_rows(rivals)
     # Scaled before it is masked: a temperature that divided -inf would get NaN for a gradient.
-    logits = similarities(motion / temperature, audio, group)
+    logits = full_precision(similarities)(motion / temperature, audio, group)
     pairs = torch.arange(len(logits), device=logits.device)
     heard = logits.T if rivals is None else torch.cat([logits.T, rivals], dim=1)
     return 0.5 * (functional.cross_entropy(logits, pairs) + functional.cross_entropy(heard, pairs))

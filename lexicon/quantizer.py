@@ -72,7 +72,9 @@ class Quantizer(nn.Module):
 
     def forward(self, latents: Tensor) -> Quantised:
         """Quantise latents [B, D]; in training mode an EMA codebook also follows them."""
-        labels = self.labels(latents)
+        from data_module.parallel import full_precision  # only training asks for it
+
+        labels = full_precision(self.labels)(latents)
         chosen = self.vectors[labels]
         commitment = (latents - chosen.detach()).pow(2).mean()
         if self.mode == "gradient":
@@ -81,14 +83,16 @@ class Quantizer(nn.Module):
             codebook = commitment.new_zeros(())
         codes = latents + (chosen - latents).detach()
         if self.training and self.mode == "ema":
-            self._follow(latents.detach(), labels)
+            full_precision(self._follow)(latents.detach(), labels)
         return Quantised(codes, labels, commitment, codebook)
 
     @torch.no_grad()
     def _follow(self, latents: Tensor, labels: Tensor) -> None:
+        from data_module.parallel import batch_rows, batch_sum, draws_along
+
         one_hot = nn.functional.one_hot(labels, self.size).to(latents.dtype)
-        self.counts.mul_(self.decay).add_(one_hot.sum(0), alpha=1 - self.decay)
-        self.sums.mul_(self.decay).add_(one_hot.t() @ latents, alpha=1 - self.decay)
+        self.counts.mul_(self.decay).add_(batch_sum(one_hot.sum(0)), alpha=1 - self.decay)
+        self.sums.mul_(self.decay).add_(batch_sum(one_hot.t() @ latents), alpha=1 - self.decay)
         # Laplace smoothing keeps a rarely used vector from dividing by nearly zero.
         total = self.counts.sum()
         smoothed = (self.counts + self.eps) / (total + self.size * self.eps) * total
@@ -96,7 +100,9 @@ class Quantizer(nn.Module):
         dead = torch.nonzero(self.counts < self.revive_below).flatten()
         if len(dead):
             # Counts scale with the batch: a vector is dead when it gets less than its `revive_below` per batch.
-            fresh = latents[torch.randint(len(latents), (len(dead),), device=latents.device)]
+            latents = batch_rows(latents)
+            with draws_along(None):
+                fresh = latents[torch.randint(len(latents), (len(dead),), device=latents.device)]
             self.vectors[dead] = fresh
             self.sums[dead] = fresh
             self.counts[dead] = 1.0

@@ -143,6 +143,17 @@ def again(tasks: Sequence[BatchTask], tmp_path: Path) -> list[int]:
     return copier.done
 
 
+def test_what_was_half_written_goes_and_nothing_else(tasks: list[BatchTask], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    left = [out / ".2.bvh.0123456789ab", out / ".4.bvh.fedcba987654"]
+    stays = [out / ".9.bvh.0123456789ab", out / ".2.bvh.notes", out / ".2.bvh.0123456789AB"]
+    for file in (*left, *stays):
+        file.touch()
+    again(tasks, tmp_path)
+    assert not any(file.exists() for file in left) and all(file.exists() for file in stays)
+
+
 def test_only_what_is_missing_or_changed_is_done_again(tasks: list[BatchTask], tmp_path: Path,
                                                        capfd: pytest.CaptureFixture[str]) -> None:
     assert again(tasks, tmp_path) == [4, 3, 2, 1, 0], "the longest first"

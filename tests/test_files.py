@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from data_module import files
 from data_module.errors import InputError
 from data_module.files import LOCK, lock, read_text, remove_unfinished, write_bytes, write_text
 
@@ -190,6 +191,40 @@ def test_threads_hold_a_folder_one_after_the_other(tmp_path: Path) -> None:
     for thread in threads:
         thread.join()
     assert most == 1 and refused > 0
+
+
+def test_a_lock_is_shared_by_those_who_say_so_and_left_by_the_last(tmp_path: Path) -> None:
+    place = tmp_path / "w"
+    file = tmp_path / f".w{LOCK}"
+    with lock(place, "one", beside=True, shared=True):
+        with lock(place, "another", beside=True, shared=True), pytest.raises(InputError, match="in use by another"), \
+                lock(place, "alone", beside=True):
+            pass
+        assert file.exists(), "one still holds it"
+        with pytest.raises(InputError, match="in use"), lock(place, "alone", beside=True):
+            pass
+    assert not file.exists()
+    with lock(place, "alone", beside=True), pytest.raises(InputError, match="in use by alone"), \
+            lock(place, "one", beside=True, shared=True):
+        pass
+    assert not file.exists()
+
+
+def test_a_lock_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "WAIT", 0.01)
+    order: list[str] = []
+
+    def second() -> None:
+        with lock(tmp_path / "w", "second", wait=True):
+            order.append("second")
+
+    thread = threading.Thread(target=second)
+    with lock(tmp_path / "w", "first"):
+        thread.start()
+        time.sleep(0.1)
+        order.append("first")
+    thread.join()
+    assert order == ["first", "second"]
 
 
 def test_a_lock_is_let_go_after_an_error(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +18,25 @@ from data_module.motion.skeletons import resized
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.contacts import MARGIN, our_distances, pose_of
+from gesticulator.features import representation_of
 from gesticulator.performance import InferenceOptions, Performance
 from gesticulator.plans.directing import cues_at
 from gesticulator.plans.editing import BLEND
 from gesticulator.plans.live_plans import LivePlans
 from gesticulator.plans.named_gestures import laid_over, span_of_gesture
 from gesticulator.plans.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
-from gesticulator.plans.shaping import FADE, MIRROR_FADE, Shaper, levels_at, mirrored_motion
+from gesticulator.plans.shaping import (
+    FADE,
+    MIRROR_FADE,
+    REST_FADE,
+    AskedSizes,
+    Shaper,
+    eased_levels,
+    left_by,
+    levels_at,
+    mirrored_motion,
+)
+from gesticulator.plans.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 7.0, 3
@@ -83,7 +96,7 @@ def test_a_plan_that_nobody_edited_gives_the_same_bytes_whatever_the_seed(
     assert again.plan() == plan
 
 
-@pytest.mark.parametrize("what", ["lexeme", "silence", "draw", "intensity", "mirror", "moved", "deleted"])
+@pytest.mark.parametrize("what", ["lexeme", "silence", "draw", "intensity", "none", "mirror", "moved", "deleted"])
 def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePlans, drawn: Performance,
                                                        plan: GesturePlan) -> None:
     at = 8
@@ -96,10 +109,10 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePla
         edited = with_block(plan, at, silent=True)
     elif what == "draw":
         edited = with_block(plan, at, draw=replace(block.draw, variation=5))
-    elif what in ("intensity", "mirror"):
-        edited, blend = with_block(plan, at, **{what: True if what == "mirror" else 1.7}), 0.0
-        begin -= MIRROR_FADE if what == "mirror" else FADE
-        end += MIRROR_FADE if what == "mirror" else FADE
+    elif what in ("intensity", "none", "mirror"):
+        fade, edit = {"intensity": (FADE, {"intensity": 1.7}), "none": (REST_FADE, {"intensity": 0.0}),
+                      "mirror": (MIRROR_FADE, {"mirror": True})}[what]
+        edited, blend, begin, end = with_block(plan, at, **edit), 0.0, begin - fade, end + fade
     else:
         end = after.end
         middle = block.end + 0.04
@@ -172,18 +185,76 @@ def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
         assert (gap - np.minimum(were[side], MARGIN)).min() > -0.02, "no deeper than it was, but for smoothing"
 
 
-def test_shaping_needs_no_other_frames(system: Gesticulator, drawn: Performance) -> None:
-    from gesticulator.features import representation_of
+def poses_of(made: Performance, step: int = 3) -> tuple[Array, Array]:
+    """[M, 3 J] every so-manieth pose as exponential maps, and [M] its seconds."""
+    poses = rotation.unroll(rotation.to_exponential_map(made.rotations[::step])).reshape(-1, 3 * len(made.joints))
+    return poses, np.arange(len(poses)) * step / made.fps
 
-    shaper = Shaper(system.bundle.statistics, representation_of(system.bundle.config), 0)
-    poses = rotation.unroll(rotation.to_exponential_map(drawn.rotations[::6])).reshape(-1, 138)
-    sizes = np.full((len(poses), 2), 1.6)
-    whole = shaper.scaled(poses, sizes)
-    for part in (slice(0, 7), slice(30, 41)):
-        np.testing.assert_allclose(shaper.scaled(poses[part], sizes[part]), whole[part], rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(shaper.scaled(poses, np.ones((len(poses), 2))), poses)
+
+def sized(count: int, left: float, right: float, both: float = 0.0) -> AskedSizes:
+    intensity = np.tile([left, right], (count, 1))
+    return AskedSizes(intensity, left_by(intensity), np.full(count, both))
+
+
+@pytest.fixture(scope="module")
+def new_shaper(system: Gesticulator) -> Callable[[], Shaper]:
+    return lambda: Shaper(system.bundle.statistics, representation_of(system.bundle.config), 0)
+
+
+def test_shaping_needs_no_later_frames_and_can_go_back(new_shaper: Callable[[], Shaper], drawn: Performance) -> None:
+    poses, times = poses_of(drawn)
+    asked = sized(len(poses), 0.7, 1.6, 1.0)
+    whole = new_shaper().shaped(poses, times, asked)
+    assert np.abs(whole - poses).max() > 0.05
+    shaper = new_shaper()
+    for first, last in ((0, 7), (7, 60), (60, 61), (61, 90), (40, 70), (70, len(poses))):  # one of them goes back
+        part = slice(first, last)
+        own = AskedSizes(asked.intensity[part], asked.left[part], asked.both[part])
+        got = shaper.shaped(poses[part], times[part], own)
+        np.testing.assert_allclose(got, whole[part], rtol=0, atol=1e-12)
+
+
+def test_nothing_asked_is_nothing_done(new_shaper: Callable[[], Shaper], drawn: Performance) -> None:
+    poses, times = poses_of(drawn)
+    shaper = new_shaper()
+    np.testing.assert_array_equal(shaper.shaped(poses, times, sized(len(poses), 1.0, 1.0)), poses)
     twice = shaper.mirrored(shaper.mirrored(poses, np.ones(len(poses))), np.ones(len(poses)))
     np.testing.assert_array_equal(twice, poses)
+
+
+def test_strokes_grow_and_what_is_slow_keeps_its_speed() -> None:
+    """A dimension that goes 1 rad in 0.2 s and then creeps: known answers of the sum."""
+    times = np.arange(1, 101) * 0.05
+    poses = np.concatenate([np.linspace(0.0, 1.0, 5), 1.0 + 0.01 * np.arange(1, 96)])[:, None]
+    large, fine = (StrokeMemory(np.array([0]), scale) for scale in (LARGE, FINE))
+    large.push(times, poses)
+    fine.push(times, poses)
+    brought = large.at(times)[:, 0]
+    steps, ways = np.full(4, 0.25), np.array([0.75, 0.5, 0.25, 0.0])  # how much way was gone since each step
+    ages = ways / LARGE.way + (times[4] - times[1:5]) / REMEMBERED
+    np.testing.assert_allclose(brought[4], np.sum(steps * (1.0 + np.cos(np.pi * ages)) / 2.0), atol=1e-12)
+    fades = np.abs(np.diff(brought[4:])).max() / 0.05
+    assert fades < 0.5 * np.pi / REMEMBERED, "rad/s with which one radian is forgotten, at most"
+    assert 0.9 < brought[4] < 1.0 and 0.3 < brought[-1] < brought[4]
+    between = large.at(np.array([0.5 * (times[2] + times[3]), -1.0]))[:, 0]
+    np.testing.assert_allclose(between, [0.5 * (brought[2] + brought[3]), 0.0], atol=1e-12)
+    # Small movements are over once the arm has gone on by their way.
+    assert fine.at(times)[:, 0].max() < brought.max()
+
+
+def test_both_hands_take_part_and_are_no_mirror(new_shaper: Callable[[], Shaper], drawn: Performance) -> None:
+    """The right arm makes strokes, the left one rests: it follows, later and smaller."""
+    names = drawn.joints
+    times = np.arange(1, 101) * 0.04
+    poses = np.zeros((100, 3 * len(names)))
+    swing = 0.6 * np.sin(2.0 * np.pi * times / 0.8) * np.clip(times, 0.0, 1.0)
+    right, left = (3 * names.index(side + "Arm") + 1 for side in ("Right", "Left"))
+    poses[:, right] = swing
+    out = new_shaper().shaped(poses, times, sized(len(times), 1.0, 1.0, both=1.0))
+    own, echo = out[25:, right] - out[25:, right].mean(), out[25:, left] - out[25:, left].mean()
+    assert 0.3 < echo.std() / own.std() < 0.9, "smaller"
+    shifted = [float(np.corrcoef(-own[:len(own) - lag], echo[lag:])[0, 1]) for lag in range(8)]
+    assert int(np.argmax(shifted)) in (2, 3) and max(shifted) > 0.95, "mirrored, a tenth of a second later"
 
 
 def test_levels_are_the_blocks_own_and_change_without_a_jump() -> None:
@@ -194,6 +265,15 @@ def test_levels_are_the_blocks_own_and_change_without_a_jump() -> None:
     assert np.abs(np.diff(got)).max() < 0.02 and got[-1] == 0.7
     kept = levels_at(edges, levels, times, 0.15, np.array([True, True, False, False]))
     assert (kept[times <= 0.7] == 1.0).all()
+
+
+def test_a_short_run_of_levels_asks_for_no_more_than_can_be_reached() -> None:
+    edges, levels, free = np.array([0.0, 3.0, 3.3, 6.0, 9.0]), np.array([1.0, 0.0, 1.0, 0.2]), np.zeros(4, bool)
+    eased = eased_levels(edges, levels, 0.6, free)
+    np.testing.assert_allclose(eased, [1.0, 0.75, 1.0, 0.2])  # a quarter of 1.2 s: a quarter of the way
+    np.testing.assert_array_equal(eased_levels(edges, levels, 0.6, np.arange(4) == 1), levels)
+    np.testing.assert_array_equal(eased_levels(np.array([0.0, 0.1]), np.array([0.3]), 0.6, free[:1]), [0.3])
+    assert np.abs(np.diff(levels_at(edges, eased, np.arange(0.0, 9.0, 0.01), 0.6))).max() < 1.5 * 0.01 / 1.2
 
 
 def test_hands_hold_still_where_they_are_told_and_wake(system: Gesticulator, speech: Speech, drawn: Performance

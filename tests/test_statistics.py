@@ -17,7 +17,7 @@ from gesticulator import rollout
 from gesticulator.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
 from gesticulator.pipeline import Gesticulator
 from gesticulator.presets import preset
-from gesticulator.stages.corpus import measured, resting
+from gesticulator.stages.measured import measured, resting
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "speech.flac"
 FRAMES = 10

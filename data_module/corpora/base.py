@@ -39,11 +39,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Item:
-    """A recording that a reader can read. content: whatever the reader needs for it (must survive pickling)."""
+    """A recording that a reader can read. content: whatever the reader needs for it (must survive pickling). size: of
+    the work, against that of its other recordings (bytes, seconds): only who does it, and when, depends on it."""
 
     info: RecordingInfo
     index: int
     content: Any = None
+    size: float = 1.0
 
 
 @dataclass(frozen=True)

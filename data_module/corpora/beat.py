@@ -103,9 +103,11 @@ class Beat:
 
     def items(self) -> Sequence[Item]:
         items: list[Item] = []
-        for place, name in enumerate(self._takes):
-            for half, split in (published_split(name) or {"": split_of(place)}).items():
-                items.append(Item(info_of(name, split, half), len(items), (name, half)))
+        for place, (name, take) in enumerate(self._takes.items()):
+            halves = published_split(name) or {"": split_of(place)}
+            for half, split in halves.items():
+                items.append(Item(info_of(name, split, half), len(items), (name, half),
+                                  sum(take.sizes()) / len(halves)))
         return items
 
     def read(self, item: Item) -> Imported:

@@ -63,13 +63,16 @@ class Beat2:
         return (self._source / "smplxflame_30" / f"{name}.npz", self._source / "wave16k" / f"{name}.wav",
                 self._source / "textgrid" / f"{name}.TextGrid")
 
+    def _sizes(self, name: str) -> list[int]:
+        return [file.stat().st_size for file in self._files(name) if file.is_file()]
+
     def settings(self) -> Mapping[str, Any]:
-        sizes = {name: [split, *(file.stat().st_size for file in self._files(name) if file.is_file())]
-                 for name, split in self._splits.items()}
+        sizes = {name: [split, *self._sizes(name)] for name, split in self._splits.items()}
         return {"files": sizes, "motion_fps": self._options.fps}
 
     def items(self) -> Sequence[Item]:
-        return [Item(info_of(name, split), place) for place, (name, split) in enumerate(self._splits.items())]
+        return [Item(info_of(name, split), place, size=sum(self._sizes(name)))
+                for place, (name, split) in enumerate(self._splits.items())]
 
     def read(self, item: Item) -> Imported:
         poses, sound, textgrid = self._files(item.info.name)

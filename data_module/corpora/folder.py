@@ -68,7 +68,8 @@ class Folder:
                 "split": self._options.split or DEFAULT_SPLIT, "speaker": self._options.speaker}
 
     def items(self) -> Sequence[Item]:
-        return [Item(info, index) for index, info in enumerate(self._infos)]
+        return [Item(info, index, size=sum(file.stat().st_size for file in self._pairs[info.name]))
+                for index, info in enumerate(self._infos)]
 
     def _listed(self) -> list[RecordingInfo]:
         """Every pair with its split and speaker: as NAME.json says, else as the options do."""

@@ -70,9 +70,10 @@ class Mocca:
 
     def items(self) -> Sequence[Item]:
         items = []
-        for index, name in enumerate(self._takes):
+        for index, (name, take) in enumerate(self._takes.items()):
             speaker = name.partition("_")[0]
-            items.append(Item(RecordingInfo(name, self._split(name), speaker, speaker, "zh", group=name), index))
+            items.append(Item(RecordingInfo(name, self._split(name), speaker, speaker, "zh", group=name), index,
+                              size=sum(take.sizes())))
         return items
 
     def read(self, item: Item) -> Imported:

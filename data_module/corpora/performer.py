@@ -336,7 +336,7 @@ class Performer:
             seconds = float(self._rng(index, _TEXT).uniform(SHORTEST_MOTION, LONGEST_MOTION))
             name = f"motion_{place:04d}_{group}"
             info = RecordingInfo(name, split, group, voice, "en", group=name, part="motion")
-            items.append(Item(info, index, MotionScript(group, seconds)))
+            items.append(Item(info, index, MotionScript(group, seconds), seconds))
         return items
 
     def _talks(self, part: str, said: dict[str, set[str]]) -> list[Item]:
@@ -362,7 +362,7 @@ class Performer:
             script = Script(tuple(text.compose(rng, seconds, source, said[source], language)), part == "style")
             name = f"{part}_{place:04d}_{performer}"
             info = RecordingInfo(name, split, performer, voice, language, group=name, part=part)
-            items.append(Item(info, index, script))
+            items.append(Item(info, index, script, seconds))
         return items
 
     def _voices(self, split: Split) -> tuple[str, ...]:
@@ -390,7 +390,7 @@ class Performer:
                     info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, group=group,
                                          part="reading")
                     index = _FIRST["reading"] + number * 100 + place * 10 + player
-                    items.append(Item(info, index, Reading(stem, part)))
+                    items.append(Item(info, index, Reading(stem, part), LONGEST))
         return items
 
     def _heard(self, item: Item) -> Spoken:

@@ -64,8 +64,8 @@ class Trinity:
                 "motion_fps": self._options.fps, "unit": self._options.unit}
 
     def items(self) -> Sequence[Item]:
-        return [Item(RecordingInfo(name, SPLIT[name], "trinity", "trinity", "en", group=name), index)
-                for index, name in enumerate(self._takes)]
+        return [Item(RecordingInfo(name, SPLIT[name], "trinity", "trinity", "en", group=name), index,
+                     size=sum(take.sizes())) for index, (name, take) in enumerate(self._takes.items())]
 
     def read(self, item: Item) -> Imported:
         take = self._takes[item.info.name]

@@ -72,8 +72,8 @@ class ZeroEggs:
                 "motion_fps": self._options.fps, "unit": self._options.unit}
 
     def items(self) -> Sequence[Item]:
-        return [Item(RecordingInfo(name, self._split(name), "zeroeggs", "zeroeggs", "en", group=name), index)
-                for index, name in enumerate(self._takes)]
+        return [Item(RecordingInfo(name, self._split(name), "zeroeggs", "zeroeggs", "en", group=name), index,
+                     size=sum(take.sizes())) for index, (name, take) in enumerate(self._takes.items())]
 
     def read(self, item: Item) -> Imported:
         return read_take(item.info, self._takes[item.info.name], self._options, unit=CENTIMETRES, fps=FPS)

@@ -216,6 +216,8 @@ class TextContrast(nn.Module):
         batch: "samples" [B, 3K * samples per frame], windows of three blocks; "text" [B, K, d_t] word vectors of the
         middle block; "word" [B, K] which word of the recording sounds, -1 for none.
         """
+        from data_module.parallel import batch_ratio  # only training asks for it
+
         logits = self.similarities(batch) / self.config.temperature
         word = batch["word"]
         frames = word.shape[1]
@@ -227,7 +229,7 @@ class TextContrast(nn.Module):
         spread = torch.logsumexp(logits.flatten(2), dim=-1)
         terms = spread - logits[:, :, -1].gather(2, own[..., None])[..., 0]
         spoken = (word >= 0).to(terms.dtype)
-        return {"contrast": (terms * spoken).sum() / spoken.sum().clamp_min(1.0)}
+        return {"contrast": batch_ratio((terms * spoken).sum(), spoken.sum())}
 
     @torch.no_grad()
     def retrieval(self, batch: Mapping[str, Tensor]) -> Tensor:

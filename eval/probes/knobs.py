@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
+from gesticulator.plans.live_plans import LivePlans
 
 NEUTRAL = "neutral"
 FAR = np.radians(5.0)
@@ -49,8 +51,12 @@ ROWS: dict[str, Settings] = {
     "variation 1": {"variation": 1},
 }
 COLUMNS = {
-    "eye_speed_50": Column("hand speed, median", "m/s"), "eye_speed_95": Column("95 %", "m/s"),
-    "eye_stroke_amplitude": Column("stroke amplitude", "cm", 0), "moving": Column("a hand moves", "% of time", 0),
+    "eye_speed_25": Column("hand speed, 25 %", "m/s"), "eye_speed_50": Column("median", "m/s"),
+    "eye_speed_95": Column("95 %", "m/s"),
+    "eye_stroke_amplitude": Column("stroke amplitude", "cm", 1),
+    "eye_one_handed": Column("movement of one hand alone", "%", 0),
+    "eye_hand_speed_correlation": Column("both hands' speeds correlate", "", 2),
+    "moving": Column("a hand moves", "% of time", 0),
     "right": Column("the right hand's share of the way", "%", 0), "apart": Column("hands from neutral", "cm", 0),
     "eye_hand_in_torso": Column("hand in the torso", "%", 1, "low"),
     "beyond": Column("arm turned too far", "% of time", 1, "low"),
@@ -140,8 +146,15 @@ def played(system: Gesticulator, sounds: Sequence[Speech], seeds: int, rows: Seq
     for sound in sounds:
         for seed in range(seeds):
             neutral = system(sound, seed=seed)
+            drawn, plans = neutral.plan(), LivePlans(system, neutral)
             for row, own in figures.items():
-                settings = {"seed": seed, **ROWS[row]}
-                made = neutral if row == NEUTRAL else system(sound, **settings)
+                made = neutral
+                if set(ROWS[row]) & {"variation", "hold_still"}:
+                    made = system(sound, seed=seed, **ROWS[row])
+                elif row != NEUTRAL:
+                    # What changes finished poses alone is rendered from the same drawing.
+                    knobs = replace(drawn.knobs, **ROWS[row])
+                    made = plans.render(replace(drawn, knobs=knobs)) if knobs.draws_as(drawn.knobs) else \
+                        system(sound, seed=seed, **ROWS[row])
                 own.append(measured(made, neutral, (low, high)))
     return figures

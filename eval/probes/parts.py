@@ -27,7 +27,7 @@ from eval.context import EvalContext, Lexemes
 from eval.table import Cell, Column, Table
 from gesticulator import config as configs
 from gesticulator.stages import CORPUS, INTERPRETER, LEXICON, TOKENS, Corpus, Run
-from gesticulator.stages.corpus import weights_hash
+from gesticulator.stages.caches import weights_hash
 from gesticulator.stages.interpreter import teacher_logits
 from interpreters.lstm import LstmInterpreter
 

@@ -56,6 +56,13 @@ def character_glb(moved: CharacterMotion) -> bytes:
 
 def skeleton_glb(motion: NodeMotion) -> bytes:
     """A skeleton with a figure of spindles on it, that moves: the bytes of a GLB file."""
+    gltf = skeleton_document(motion)
+    gltf.animate(ANIMATION, motion, {node: node for node in range(len(motion.names))})
+    return gltf.to_bytes()
+
+
+def skeleton_document(motion: NodeMotion) -> GltfDocument:
+    """A skeleton at rest with a figure of spindles on it."""
     from gesticulator import __version__
 
     gltf = GltfDocument({
@@ -65,8 +72,7 @@ def skeleton_glb(motion: NodeMotion) -> bytes:
         "nodes": node_tree(motion),
     })
     _dress(gltf, motion)
-    gltf.animate(ANIMATION, motion, {node: node for node in range(len(motion.names))})
-    return gltf.to_bytes()
+    return gltf
 
 
 def _dress(gltf: GltfDocument, motion: NodeMotion) -> None:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import base64
 import binascii
+import io
 import json
 import struct
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TypeAlias
 from urllib.parse import unquote
 
 import numpy as np
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 from data_module.errors import InputError, shown
 from data_module.types import Array
 from gesticulator.export.nodes import NodeMotion
+from gesticulator.export.number_file import NumberFile
 
 MAGIC = b"glTF"
 VERSION = 2
@@ -29,20 +32,36 @@ _TYPES = {np.dtype("<f4"): _FLOAT, np.dtype("u1"): _UINT8, np.dtype("<u2"): _UIN
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTICES = 34962
 """What a buffer view is for: the attributes of vertices."""
+TRANSLATION, ROTATION = "translation", "rotation"
+"""What of a node an animation moves."""
+LARGEST = (1 << 32) - 1
+"""Bytes of a GLB file: its header tells how many in 32 bits (4 GiB)."""
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
+
+
+Numbers: TypeAlias = "NDArray[Any] | NumberFile"
+"""Numbers [n, ...], in memory or on the disk."""
 
 
 class GltfDocument:
     """A glTF document and its binary buffer, to which accessors and animations can be added."""
 
     def __init__(self, document: dict[str, Any], binary: bytes = b"") -> None:
-        self.document, self._binary = document, bytearray(binary)
+        self.document = document
+        self._parts: list[bytes | NumberFile] = [binary]
+        self._size = len(binary)
 
-    def accessor(self, values: NDArray[Any], target: int | None = None, bounds: bool = False) -> int:
+    def accessor(self, values: Numbers, target: int | None = None, bounds: bool = False) -> int:
         """Add numbers [n, ...] (float32, uint8 or uint16, little-endian); the accessor's index.
 
         bounds: tell the lowest and the highest values, as times and positions must.
         """
+        if isinstance(values, NumberFile):
+            entry: dict[str, Any] = {"bufferView": self.view(values, target), "componentType": _FLOAT,
+                                     "count": len(values), "type": _KINDS[values.shape]}
+            if bounds:
+                entry["min"], entry["max"] = ([float(v) for v in edge] for edge in (values.lowest, values.highest))
+            return self._added("accessors", entry)
         data = np.ascontiguousarray(values)
         # glTF's matrices are stored column by column.
         view = self.view((data.swapaxes(-1, -2) if data.shape[1:] == (4, 4) else data).tobytes(), target)
@@ -53,45 +72,80 @@ class GltfDocument:
                                                 for edge in (np.min, np.max))
         return self._added("accessors", accessor)
 
-    def view(self, data: bytes, target: int | None = None) -> int:
+    def view(self, data: bytes | NumberFile, target: int | None = None) -> int:
         """Add bytes; the buffer view's index."""
-        self._binary += bytes(-len(self._binary) % 4)
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data)}
+        size = data.size if isinstance(data, NumberFile) else len(data)
+        self._append(bytes(-self._size % 4), -self._size % 4)
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": size}
         if target is not None:
             view["target"] = target
-        self._binary += data
+        self._append(data, size)
         return self._added("bufferViews", view)
 
     def animate(self, name: str, motion: NodeMotion, nodes: dict[int, int]) -> None:
         """Add one animation. nodes: index in the motion -> index in the document, for the nodes that move."""
-        times = self.accessor(motion.times.astype("<f4"), bounds=True)
+        def tracks() -> Iterable[tuple[int, str, Numbers]]:
+            for own, node in nodes.items():
+                if own in motion.shifts:
+                    yield node, TRANSLATION, motion.shifts[own].astype("<f4")
+                yield node, ROTATION, as_gltf(motion.turns[:, own])
+
+        self.add_animation(name, motion.times.astype("<f4"), tracks())
+
+    def add_animation(self, name: str, times: Numbers, tracks: Iterable[tuple[int, str, Numbers]]) -> None:
+        """Add one animation. times: [T] seconds, rising; tracks: node, what of it moves (`TRANSLATION`, `ROTATION`),
+        and its values, [T, 3] or [T, 4] with w last; all float32."""
+        seconds = self.accessor(times, bounds=True)
         samplers: list[dict[str, Any]] = []
         channels: list[dict[str, Any]] = []
-
-        def add(node: int, path: str, values: Array) -> None:
-            samplers.append({"input": times, "output": self.accessor(values.astype("<f4"))})
+        for node, path, values in tracks:
+            samplers.append({"input": seconds, "output": self.accessor(values)})
             channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
-
-        for own, node in nodes.items():
-            if own in motion.shifts:
-                add(node, "translation", motion.shifts[own])
-            add(node, "rotation", motion.turns[:, own][:, [1, 2, 3, 0]])
         self._added("animations", {"name": name, "samplers": samplers, "channels": channels})
 
     def to_bytes(self) -> bytes:
         """The file."""
-        binary = bytes(self._binary) + bytes(-len(self._binary) % 4)
-        self.document.setdefault("buffers", [{}])[0]["byteLength"] = len(binary)
+        out = io.BytesIO()
+        self.write(out)
+        return out.getvalue()
+
+    def write(self, out: BinaryIO) -> None:
+        """Write the file. `InputError` where it is larger than a GLB can be."""
+        self._append(bytes(-self._size % 4), -self._size % 4)
+        self.document.setdefault("buffers", [{}])[0]["byteLength"] = self._size
         text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
-        size = 12 + 8 + len(text) + 8 + len(binary)
-        return b"".join([struct.pack("<4sII", MAGIC, VERSION, size), struct.pack("<II", len(text), _JSON), text,
-                         struct.pack("<II", len(binary), _BIN), binary])
+        size = 12 + 8 + len(text) + 8 + self._size
+        if size > LARGEST:
+            raise too_large(size)
+        out.write(struct.pack("<4sII", MAGIC, VERSION, size) + struct.pack("<II", len(text), _JSON) + text)
+        out.write(struct.pack("<II", self._size, _BIN))
+        for part in self._parts:
+            if isinstance(part, NumberFile):
+                part.copy_to(out)
+            else:
+                out.write(part)
+
+    def _append(self, data: bytes | NumberFile, size: int) -> None:
+        self._parts.append(data)
+        self._size += size
 
     def _added(self, what: str, entry: dict[str, Any]) -> int:
         entries: list[dict[str, Any]] = self.document.setdefault(what, [])
         entries.append(entry)
         return len(entries) - 1
+
+
+def too_large(size: int) -> InputError:
+    """What to say of a GLB file of so many bytes, more than it can have."""
+    return InputError("the motion", f"would take {size / 1e9:.1f} GB, and a GLB file holds {LARGEST / 1e9:.1f} GB",
+                      "ask for fewer frames per second (--fps), write .bvh, or cut the recording in parts")
+
+
+def as_gltf(turns: Array) -> NDArray[np.float32]:
+    """Quaternions [..., 4], w first, as glTF has them: w last, float32."""
+    moved: NDArray[np.float32] = turns[..., [1, 2, 3, 0]].astype("<f4")
+    return moved
 
 
 def transform(translation: Array, turn: Array, scale: Array) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -87,16 +87,16 @@ class NodeMotion:
         return local
 
 
-def of_motion(motion: Motion) -> NodeMotion:
+def of_motion(motion: Motion, continuous: Callable[[Array], Array] = rotation.continuous) -> NodeMotion:
     """A motion as nodes. At rest she stands in a T-pose on the floor, also where she sits in the motion: players of VRM
-    animations scale her path by how high her hips are at rest."""
+    animations scale her path by how high her hips are at rest. continuous: chooses the signs of the quaternions."""
     skeleton = motion.skeleton
     rest = skeleton.offsets.copy()
     rest[0] = [0.0, skeletons.HIP_HEIGHT, 0.0]
     identity = np.zeros((len(skeleton), 4))
     identity[:, 0] = 1.0
     return NodeMotion(skeleton.names, skeleton.parents, rest, identity, np.ones((len(skeleton), 3)),
-                      rotation.continuous(rotation.normalise(motion.rotations)), {0: motion.root_positions},
+                      continuous(rotation.normalise(motion.rotations)), {0: motion.root_positions},
                       dict(skeleton.end_sites), motion.fps)
 
 

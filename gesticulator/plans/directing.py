@@ -19,7 +19,17 @@ from gesticulator.features import representation_of
 from gesticulator.performance import FPS, InferenceOptions
 from gesticulator.plans.editing import still_frames
 from gesticulator.plans.plan import GESTURES, GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks
-from gesticulator.plans.shaping import FADE, MIRROR_FADE, OTHER_HAND, Shaper, levels_at
+from gesticulator.plans.shaping import (
+    FADE,
+    MIRROR_FADE,
+    OTHER_HAND,
+    REST_FADE,
+    AskedSizes,
+    Shaper,
+    eased_levels,
+    left_by,
+    levels_at,
+)
 
 Shaping = Callable[[Array, Array], Array]
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
@@ -233,13 +243,16 @@ def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequ
     if representation.name != "rotations":
         raise InputError("intensity, energy, handedness, cues and plans", "need a bundle of joint rotations, and this "
                          "one has places", "leave them out")
-    sizes, mirrored, kept = _levels(options, len(edges) - 1)
+    sizes, both, mirrored, kept = _levels(options, len(edges) - 1)
+    left = [eased_levels(edges, left_by(own), REST_FADE, kept) for own in sizes.T]
     due = [one for one in cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle)) if one.lexeme is None]
     shaper = Shaper(bundle.statistics, representation, speaker)
 
     def shape(poses: Array, times: Array) -> Array:
-        poses = shaper.scaled(poses, np.stack(
-            [levels_at(edges, own, times, FADE, kept) for own in sizes.T], axis=1))
+        poses = shaper.shaped(poses, times, AskedSizes(
+            np.stack([levels_at(edges, own, times, FADE, kept) for own in sizes.T], axis=1),
+            np.stack([levels_at(edges, own, times, REST_FADE, kept) for own in left], axis=1),
+            levels_at(edges, both, times, REST_FADE, kept)))
         poses = shaper.mirrored(poses, levels_at(edges, mirrored, times, MIRROR_FADE, kept))
         if due:
             from gesticulator.plans.named_gestures import laid_over
@@ -250,18 +263,20 @@ def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequ
     return shape
 
 
-def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """[N, 2] intensities of the left and the right hand; [N] whether the block is mirrored, 0 or 1; [N] whether it is
-    locked."""
+def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """[N, 2] intensities of the left and the right hand; [N] whether both take part, and whether the block is mirrored,
+    0 or 1; [N] whether it is locked."""
     if options.plan is None:
-        return np.array([_hands(knobs_of(options))] * count), np.zeros(count), np.zeros(count, bool)
+        both = np.full(count, float(options.handedness == "both"))
+        return np.array([_hands(knobs_of(options))] * count), both, np.zeros(count), np.zeros(count, bool)
     now, then = options.plan.knobs, options.plan.drawn.knobs
     kept = [block.locked for block in options.plan.blocks]
     sizes = [[min(block.intensity * own, 2.0) for own in _hands(then if block.locked else now)]
              for block in options.plan.blocks]
     whole = options.mirrored
     mirrored = [block.mirror != (not whole and (then if block.locked else now).mirror) for block in options.plan.blocks]
-    return np.array(sizes), np.array(mirrored, dtype=np.float64), np.array(kept)
+    both = np.array([float((then if locked else now).handedness == "both") for locked in kept])
+    return np.array(sizes), both, np.array(mirrored, dtype=np.float64), np.array(kept)
 
 
 def _hands(knobs: PlanKnobs) -> tuple[float, float]:

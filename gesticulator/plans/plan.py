@@ -156,7 +156,7 @@ class PlanBlock:
     locked: bool = False
     """True keeps the block as it was drawn, whatever knobs are turned."""
     intensity: Intensity = 1.0
-    """How large its gesture is: 0 holds the hands at their mean place, 1 as drawn, 2 largest; times that of `knobs`."""
+    """How large its gesture is: at 0 the hands hang, 1 is as drawn, 2 largest; times that of `knobs`."""
     mirror: bool = False
     """True exchanges left and right in it."""
     gate: float | None = None
@@ -190,7 +190,7 @@ class PlanKnobs:
     """How the whole is performed."""
 
     intensity: Intensity = 1.0
-    """How large gestures are: 0 holds the hands at their mean place, 1 as drawn, 2 largest."""
+    """How large gestures are: at 0 the hands hang, 1 is as drawn, 2 largest."""
     mirror: bool = False
     """True exchanges left and right of everything."""
     energy: Annotated[str, SettingChoice(tuple(ENERGIES))] = "neutral"

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.files import write_bytes
+from data_module.parallel import own_rows
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.config import Config
@@ -73,11 +74,12 @@ class CounterfactualRewards:
 
     def windows(self, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
         """`count` windows of T decisions at random, as `Critics.losses` takes them but for what is heard. episode: [B].
-        """
+        Of these the rows that are this process's."""
         ends = np.cumsum(self.lengths)
         places = np.searchsorted(ends, rng.integers(ends[-1], size=count), side="right")
         room = np.maximum(self.lengths[places] - decisions, 0)
-        start = ends[places] - self.lengths[places] + rng.integers(room + 1)
+        start = (ends[places] - self.lengths[places] + rng.integers(room + 1))[own_rows(count)]
+        places = places[own_rows(count)]
         at = start[:, None] + np.arange(decisions)
         valid = at < ends[places][:, None]
         at = np.minimum(at, ends[places][:, None] - 1)

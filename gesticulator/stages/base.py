@@ -23,6 +23,7 @@ from torch import nn
 from data_module.files import rename, write_text
 from data_module.layers import freeze
 from data_module.store import Store
+from gesticulator import distributed
 from gesticulator import fit as fitting
 from gesticulator.config import Config, FitSettings, digest
 
@@ -97,13 +98,18 @@ class Run:
     """Folders of more sound for the predictive coding."""
     workers: int = 1
     """Processes that cut and encode recordings."""
+    precision: str = "float32"
+    """See `gesticulator.fit.FitOptions`."""
+    memory: float | None = None
+    """Bytes that the corpus may take; a larger one stays on the disk. None for any."""
     figures: dict[str, Figures] = field(default_factory=dict)
     """Stage -> its figures on the validation split, once it was asked for."""
     _values: dict[str, Any] = field(default_factory=dict, repr=False)
     _keys: dict[str, str] = field(default_factory=dict, repr=False)
 
     def get(self, node: Node[T]) -> T:
-        """The value of a node, made (or read from the work folder) when it is asked for first."""
+        """The value of a node, made (or read from the work folder) when it is asked for first. Of several processes the
+        first makes it, and then the others, of the files that are kept of it."""
         if node.name not in self._values:
             if isinstance(node, Stage):
                 assert node.build is not None
@@ -115,7 +121,11 @@ class Run:
                 self._values[node.name] = node.finish(freeze(model))
             else:
                 assert node.make is not None
-                self._values[node.name] = node.make(self)
+                make = node.make
+                if distributed.processes() > 1:  # stages are trained by all of them
+                    for need in node.needs(self.config):
+                        self.get(need)
+                self._values[node.name] = distributed.lead_first(lambda: make(self))
         return cast(T, self._values[node.name])
 
     def provide(self, node: Node[Any], value: Any, key: str | None = None) -> None:
@@ -158,18 +168,20 @@ class Run:
     def train_stage(self, stage: Stage[Any], model: nn.Module) -> Figures:
         """Load a finished stage into `model`, or train it now; its figures on the validation split."""
         folder = self.folder(stage)
-        if not finished(folder, model):
+        if not distributed.lead(lambda: finished(folder, model)):
             folder.mkdir(parents=True, exist_ok=True)
             assert stage.train is not None
-            keep(folder, model, stage.train(self, model, folder))
-            (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
+            figures = stage.train(self, model, folder)
+            distributed.lead(lambda: keep(folder, model, figures))
+            if distributed.leads():
+                (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
         return dict(json.loads((folder / FIGURES).read_text()))
 
     def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
         """The one loop, with this run's settings."""
         return fitting.fit(stage.name, model, task, self.schedule(stage), folder, fitting.FitOptions(
-            seed=self.seed(stage), device=self.device, progress=self.progress))
+            seed=self.seed(stage), device=self.device, progress=self.progress, precision=self.precision))
 
     def redo(self, stage: Stage[Any]) -> None:
         """Forget a stage that is finished or under way."""

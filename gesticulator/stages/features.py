@@ -11,7 +11,8 @@ def _corpus(run: Run) -> Corpus:
     encoder = run.get(ENCODER)
     if encoder is None:
         return run.get(BLOCKS)
-    return prepare(run.store, run.config, run.work, encoder, workers=run.workers, progress=run.progress)
+    return prepare(run.store, run.config, run.work, encoder, workers=run.workers, progress=run.progress,
+                   memory=run.memory)
 
 
 CORPUS: Node[Corpus] = Node("corpus", settings=("front_end",), needs=lambda config: (BLOCKS, ENCODER), make=_corpus)

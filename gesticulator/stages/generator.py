@@ -65,7 +65,7 @@ def _build(run: Run) -> Generator | FlowGenerator:
     model = models.generator(model_sizes(run, training=run.config.generator.head == "regression"))
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
-        known = torch.as_tensor(corpus.select("train"))
+        known = torch.as_tensor(corpus.some("train"))
         model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]),
                     lexicon.added(torch.arange(lexicon.size)))
     return model

@@ -11,16 +11,18 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.motion.movement import Pasts
+from data_module.parallel import own_rows
+from gesticulator import distributed, models
 from gesticulator import fit as fitting
-from gesticulator import models
 from gesticulator.config import Config
 from gesticulator.stages.base import Figures, Node, Run, Stage
 from gesticulator.stages.corpus import BLOCKS, Corpus, sizes
+from gesticulator.stages.rows import evenly
+from gesticulator.stages.stored import MEASURED
 from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon
 from lexicon.quantizer import perplexity
 from lexicon.racer import RacerCodec
-from lexicon.settings import FRAMES
 
 BlockLexicon = Lexicon | MovementLexicon
 """What names blocks at the beat one by one: the paper's VQ-VAE, or the lexicon of movements."""
@@ -35,14 +37,14 @@ _TOGETHER = 4096
 
 def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
     if isinstance(model, MovementLexicon):
-        return _fit_movements(run, model)
+        return distributed.lead(lambda: _fit_movements(run, model))
     return _train_pose_lexicon(run, model, folder)
 
 
 def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
     """In closed form and by k-means, on the CPU: there are no steps."""
     corpus = run.get(BLOCKS)
-    known, val = (torch.as_tensor(corpus.select(split)) for split in ("train", "val"))
+    known, val = (torch.as_tensor(corpus.some(split)) for split in ("train", "val"))
     recording = torch.as_tensor(corpus.recording)
     model.fit(corpus.motion[known], corpus.pasts[known], corpus.mask[recording[known]], run.seed(LEXICON))
     held = val if len(val) else known
@@ -64,21 +66,22 @@ def movement_figures(lexicon: MovementLexicon, motion: Tensor, past: Pasts) -> F
 
 def _train_pose_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
-    known, val = (torch.as_tensor(corpus.select(split)) for split in ("train", "val"))
+    known, some, val = map(torch.as_tensor, (corpus.select("train"), corpus.some("train"), corpus.some("val")))
     recording = torch.as_tensor(corpus.recording)
 
     def make_batch(rng: np.random.Generator) -> fitting.Batch:
-        index = known[torch.as_tensor(rng.integers(len(known), size=settings.batch))]
+        index = known[torch.as_tensor(rng.integers(len(known), size=settings.batch)[own_rows(settings.batch)])]
         return {"motion": corpus.motion[index], "mask": corpus.mask[recording[index]]}
 
     begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
 
     def before_step(step: int) -> None:
         if step == begin:
-            model.start_codebook(corpus.motion[known].to(run.device), run.seed(LEXICON))
+            distributed.lead_model(model, lambda: model.start_codebook(corpus.motion[some].to(run.device),
+                                                                       run.seed(LEXICON)))
 
     def validate() -> Figures:
-        return lexicon_figures(model, corpus.motion[val if len(val) else known].to(run.device))
+        return lexicon_figures(model, corpus.motion[val if len(val) else some].to(run.device))
 
     return run.fit(LEXICON, model, fitting.Task(make_batch, validate=validate, before_step=before_step), folder)
 
@@ -120,18 +123,20 @@ def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
     corpus, length, settings = run.get(BLOCKS), run.config.cql.decisions, run.schedule(CODEC)
     known = _starts(corpus, "train", length)
     held = (_starts(corpus, "val", length) if corpus.recordings("val") else known)[::length]
-    motion, frames = corpus.motion.flatten(0, 1), torch.arange(length * FRAMES)
+    begun = known[::length]
+    if corpus.stored:
+        held, begun = (evenly(starts, MEASURED // length) for starts in (held, begun))
 
     def crops(starts: NDArray[np.int64]) -> Tensor:
-        return motion[torch.as_tensor(starts)[:, None] * FRAMES + frames]
+        return corpus.motion[torch.as_tensor(starts)[:, None] + torch.arange(length)].flatten(1, 2)
 
     def make_batch(rng: np.random.Generator) -> fitting.Batch:
-        chosen = rng.choice(known, settings.batch)
+        chosen = rng.choice(known, settings.batch)[own_rows(settings.batch)]
         return {"motion": crops(chosen), "mask": corpus.mask[torch.as_tensor(corpus.recording[chosen])]}
 
     def before_step(step: int) -> None:
         if step == 0:
-            model.start_codebook(crops(known[::length]).to(run.device), run.seed(CODEC))
+            distributed.lead_model(model, lambda: model.start_codebook(crops(begun).to(run.device), run.seed(CODEC)))
 
     return run.fit(CODEC, model, fitting.Task(make_batch, before_step=before_step, validate=lambda: codec_figures(
         model, crops(held).to(run.device))), folder)
@@ -170,7 +175,7 @@ def decoded_blocks(tokens: Tokens, labels: NDArray[np.int64], corpus: Corpus) ->
     if isinstance(tokens, Lexicon):
         return tokens.shown()[torch.as_tensor(labels)]
     if isinstance(tokens, MovementLexicon):
-        return tokens.basis.compose(tokens.added(torch.as_tensor(labels)), corpus.pasts)
+        return tokens.basis.compose(tokens.added(torch.as_tensor(labels)), corpus.pasts[:])
     rows = [tokens.decode_tokens(torch.as_tensor(labels[corpus.blocks_of(r)])[None])[0]
             for r in range(len(corpus.names))]
     return torch.cat(rows)
@@ -178,6 +183,10 @@ def decoded_blocks(tokens: Tokens, labels: NDArray[np.int64], corpus: Corpus) ->
 
 def token_labels(tokens: Tokens, corpus: Corpus) -> NDArray[np.int64]:
     """[N] the lexeme of every block."""
+    if corpus.stored and not isinstance(tokens, RacerCodec):
+        parts = torch.arange(len(corpus.motion)).split(_TOGETHER)
+        return torch.cat([tokens.label(corpus.motion[part]) if isinstance(tokens, Lexicon)
+                          else tokens.label(corpus.motion[part], corpus.pasts[part]) for part in parts]).numpy()
     if isinstance(tokens, Lexicon):
         return tokens.label(corpus.motion).numpy()
     if isinstance(tokens, MovementLexicon):

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.motion.movement import Pasts
+from data_module.parallel import own_rows, shares
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.config import RewardConfig
@@ -135,7 +136,8 @@ class RewardWindows:
     added: Tensor | None = None
 
     def sample(self, rng: np.random.Generator, count: int, decoded: float | None = None) -> fitting.Batch:
-        """A batch of `count` windows, as `RewardModel.losses` takes it; `decoded` of them show lexemes."""
+        """A batch of `count` windows, as `RewardModel.losses` takes it; `decoded` of them show lexemes. Of these the
+        rows that are this process's."""
         config = self.config
         chosen = rng.choice(self.recordings, size=-(-count // _TOGETHER))
         owners = np.repeat(chosen, _TOGETHER)[:count]
@@ -148,11 +150,14 @@ class RewardWindows:
             blocks[row, -length:] = own[start:start + length]
             valid[row, -length:] = 1
         share = config.decoded if decoded is None else decoded
-        batch = self.batch(blocks, valid, rng.random(count) < share)
+        mine = own_rows(count)
+        batch = self.batch(blocks[mine], valid[mine], (rng.random(count) < share)[mine])
+        if shares() > 1:  # who may be told from whom is a matter of the whole batch
+            batch["group"] = torch.as_tensor(groups(blocks, valid, self.corpus.silent[blocks])[mine])
         if self.lexemes is not None and config.rivals:
-            batch["rival"] = self.rivals(blocks, valid, rng)
+            batch["rival"] = self.lexemes[torch.as_tensor(self.rivals(blocks, valid, rng)[mine])]
         if config.choice:
-            batch |= self.choice(blocks, batch["motion"])
+            batch |= self.choice(blocks[mine], batch["motion"])
         return batch
 
     def choice(self, blocks: NDArray[np.int64], motion: Tensor) -> fitting.Batch:
@@ -172,8 +177,9 @@ class RewardWindows:
                 "log_duration": torch.as_tensor(np.log(self.corpus.durations[blocks])).float(),
                 "group": torch.as_tensor(groups(blocks, valid, self.corpus.silent[blocks])), "rivalled": shows}
 
-    def rivals(self, blocks: NDArray[np.int64], valid: NDArray[np.float32], rng: np.random.Generator) -> Tensor:
-        """[B, H, W, K, D_m] the decoded windows with one to half of their last lexemes replaced by others."""
+    def rivals(self, blocks: NDArray[np.int64], valid: NDArray[np.float32], rng: np.random.Generator
+               ) -> NDArray[np.int64]:
+        """[B, H, W] the lexemes of windows with one to half of their last ones replaced by others."""
         assert self.lexemes is not None and self.after is not None
         size, count = len(self.lexemes), self.config.rivals
         lexemes = np.repeat(self.labels[blocks][:, None], count, axis=1)
@@ -190,7 +196,7 @@ class RewardWindows:
                     if at == -1 and other == own:  # nothing else may be wrong
                         other = (own + 1 + int(rng.integers(size - 1))) % size
                     lexemes[row, rival, at] = other
-        return self.lexemes[torch.as_tensor(lexemes)]
+        return lexemes
 
 
 def groups(blocks: NDArray[np.int64], valid: NDArray[np.float32], silent: NDArray[np.bool_]) -> NDArray[np.int64]:

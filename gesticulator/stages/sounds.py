@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.parallel import own_rows
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.store import Store
 
@@ -59,9 +60,9 @@ class Crops:
         return cls(np.concatenate(parts), np.cumsum(sizes) - sizes, sizes - length + 1, length)
 
     def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float32]:
-        """[count, length] crops, every beginning equally likely."""
+        """[count, length] crops, every beginning equally likely; of these the rows that are this process's."""
         ends = np.cumsum(self.room)
-        place = rng.integers(ends[-1], size=count)
+        place = rng.integers(ends[-1], size=count)[own_rows(count)]
         recording = np.searchsorted(ends, place, side="right")
         starts = self.first[recording] + place - (ends - self.room)[recording]
         return np.stack([self.samples[start:start + self.length] for start in starts]).astype(np.float32)

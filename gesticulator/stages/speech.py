@@ -10,18 +10,20 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from data_module.blocks import samples_per_frame
 from data_module.layers import freeze
+from data_module.parallel import own_rows
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, TextContrast
 from gesticulator import fit as fitting
 from gesticulator import models
 from gesticulator.config import Config
-from gesticulator.features import three_blocks
 from gesticulator.stages.base import Figures, Node, Run, Stage
 from gesticulator.stages.corpus import BLOCKS, Corpus, sizes
+from gesticulator.stages.rows import StoredRows
 from gesticulator.stages.sounds import Crops, folder_digest
 
 _CHECKS, _CROPS = 4, 32
@@ -84,21 +86,28 @@ def _contrast_batches(corpus: Corpus, recordings: list[int], frames: int, size: 
     """Windows of three blocks in which a word sounds on the middle one: others have no anchor for Eq. 1."""
     assert corpus.word_at is not None
     spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
-    sounds = {r: three_blocks(corpus.sound(r)[:, None], np.zeros(())).reshape(-1, 3 * corpus.sound(r).shape[1])
-              for r in recordings}
+    sounds = {r: corpus.sound(r) for r in recordings}
     begins = {r: int(corpus.blocks_of(r)[0]) for r in recordings}
     blocks = np.concatenate([corpus.blocks_of(r)[spoken[corpus.blocks_of(r)]] for r in recordings])
 
     def make(rng: np.random.Generator) -> fitting.Batch:
         assert corpus.word_at is not None
-        chosen = rng.choice(blocks, size)
+        chosen = rng.choice(blocks, size)[own_rows(size)]
         owners = corpus.recording[chosen]
-        samples = np.stack([sounds[r][b - begins[r]] for r, b in zip(owners, chosen, strict=True)])
+        samples = np.stack([_around(sounds[r], b - begins[r]) for r, b in zip(owners, chosen, strict=True)])
         return {"samples": torch.as_tensor(samples).float(),
                 "text": corpus.text(chosen)[:, frames:2 * frames, :-1],
                 "word": corpus.word_at[torch.as_tensor(chosen), frames:2 * frames].long() - 1}
 
     return make
+
+
+def _around(sound: NDArray[np.float16] | StoredRows, block: int) -> NDArray[np.float16]:
+    """[3 L] the sound of a block of [N, L], with the blocks before and after; silence beyond the ends."""
+    out = np.zeros((3, sound.shape[1]), np.float16)
+    there = [k for k in (0, 1, 2) if 0 <= block + k - 1 < len(sound)]
+    out[there] = np.asarray(sound[np.array(there) + block - 1])
+    return out.reshape(-1)
 
 
 def _build_contrast(run: Run) -> nn.Module:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
 import torch
@@ -30,7 +31,7 @@ def _train(run: Run, model: StyleInterpreter, folder: Path, stage: Stage[StyleIn
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers, text)
     held = parts[::_HELD] if len(parts) >= _HELD else []
     windows = Windows(corpus, [p for i, p in enumerate(parts) if not held or i % _HELD], config.window, text=text)
-    checks = list(Windows(corpus, held or parts, config.window, text=text).tiled(AT_ONCE))[:VALIDATED]
+    checks = list(islice(Windows(corpus, held or parts, config.window, text=text).tiled(AT_ONCE), VALIDATED))
 
     def with_codes(batch: fitting.Batch) -> fitting.Batch:
         return {**batch, "lexeme": batch["lexeme_index"], "code": table[batch["style"]]}

@@ -17,6 +17,7 @@ from torch import nn
 from data_module.errors import InputError
 from data_module.files import lock, write_text
 from data_module.store import Store
+from gesticulator import distributed
 from gesticulator import fit as fitting
 from gesticulator.bundle import Bundle, save
 from gesticulator.card import model_card
@@ -36,10 +37,15 @@ class TrainOptions:
     speech: tuple[Path, ...] = ()
     redo: tuple[str, ...] = ()
     only: str | None = None
+    precision: str = "float32"
+    """See `gesticulator.fit.FitOptions`."""
+    memory: float | None = None
+    """See `gesticulator.stages.base.Run`."""
 
 
 def train(config: Config, store: Store, out: Path, work: Path, options: TrainOptions | None = None) -> Bundle | None:
-    """Run every stage that is not finished and write the bundle; None when `only` stops before the last stage.
+    """Run every stage that is not finished and write the bundle; None when `only` stops before the last stage. Several
+    processes run it together (`gesticulator.distributed.joined`).
 
     InputError when the settings and the store do not go together, and when another training holds the work folder.
     """
@@ -50,18 +56,34 @@ def train(config: Config, store: Store, out: Path, work: Path, options: TrainOpt
             raise InputError(f"--stage {options.only}", "is not part of these settings",
                              "see text, gate and front_end in --set")
         stages = [STAGES[options.only]]
-    with lock(work, "a training"):
-        claim(work, store)
-        run = TimedRun(config, store, work, options.device, options.progress, options.speech, options.workers)
-        for name in options.redo:
-            run.redo(STAGES[name])
+    run = TimedRun(config, store, work, options.device, options.progress and distributed.leads(), options.speech,
+                   options.workers, options.precision, options.memory)
+    with contextlib.ExitStack() as held:
+        processes = distributed.processes()
+
+        def begin() -> None:
+            held.enter_context(lock(work, "a training"))
+            claim(work, store)
+            for stage in closure(stages, config):
+                _divisible(run, stage, processes)
+            for name in options.redo:
+                run.redo(STAGES[name])
+
+        distributed.lead(begin)
         run.get(BLOCKS)  # what is wrong with the store is said before hours of training
         run.follow(list(closure(stages, config)))
         if options.only is not None:
             return None
         trained = assemble(run, provenance(run))
-        save(trained, out, model_card(trained))
+        distributed.lead(lambda: save(trained, out, model_card(trained)))
         return trained
+
+
+def _divisible(run: Run, stage: Stage[Any], processes: int) -> None:
+    batch = run.schedule(stage).batch
+    if batch % processes and run.schedule(stage).steps:
+        raise InputError(f"schedules.{stage.schedule}.batch={batch}", f"cannot be divided among {processes} processes",
+                         "set a batch that is a multiple of the processes")
 
 
 def claim(work: Path, store: Store) -> None:
@@ -142,7 +164,7 @@ class TimedRun(Run):
         try:
             return super().fit(stage, model, replace(task, before_step=counted), folder)
         finally:
-            if steps >= MEASURED:
+            if steps >= MEASURED and distributed.leads():
                 write_text(self.work / TIMES, json.dumps({
                     **self.times(), stage.name: (time.monotonic() - began) / steps}, indent=1))
 

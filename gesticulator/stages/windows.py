@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from data_module import controls
 from data_module.errors import InputError
+from data_module.parallel import own_rows
 from gesticulator.config import ControlConfig
 from gesticulator.features import control_rows
 from gesticulator.fit import Batch
-from gesticulator.stages.corpus import Corpus, settled
+from gesticulator.stages.corpus import Corpus
+from gesticulator.stages.measured import settled
 
 
 @dataclass(frozen=True)
@@ -94,20 +96,22 @@ class Windows:
                  control: ControlConfig | None = None, moving: bool = False) -> None:
         self.corpus, self.parts, self.length = corpus, parts, blocks + 1
         self.text, self.control, self.moving = text, control, moving
-        self.starts = np.array([(p, s) for p, part in enumerate(parts)
-                                for s in range(max(1, len(part.motion) - blocks))], dtype=np.int64)
-        if len(self.starts) == 0:
+        if not parts:
             raise InputError("store", "has no recording for this split", "build the store again")
+        rooms = [max(1, len(part.motion) - blocks) for part in parts]
+        self.starts = np.stack([np.repeat(np.arange(len(parts)), rooms),
+                                np.concatenate([np.arange(room) for room in rooms])], axis=1)
 
     def sample(self, rng: np.random.Generator, count: int) -> Batch:
-        """A batch of `count` windows at random."""
+        """A batch of `count` windows at random; of these the rows that are this process's."""
         starts = self.starts[rng.integers(len(self.starts), size=count)]
         given = None
         if self.control is not None:
             given = rng.random((count, len(controls.FEATURES))) < self.control.asked
             given &= rng.random((count, 1)) >= self.control.free
             given &= np.isin(controls.FEATURES, self.control.features)
-        return self.batch(starts, given)
+        own = own_rows(count)
+        return self.batch(starts[own], None if given is None else given[own])
 
     def tiled(self, size: int) -> Iterable[Batch]:
         """Every block (but seeds), in batches; the last window of a recording may overlap the one before."""
@@ -158,7 +162,7 @@ class Windows:
             batch["text"] = corpus.text(stacked["audio"])
         if given is not None:
             assert corpus.statistics.levels is not None
-            values = corpus.control[stacked["motion"].numpy()]
+            values = np.asarray(corpus.control[stacked["motion"].numpy()])
             asked = np.broadcast_to(given[:, None, None], values.shape)
             batch["control"] = torch.as_tensor(control_rows(corpus.statistics.levels, values, asked))
         return batch

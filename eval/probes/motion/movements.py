@@ -256,7 +256,8 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
         known = info.speaker in statistics.speakers
         mean = statistics.mean_pose[statistics.speakers.index(info.speaker)] if known else poses.mean(axis=(0, 1))
         first = block_module.first_pose(recording.motion, representation)
-        features, start = (torch.as_tensor((values - mean) / statistics.deviation, dtype=torch.float32)
+        moves = statistics.present.numpy()  # as `Statistics.normalise` has it: exactly 0 in what never moves
+        features, start = (torch.as_tensor((values - mean) / statistics.deviation * moves, dtype=torch.float32)
                            for values in (poses, first))
 
         def positions(blocks: Tensor, mean: Array = mean) -> Array:

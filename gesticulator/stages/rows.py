@@ -1,0 +1,177 @@
+"""Tensors that stay in their files: a corpus larger than the memory is trained on by reading the rows of each batch."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zipfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.errors import InputError
+from data_module.files import rename
+from data_module.motion.movement import PAST, Pasts
+
+_TOGETHER = 8192
+"""Rows that are read in one go where a slice of all is asked for: bounds what is read beside what is kept."""
+
+
+class StoredRows:
+    """An array [N, ...] of numpy's own format that is indexed as a tensor is, in its rows first, and gives tensors.
+
+    The rows that are asked for are read from the file in order of their place, each once, neighbours together; nothing
+    is mapped or kept, so the process holds what it asked for and no more. What was read lately the system keeps in
+    memory that is free, for all processes of the machine together.
+    """
+
+    def __init__(self, path: Path, member: str | None = None) -> None:
+        """member: the array of that name in an .npz that is not compressed; else the file is an .npy."""
+        self.path = path
+        with path.open("rb") as stream:
+            if member is not None:
+                _to_member(stream, f"{member}.npy")
+            version = np.lib.format.read_magic(stream)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            self.shape, _, dtype = read(stream)
+            self._offset = stream.tell()
+        self._numpy: np.dtype[Any] = dtype
+        self._row = dtype.itemsize * int(np.prod(self.shape[1:]))
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of the tensors that it gives."""
+        return torch.from_numpy(np.zeros(0, self._numpy)).dtype
+
+    def __len__(self) -> int:
+        return int(self.shape[0])
+
+    def __getitem__(self, key: Any) -> Tensor:
+        rows, *rest = key if isinstance(key, tuple) else (key,)
+        if isinstance(rows, slice):
+            numbers = np.arange(len(self))[rows]
+            parts = [self._read(part)[(slice(None), *rest)]
+                     for part in np.array_split(numbers, max(1, -(-len(numbers) // _TOGETHER)))]
+            return parts[0] if len(parts) == 1 else torch.cat(parts)
+        wanted = np.asarray(rows)
+        if wanted.dtype == bool:
+            wanted = np.flatnonzero(wanted)
+        found = self._read(wanted.reshape(-1)).reshape(*wanted.shape, *self.shape[1:])
+        return found[(*(slice(None) for _ in wanted.shape), *rest)]
+
+    def _read(self, numbers: NDArray[Any]) -> Tensor:
+        """[n, ...] the rows of these numbers [n]. IndexError for one that is not there."""
+        places, back = np.unique(np.where(numbers < 0, numbers + len(self), numbers), return_inverse=True)
+        if len(places) and not 0 <= places[0] <= places[-1] < len(self):
+            raise IndexError(f"rows {places[0]} to {places[-1]} of {len(self)}")
+        found = np.empty((len(places), *self.shape[1:]), self._numpy)
+        bytes_of = found.reshape(-1).view(np.uint8).data if found.size else memoryview(b"")
+        first = np.flatnonzero(np.diff(places, prepend=-2) != 1)
+        with self.path.open("rb", buffering=0) as file:
+            for begin, end in zip(first, np.append(first[1:], len(places))[:len(first)], strict=True):
+                file.seek(self._offset + int(places[begin]) * self._row)
+                left = bytes_of[begin * self._row:end * self._row]
+                while left:
+                    count = file.readinto(left)
+                    if not count:
+                        raise InputError(self.path, "ends early", "delete its folder and start again")
+                    left = left[count:]
+        return torch.from_numpy(found[back] if len(back) != len(places) or (back[1:] < back[:-1]).any() else found)
+
+
+def _to_member(stream: BinaryIO, name: str) -> None:
+    """Go to where a member of a zip file begins. ValueError where it is compressed, KeyError where it is not there."""
+    with zipfile.ZipFile(stream) as archive:
+        info = archive.getinfo(name)
+    if info.compress_type != zipfile.ZIP_STORED:
+        raise ValueError(f"{name} is compressed")
+    stream.seek(info.header_offset + 26)
+    names, extra = struct.unpack("<HH", stream.read(4))
+    stream.seek(info.header_offset + 30 + names + extra)
+
+
+class RowsWriter:
+    """Writes an array [N, ...] of numpy's own format, part by part; it gets its name when `close` finds it whole."""
+
+    def __init__(self, path: Path, shape: Sequence[int], dtype: Any) -> None:
+        self.path, self.shape, self.dtype, self.written = path, tuple(map(int, shape)), np.dtype(dtype), 0
+        self._temporary = path.with_name(f"{path.name}.tmp")
+        self._stream = self._temporary.open("wb")
+        np.lib.format.write_array_header_2_0(self._stream, {
+            "descr": np.lib.format.dtype_to_descr(self.dtype), "fortran_order": False, "shape": self.shape})
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """The next rows [n, ...]."""
+        if rows.shape[1:] != self.shape[1:]:
+            raise ValueError(f"rows of shape {rows.shape[1:]} for {self.path.name} of {self.shape[1:]}")
+        self._stream.write(np.ascontiguousarray(rows, self.dtype).tobytes())
+        self.written += len(rows)
+
+    def close(self) -> None:
+        """Sync and name the file; ValueError where rows are missing."""
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+        if self.written != self.shape[0]:
+            raise ValueError(f"{self.written} rows of {self.shape[0]} for {self.path.name}")
+        rename(self._temporary, self.path)
+
+
+class PastRows:
+    """What every block of stored motion is told from, made of the block before when it is asked for.
+
+    motion: [N, K, D_m]; begins: [N] a recording's first block; first: [R, D_m] its pose at time 0; recording: [N];
+    ratio: [N] as in `Pasts`.
+    """
+
+    def __init__(self, motion: StoredRows, begins: NDArray[np.bool_], first: Tensor, recording: NDArray[np.int64],
+                 ratio: Tensor) -> None:
+        self.motion, self.begins, self.first, self.recording, self.ratio = motion, begins, first, recording, ratio
+
+    @property
+    def frames(self) -> _PastFrames:
+        """[N, 3, D_m], read where it is indexed."""
+        return _PastFrames(self)
+
+    def __getitem__(self, rows: Tensor | slice) -> Pasts:
+        return Pasts(self.frames[rows], self.ratio[rows])
+
+
+class _PastFrames:
+    def __init__(self, pasts: PastRows) -> None:
+        self.pasts = pasts
+
+    def __getitem__(self, rows: Tensor | slice) -> Tensor:
+        own = self.pasts
+        index = np.arange(len(own.motion))[rows] if isinstance(rows, slice) else np.asarray(rows)
+        before = own.motion[np.maximum(index - 1, 0), -PAST:]
+        held = own.first[torch.as_tensor(own.recording[index])].unsqueeze(-2).expand_as(before)
+        return torch.where(torch.as_tensor(own.begins[index])[..., None, None], held, before)
+
+
+def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """At most about `most` of these numbers [n], evenly taken: every second one, every third, ..."""
+    return numbers[::max(1, -(-len(numbers) // most))]
+
+
+def stretches(counts: Iterable[int], speaker_of: Sequence[int] | NDArray[np.int64], most: int, length: int = 64
+              ) -> list[list[slice]]:
+    """Of recordings with so many blocks, which stretches are measured so that there are about `most` blocks in all:
+    every recording whole where there are no more, else every second stretch of `length` blocks of each speaker, every
+    third, ... The first of each speaker is among them."""
+    sizes = list(counts)
+    every = max(1, -(-sum(sizes) // most))
+    if every == 1:
+        return [[slice(0, size)] for size in sizes]
+    seen: dict[int, int] = {}
+    out = []
+    for size, speaker in zip(sizes, speaker_of, strict=True):
+        begins, number = range(0, size, length), seen.get(int(speaker), 0)
+        out.append([slice(at, min(at + length, size)) for k, at in enumerate(begins) if (number + k) % every == 0])
+        seen[int(speaker)] = number + len(begins)
+    return out

@@ -1,0 +1,128 @@
+"""Which of several drawn blocks is kept: one that shows the lexeme, most in time, nearest to what is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data_module.speech.onsets import detect_onsets
+from data_module.types import Array, Speech
+from eval import baselines
+from gesticulator.bundle import Bundle
+from gesticulator.candidates import CandidateChooser, in_time
+from gesticulator.cutter import encode_speech
+from gesticulator.features import SpeechBlock, control_rows, representation_of
+from gesticulator.pipeline import Gesticulator
+from tests.untrained import MOVING, PLAIN, untrained
+
+RATE, FRAMES = 16000, 10
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    return untrained(*(setting for setting in PLAIN if "control" not in setting), *MOVING, "selection.timing=1",
+                     "selection.as_asked=2", "selection.candidates=4", "selection.temperature=1.0")
+
+
+def swing(bundle: Bundle, stop: float) -> tuple[Array, Array]:
+    """The arms swing out and come to a stop at a share of the block: the past [10, D_m] and the block [10, D_m]."""
+    skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton
+    time = np.arange(-FRAMES + 1, FRAMES + 1) / FRAMES
+    poses = np.repeat(bundle.statistics.rest_pose[:1], len(time), axis=0)
+    for side in ("LeftArm", "RightArm"):
+        poses[:, 3 * skeleton.index(side)] += 1.2 * np.minimum(time, stop)
+    made = bundle.statistics.normalise(poses, 0)
+    return made[:FRAMES], made[FRAMES:]
+
+
+def block_of(onsets: Array) -> SpeechBlock:
+    nothing = np.zeros((3 * FRAMES, 2), np.float32)
+    return SpeechBlock(4, 2.0, 2.5, (0.5, 0.5, 0.5), (False, False, False), nothing, nothing, None,
+                       np.zeros(FRAMES, bool), onsets=onsets)
+
+
+def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(bundle: Bundle) -> None:
+    chooser = CandidateChooser(bundle, 0)
+    stops = (0.3, 0.5, 0.8)
+    past = swing(bundle, 0.3)[0]
+    blocks = np.stack([swing(bundle, stop)[1] for stop in stops])
+    shown = np.zeros(3, np.int64)
+    for best, stop in enumerate(stops):
+        assert chooser.choose(block_of(np.array([2.0 + 0.5 * stop])), past, blocks, shown) == best
+    assert chooser.choose(block_of(np.array([2.4])), past, blocks, np.array([0, 0, 1])) != 2, "the lexeme goes before"
+    assert chooser.choose(block_of(np.zeros(0)), past, blocks, np.array([3, 1, 1])) == 1, "no onset, no opinion"
+    assert chooser.choose(block_of(np.array([2.4])), past, blocks[:1], np.array([7])) == 0
+
+
+def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(bundle: Bundle) -> None:
+    levels = bundle.statistics.levels
+    assert levels is not None
+    chooser = CandidateChooser(bundle, 0)
+    past, still = swing(bundle, 0.0)
+    fast = swing(bundle, 1.0)[1]
+    blocks, speech = np.stack([still, fast]), block_of(np.zeros(0))
+
+    def asked(speed: float) -> Array:
+        given = np.array([False, True, False])
+        return np.repeat(control_rows(levels, np.array([0.0, speed, 0.0]), given)[None], FRAMES, axis=0)
+
+    assert chooser.choose(speech, past, blocks, np.array([3, 0]), asked(0.0)) == 0
+    assert chooser.choose(speech, past, blocks, np.array([0, 3]), asked(1.5)) == 1
+    assert chooser.choose(speech, past, blocks, np.array([5, 0]), asked(0.0)) == 1, "it is not among the best five"
+
+
+def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> None:
+    times = np.arange(-3, 11) * 0.05
+
+    def place(speed: Array) -> Array:
+        way = np.concatenate([[0.0], np.cumsum(speed * 0.05)])
+        return np.stack([np.stack([way, 0 * way, 0 * way], -1)] * 2, axis=1)[None]
+
+    stops = np.where(times[1:] < 0.25, 1.0, 0.0)
+    share = [float(in_time(place(stops), times, 0.0, np.array([at]))[0]) for at in (0.2, 0.25, 0.475)]
+    assert share[0] > 0.9 and share[0] > share[1] > 0.4 and share[2] < 1e-3
+    assert float(in_time(place(0 * stops), times, 0.0, np.array([0.25]))[0]) == 0.0
+    jolt = np.where(times[1:] < 0.02, 1.0, 0.0)
+    assert float(in_time(place(jolt), times, 0.0, np.array([0.0]))[0]) < 0.01, "what ends at the seam is no beat"
+
+
+def test_every_onset_belongs_to_the_blocks_it_lies_in(bundle: Bundle) -> None:
+    time = np.arange(6 * RATE) / RATE
+    noise = np.random.default_rng(1).normal(size=len(time))
+    speech = Speech((0.2 * noise * np.maximum(np.sin(2 * np.pi * 2.7 * time), 0.02)).astype(np.float32), RATE)
+    encoded = encode_speech(speech, bundle.config)
+    edges, onsets = encoded.blocks.edges, detect_onsets(speech.samples, RATE, merge=0.0)
+    assert len(onsets) > 10 and encoded.onsets is not None
+    for i, own in enumerate(encoded.onsets):
+        expected = onsets[(onsets > edges[i] - 1e-6) & (onsets < edges[i + 1] + 1e-6)]
+        np.testing.assert_allclose(own, expected, atol=1e-9)
+    late = baselines.rolled(encoded, 5)
+    assert late.onsets is not None
+    share = (encoded.onsets[2] - edges[2]) / (edges[3] - edges[2])
+    np.testing.assert_allclose((late.onsets[7] - edges[7]) / (edges[8] - edges[7]), share)
+
+
+def test_a_performance_is_more_in_time_by_it(bundle: Bundle) -> None:
+    time = np.arange(12 * RATE) / RATE
+    noise = np.random.default_rng(0).normal(size=len(time))
+    speech = Speech((0.2 * noise * np.maximum(np.sin(2 * np.pi * 2.3 * time), 0.02)).astype(np.float32), RATE)
+    unlooked = replace(bundle, config=replace(bundle.config, selection=replace(bundle.config.selection, timing=0.0)))
+    wide = [replace(one, config=replace(one.config, selection=replace(one.config.selection, candidates=32)))
+            for one in (bundle, unlooked)]
+    encoded = encode_speech(speech, bundle.config)
+    chooser = CandidateChooser(bundle, 0)
+    figures = []
+    for one in wide:
+        motion = Gesticulator(one)(speech, seed=1, encoded=encoded)
+        vectors = one.statistics.normalise(representation_of(one.config).vectors(
+            motion.motion, np.concatenate([[0.0], encoded.blocks.knot_times])), 0)
+        share = []
+        for i in range(1, len(encoded)):
+            at, speech_block = 1 + i * FRAMES, encoded.block(i)
+            hands = chooser._hands(vectors[None, at - 4:at + FRAMES])
+            share.append(in_time(hands, chooser._times(speech_block, FRAMES), speech_block.start,
+                                 speech_block.onsets)[0])
+        figures.append(float(np.mean(share)))
+    assert figures[0] > 1.05 * figures[1]

@@ -1,0 +1,158 @@
+"""Rows and seeds at once: the same cells as one after the other, by workers and by jobs; a cell that is there stays."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from data_module.errors import InputError
+from data_module.store import Store
+from eval import ablate, runner, sweep
+from eval.cells import PARTS, Cell, CellStore
+from eval.metrics.gesture_features import RawFeatures
+from eval.rows import rg
+from eval.runner import AblationContext
+from gesticulator import config as configs
+from gesticulator.batch import TaskOutcome, done_here
+from gesticulator.stages import Run
+
+SHORT = ("schedules.speech.steps=1", "schedules.contrast.steps=1", "schedules.lexicon.steps=4",
+         "schedules.generator.steps=2", "schedules.interpreter.steps=2", "schedules.style.steps=2")
+NAMES = ("ours", "no-lexemes")
+
+
+def made(row: str, seed: int, key: str = "k", **more: Any) -> Cell:
+    return {"row": row, "seed": seed, "key": key, "clips": [], **more}
+
+
+def test_cells_of_several_writers_are_gathered_once(tmp_path: Path) -> None:
+    CellStore(tmp_path).add(made("a", 1))
+    for seed in (1, 2):
+        CellStore(tmp_path, alone=False).add(made("a", seed, why="of a worker"))
+    CellStore(tmp_path, alone=False).add(made("b=0.1", 1))
+    every = CellStore(tmp_path)
+    assert every.finished("a", 2, "k") is not None and every.finished("a", 2, "other") is None
+    assert len(every.lines()) == 4
+    every.gather()
+    assert not (tmp_path / PARTS).exists()
+    assert [(cell["row"], cell["seed"]) for cell in every.lines()] == [("a", 1), ("a", 2), ("b=0.1", 1)]
+    assert "why" not in every.lines()[0], "it was there"
+
+
+@pytest.fixture(scope="module")
+def context(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> AblationContext:
+    """The tiny preset, shorter still, in a work folder of its own."""
+    work = tmp_path_factory.mktemp("sweep")
+    first = Run(configs.with_settings(rg.tiny(), SHORT), Store.open(tiny_store), work, progress=False)
+    return AblationContext(first, [RawFeatures(34, count=1)], work / "out", limit=1)
+
+
+@pytest.fixture(scope="module")
+def plain(context: AblationContext) -> dict[tuple[str, int], Any]:
+    """What is measured of each row at each seed, one after the other."""
+    ablate.run_rows(context, NAMES, 2)
+    return figures(context)
+
+
+def figures(context: AblationContext) -> dict[tuple[str, int], Any]:
+    """Of each cell what does not tell of time."""
+    return {(cell["row"], cell["seed"]): json.dumps([cell["key"], cell["clips"], cell["sets"]])
+            for cell in context.cells.lines()}
+
+
+def test_rows_at_once_are_those_one_after_the_other(context: AblationContext, plain: dict[tuple[str, int], Any],
+                                                    tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker of its own work folder trains everything anew, in another order."""
+    work = tmp_path / "work"
+    first = dataclasses.replace(context.first, work=work, _values={}, _keys={}, figures={})
+    own = AblationContext(first, context.by, tmp_path / "out", limit=1)
+    tasks = ablate.row_seeds(NAMES, 2)
+    asked: list[list[int]] = []
+
+    def backwards(make: Any, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
+        asked.append(list(numbers))
+        return done_here(make, numbers[::-1])
+
+    assert sweep.rows_at_once(own, tasks, lambda: own, backwards) == {}
+    assert figures(own) == plain and asked == [[0, 1, 2, 3]]
+    own.cells.file.write_text("".join(line + "\n" for line in own.cells.file.read_text().splitlines()
+                                      if '"row": "ours"' not in line or '"seed": 2' not in line))
+    monkeypatch.setattr(runner, "assemble", lambda *given: (_ for _ in ()).throw(InputError("disk", "is gone")))
+    assert sweep.rows_at_once(own, tasks, lambda: own, backwards) == {"ours, seed 2": "disk: is gone"}
+    assert asked[1:] == [[2]], "the one that is missing"
+    facts = ablate.ablate(own, only=NAMES, seeds=2, at_once=partial(
+        sweep.rows_at_once, make=lambda: own, outcomes=backwards))
+    assert facts["refused"] == {"ours, seed 2": "disk: is gone"} and facts["rows"]["ours"]["seeds"] == [1]
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A sbatch that keeps what it is given and numbers it, and a srun that runs it here."""
+    pytest.importorskip("submitit", reason="submitit is not installed: pip install 'gesticulator[slurm]'")
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    (folder / "sbatch").write_text(f"""#!{sys.executable}
+import pathlib, shutil, sys
+here = pathlib.Path({str(tmp_path)!r})
+number = 71 + len(list(here.glob('*.sbatch')))
+shutil.copy(sys.argv[-1], here / f'{{number}}.sbatch')
+print('Submitted batch job', number)
+""")
+    (folder / "srun").write_text(f"""#!{sys.executable}
+import os, subprocess, sys
+command = [word.replace('%j', os.environ['SLURM_JOB_ID']) for word in sys.argv[6:]]
+sys.exit(subprocess.run(command).returncode)
+""")
+    for file in folder.iterdir():
+        file.chmod(file.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+    return tmp_path
+
+
+def _count(folder: Path) -> AblationContext:
+    (folder / "made").touch()
+    raise InputError(folder, "is no store")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Slurm is of Unix")
+def test_jobs_of_slurm_are_written_for_each_row_and_seed_after_what_they_share(slurm: Path) -> None:
+    options = sweep.slurm_options(["slurm_partition=cpu", "timeout_min=90", "mem_gb=8"])
+    tasks = ablate.row_seeds(NAMES, 3)
+    assert sweep.submit(partial(_count, slurm), tasks, slurm / "jobs", options) == [
+        "71", *(f"72_{place}" for place in range(6))]
+    first, array = ((slurm / f"{number}.sbatch").read_text() for number in (71, 72))
+    for script in (first, array):
+        assert "#SBATCH --partition=cpu\n" in script and "#SBATCH --time=90\n" in script
+        assert "#SBATCH --mem=8GB\n" in script and "#SBATCH --job-name=gesticulator\n" in script
+    assert "--array" not in first and "--dependency" not in first
+    assert "#SBATCH --array=0-5" in array and "#SBATCH --dependency=afterok:71\n" in array
+    here = {"SLURM_JOB_ID": "71", "SLURM_NTASKS": "1", "SLURM_PROCID": "0", "SLURM_LOCALID": "0", "SLURM_NODEID": "0",
+            "SLURM_JOB_NUM_NODES": "1", "SLURM_JOB_NODELIST": "here",
+            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    subprocess.run(["sh", str(slurm / "71.sbatch")], env={**os.environ, **here}, check=False, capture_output=True)
+    assert (slurm / "made").exists()
+
+
+@pytest.mark.usefixtures("slurm")
+@pytest.mark.parametrize(("given", "wrong"), [("partition", "is no option"), ("slurm_colour=red", "slurm_colour")])
+def test_options_of_slurm_that_are_none(given: str, wrong: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=wrong):
+        sweep.submit(partial(_count, tmp_path), [("ours", 1)], tmp_path / "jobs", sweep.slurm_options([given]))
+
+
+def test_without_slurm_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("submitit", reason="submitit is not installed: pip install 'gesticulator[slurm]'")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(InputError, match="finds no sbatch here"):
+        sweep.slurm_options([])
+    assert sweep.slurm_options(["cluster=local"])["cluster"] == "local"
