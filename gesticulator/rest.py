@@ -49,7 +49,7 @@ SINKING = 0.065
 of a hand's mean speed in speech (0.34 to 0.45 m/s)."""
 BREAKS_OFF = 0.18
 """Seconds in which whoever is interrupted stops: within 0.3 s of the word, what was drawn already included."""
-LETS_DOWN, HANGS = 0.22, 1.15
+LETS_DOWN, HANGS = 0.24, 1.15
 """Seconds after the word from which on her hands go down, so that they are slow still at 0.3 s, and at which they hang:
 as late as 1.2 s allow with what is smoothed, because a hand that is high has 0.4 m to go."""
 _EVENLY = 0.18

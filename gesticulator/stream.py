@@ -278,12 +278,16 @@ class Stream:
         at = min(at, made)
         # What the frames before were made of stays, and one knot beyond; there she breaks off.
         last = min(int(np.searchsorted(knots.times, at + self._path.reach)) + 2, len(knots.times))
-        kept = RestKnots(knots.times[:last], knots.poses[:last], knots.gains[:last])
+        # What is too long ago is let go of here: after this all is one piece, which later ones are measured by.
+        old = int(np.searchsorted(knots.times, knots.times[last - 1] - self._path.history))
+        old = max(min(old, last - 2 * self._bundle.frames), 0)
+        kept = RestKnots(knots.times[old:last], knots.poses[old:last], knots.gains[old:last])
+        shown = shown[old:last]
         if last > 1:
             for one in self._rollouts:
                 one.break_off(kept, at)
-            self._path.rewind(kept.times, shown[:last], min(math.ceil(at * self.fps - 1e-6), self._path.next))
-        self._shown = deque([(kept, shown[:last])])
+            self._path.rewind(kept.times, shown, min(math.ceil(at * self.fps - 1e-6), self._path.next))
+        self._shown = deque([(kept, shown)])
         self._committed = float(kept.times[-1])
         self._turns.release(self._committed)
         self._begin(at)

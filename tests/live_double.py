@@ -22,6 +22,8 @@ from gesticulator.serve.settings import ServerLimits
 from gesticulator.serve.vmc import VmcOutput
 from gesticulator.stream import StreamBlock, StreamFrames, StreamState
 
+Share = float | Callable[[], float]
+"""Seconds of work for a second of sound."""
 LOOK_AHEAD = 0.5
 TURN = 0.001
 """Radians about Y for each frame."""
@@ -33,7 +35,7 @@ class TellingStream:
     skeleton = CHARACTER
     lacking = 0.05
 
-    def __init__(self, request: StreamRequest, seconds: float = 0.0, share: float = 0.0) -> None:
+    def __init__(self, request: StreamRequest, seconds: float = 0.0, share: Share = 0.0) -> None:
         self.request, self.seconds, self.share = request, seconds, share
         self.hurried, self.history = False, HISTORY
         self.time = 0.0
@@ -42,7 +44,8 @@ class TellingStream:
         self.words: list[Word] = []
 
     def feed(self, samples: np.ndarray) -> StreamFrames:
-        time.sleep(self.seconds + self.share * len(samples) / self.request.sample_rate * (0.7 if self.hurried else 1.0))
+        share = self.share() if callable(self.share) else self.share
+        time.sleep(self.seconds + share * len(samples) / self.request.sample_rate * (0.7 if self.hurried else 1.0))
         if samples.max(initial=0.0) > 0.999:
             raise RuntimeError("a model failed\nwith two lines")
         self.time += len(samples) / self.request.sample_rate
@@ -95,7 +98,7 @@ class TellingStream:
         return StreamFrames(first, fps, CHARACTER, turns, np.tile([0.0, 0.95, 0.0], (len(numbers), 1)), blocks)
 
 
-def opener(limits: ServerLimits, seconds: float = 0.0, share: float = 0.0) -> Callable[[str, StreamRequest], Session]:
+def opener(limits: ServerLimits, seconds: float = 0.0, share: Share = 0.0) -> Callable[[str, StreamRequest], Session]:
     """Opens sessions of telling streams; seconds: of work for each piece of sound; share: for each second of it."""
     def open_session(name: str, request: StreamRequest) -> Session:
         return Session(name, request, TellingStream(request, seconds, share), SessionFacts(LOOK_AHEAD, limits))
@@ -104,13 +107,14 @@ def opener(limits: ServerLimits, seconds: float = 0.0, share: float = 0.0) -> Ca
 
 
 @contextmanager
-def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = None
+def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = None, share: Share = 0.0
            ) -> Iterator[tuple[LiveServer, int]]:
-    """A server of telling streams in a thread of its own, and its port; vmc: where poses are sent, too."""
+    """A server of telling streams in a thread of its own, and its port; vmc: where poses are sent, too; share: of
+    work."""
     address = ServerAddress(port=0)
     listening = address.listen()
     output = None if vmc is None else VmcOutput(vmc)
-    server = LiveServer(address, limits, opener(limits), output, pages)
+    server = LiveServer(address, limits, opener(limits, 0.0, share), output, pages)
     loop = asyncio.new_event_loop()
 
     async def serve() -> None:

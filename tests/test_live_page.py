@@ -38,12 +38,18 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def opened(recording: Path) -> Iterator[tuple[Any, list[str], list[str]]]:
+def window(recording: Path) -> Iterator[Any]:
+    """A browser whose microphone hears the recording."""
+    with chromium(*MICROPHONE, f"--use-file-for-fake-audio-capture={recording}") as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def opened(window: Any) -> Iterator[tuple[Any, list[str], list[str]]]:
     """The page, what it complained about and what it asked for."""
     complaints: list[str] = []
     requests: list[str] = []
-    with (served(ServerLimits(), pages()) as (_, port),
-          chromium(*MICROPHONE, f"--use-file-for-fake-audio-capture={recording}") as window):
+    with served(ServerLimits(), pages()) as (_, port):
         page = window.new_page(viewport={"width": 640, "height": 480})
         page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
         page.on("pageerror", lambda error: complaints.append(str(error)))
@@ -53,10 +59,16 @@ def opened(recording: Path) -> Iterator[tuple[Any, list[str], list[str]]]:
         yield page, complaints, requests
 
 
-def _yaw(page: Any) -> float:
-    """How far the figure's hips are turned: it says which frame is shown."""
-    turn = page.evaluate("() => live.performer.figure.bones[0].quaternion.toArray()")
-    return float(2 * np.arctan2(turn[1], turn[3]))
+def _shown(page: Any, when: str = "true") -> tuple[float, float, float, str]:
+    """How far the figure's hips are turned, which says what frame is shown; the media time, the sound's, and how late
+    the page says that it is: all in one picture, right after it was drawn, because a slow machine draws few. when:
+    in the first one for which this is true."""
+    turn, time, now, late = page.evaluate("""() => new Promise((told) => {
+        const look = () => (WHEN) ? told([live.performer.figure.bones[0].quaternion.toArray(), live.voice.time(),
+            live.voice.now?.() ?? 0, document.querySelector("#latency").textContent]) : requestAnimationFrame(look);
+        requestAnimationFrame(look);
+    })""".replace("WHEN", when))
+    return float(2 * np.arctan2(turn[1], turn[3])), time, now, late
 
 
 def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[str]], recording: Path) -> None:
@@ -70,28 +82,50 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
                            timeout=30_000)
     assert page.get_attribute("#microphone", "aria-pressed") == "true"
     assert page.inner_text("#state") == "speaking"
-    # The stream looks half a second ahead: that, and some time on the way and for the browser's pieces.
-    latency = float(page.inner_text("#latency").removesuffix(" ms"))
-    assert 450 < latency < 2000
-    shown, now = page.evaluate("() => [live.voice.time(), live.voice.now()]")
+    # The stream looks half a second ahead: that, some time on the way and for the browser's pieces, and on a machine
+    # that does much else seconds more.
+    yaw, shown, now, late = _shown(page)
+    latency = float(late.removesuffix(" ms"))
+    assert 450 < latency < 5000
     assert shown == pytest.approx(now - latency / 1000, abs=0.4)
-    assert _yaw(page) == pytest.approx(shown * 60 * TURN, abs=0.03), "the frame of that time is shown"
+    assert yaw == pytest.approx(shown * 60 * TURN, abs=0.03), "the frame of that time is shown"
 
     page.click("#stop")
     page.wait_for_function("() => live.voice.kind === 'idle'")
     page.set_input_files("#file", recording)
-    page.wait_for_function("() => live.voice.kind === 'recording' && live.voice.time() > 1",
-                           timeout=30_000)
-    assert page.evaluate("() => live.stream.end") > 60 * 2, "poses lie ready before their sound"
-    assert page.inner_text("#latency") == "0 ms"
-    shown = page.evaluate("() => live.voice.time()")
-    assert _yaw(page) == pytest.approx(shown * 60 * TURN, abs=0.03)
+    # Poses lie ready before their sound.
+    yaw, shown, _, late = _shown(page, "live.voice.kind === 'recording' && live.voice.time() > 1"
+                                       " && live.stream.end > 60 * 2")
+    assert late == "0 ms"
+    assert yaw == pytest.approx(shown * 60 * TURN, abs=0.03)
     page.wait_for_function("() => live.voice.kind === 'idle'", timeout=20_000)
 
     assert complaints == []
     assert all(url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "blob:", "data:")) for url in requests)
     if os.environ.get("SCREENSHOT"):
         page.screenshot(path=os.environ["SCREENSHOT"])
+
+
+def test_the_page_tells_that_the_machine_is_too_slow_and_that_it_keeps_up_again(window: Any) -> None:
+    work = [3.0]  # seconds for a second of sound
+    with served(ServerLimits(), pages(), share=lambda: work[0]) as (_, port):
+        page = window.new_page(viewport={"width": 640, "height": 480})
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+        assert page.is_hidden("#pace")
+        page.click("#microphone")
+        page.wait_for_function("() => /slower than the sound: [0-9.]+ s were passed over/.test("
+                               "document.querySelector('#pace').textContent)", timeout=30_000)
+        assert page.is_visible("#pace")
+        if os.environ.get("SCREENSHOT"):
+            page.screenshot(path=os.environ["SCREENSHOT"])
+        assert "keeps up" not in page.inner_text("#pace")
+        work[0] = 0.01
+        page.wait_for_function("() => /keeps up again; [0-9.]+ s/.test(document.querySelector('#pace').textContent)",
+                               timeout=30_000)
+        page.click("#stop")
+        page.wait_for_function("() => document.querySelector('#pace').hidden")
+        page.close()
 
 
 def test_a_character_is_dropped_on_the_page(opened: tuple[Any, list[str], list[str]], tmp_path: Path) -> None:

@@ -304,7 +304,7 @@ def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
         slow = frame + round(0.3 * FPS)
         assert found[0][slow - 1] < 0.3, at
         # From there on they go down as evenly as 0.9 s allow, on arcs: who has less than 0.16 m to go stays under it.
-        assert found[0][slow:].max() < max(0.3, 1.8 * hung[slow]) < 0.75, at
+        assert found[0][slow:].max() < max(0.3, 1.8 * hung[slow]), at
         assert hung[frame + round(1.2 * FPS)] < 0.06, "what is left is the life of hands that hang"
 
 
@@ -351,7 +351,7 @@ def test_only_what_was_made_can_be_interrupted() -> None:
 
 # ---------------------------------------------------------------------------------------------------- for ever
 
-@pytest.mark.parametrize("what", ["speech", "silence", "idling"])
+@pytest.mark.parametrize("what", ["speech", "silence", "idling", "interruptions"])
 def test_memory_does_not_grow(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream_module, "HISTORY", 2.0)
     sound = np.zeros(SAMPLE_RATE, np.float32) if what == "silence" else example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]
@@ -361,6 +361,9 @@ def test_memory_does_not_grow(what: str, monkeypatch: pytest.MonkeyPatch) -> Non
         for second in range(16):
             if what == "idling":
                 stream.idle(1.0)
+            elif what == "interruptions":  # more often than what is remembered lasts
+                stream.idle(1.5)
+                stream.interrupt(stream.time - 0.5)
             else:
                 stream.feed(sound)
             if second in (6, 15):

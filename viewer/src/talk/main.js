@@ -9,6 +9,8 @@ import { Idle, Microphone, Recording } from "./voices.js";
 import { Stream } from "./wire.js";
 
 const $ = (id) => document.getElementById(id);
+/** Milliseconds in which nothing is late, before the page says so. */
+const CALM = 3000;
 const context = new AudioContext();
 let stage = null;
 let performer = null;
@@ -16,6 +18,7 @@ let character = null;
 let voice = null;
 let stream = null;
 let last = performance.now();
+let calm = 0;
 
 function say(text) {
   $("message").textContent = text;
@@ -44,9 +47,15 @@ function heard(of, message) {
 
 /** What this machine has no time for. */
 function pace({ effort, passed }) {
-  if (effort !== "full") $("pace").hidden = false; // it stays, so that the desk does not jump
-  $("pace").textContent = passed > 0 ? `This machine is slower than the sound: ${passed.toFixed(1)} s were passed over.`
-    : "This machine is slower than the sound: gestures are drawn at less cost.";
+  const lost = passed > 0 ? `${passed.toFixed(1)} s were passed over` : "";
+  clearTimeout(calm);
+  if (effort === "full") {
+    // One that is always too slow has time for a moment after each part that it passed over.
+    calm = setTimeout(() => { $("pace").textContent = `This machine keeps up again${lost && `; ${lost}`}.`; }, CALM);
+    return;
+  }
+  $("pace").hidden = false; // it stays, so that the desk does not jump
+  $("pace").textContent = `This machine is slower than the sound: ${lost || "gestures are drawn at less cost"}.`;
 }
 
 /** Another voice: its own stream, and a blend from the pose that is shown. */
@@ -57,6 +66,7 @@ async function change(next) {
   voice = next;
   stream = own;
   $("level").value = 0;
+  clearTimeout(calm);
   $("pace").hidden = true;
   $("microphone").setAttribute("aria-pressed", String(next instanceof Microphone));
   $("stop").disabled = next instanceof Idle;
