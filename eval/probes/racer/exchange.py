@@ -34,7 +34,7 @@ def clauses(context: EvalContext, tables: Mapping[str, EnsembleReward], decision
     if not train and not run.finished(stage):
         return [Clause.skipped(NAME, "no critics were taught by the judge (--exchange)")]
     if not run.finished(ADVANTAGE):
-        return [Clause.skipped(NAME, f"{context.work} is not the work folder of the bundle's training")]
+        return [Clause.skipped(NAME, "--work is not the work folder of the bundle's training")]
     critics = run.get(stage)
     bundle = context.bundle.with_parts(advantage=critics)
     ours = cast(AdvantageInterpreter, bundle.interpreter_named("advantage"))
