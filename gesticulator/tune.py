@@ -73,7 +73,7 @@ class SearchRange:
 
 
 @dataclass(frozen=True)
-class Search:
+class SettingSearch:
     """A search. file: of SQLite, with all studies of a work folder; name: what tells this one from others there;
     highest: whether more is better."""
 
@@ -157,7 +157,7 @@ def _run(asked: argparse.Namespace) -> int:
     key = digest(config, [repr(one) for one in ranges], asked.stage, asked.figure, asked.highest, asked.seed)
     with lock(work, "a search"):
         claim(work, store)
-        found = Search(work / "tune.db", key, ranges, asked.highest, asked.seed).run(
+        found = SettingSearch(work / "tune.db", key, ranges, asked.highest, asked.seed).run(
             partial(figure_of, config, store, work, asked.stage, asked.figure), asked.trials)
     print("\n".join(report(found, asked.stage, asked.figure)), flush=True)
     return 0

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from data_module.errors import InputError
-from gesticulator.tune import COMMAND, Search, SearchRange, Value, report
+from gesticulator.tune import COMMAND, SearchRange, SettingSearch, Value, report
 
 RANGES = (SearchRange.parse("rate=1e-4..1e0:log"), SearchRange.parse("width=1..9"), SearchRange.parse("kind=a,b"))
 
@@ -41,7 +41,7 @@ def apart(settings: Mapping[str, Value]) -> float:
 
 def test_the_best_is_found_and_a_search_goes_on(tmp_path: Path) -> None:
     pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'gesticulator[tune]'")
-    search, tried = Search(tmp_path / "t.db", "s", RANGES), list[Mapping[str, Value]]()
+    search, tried = SettingSearch(tmp_path / "t.db", "s", RANGES), list[Mapping[str, Value]]()
 
     def noted(settings: Mapping[str, Value]) -> float:
         tried.append(settings)
@@ -55,7 +55,7 @@ def test_the_best_is_found_and_a_search_goes_on(tmp_path: Path) -> None:
     assert value < 0.2 and settings["kind"] == "b" and 0.004 < float(settings["rate"]) < 0.025
     assert search.run(noted, 20) == found and len(tried) == 50
     assert report(found, "lexicon", "error")[1].endswith("--set kind=b")
-    highest = Search(tmp_path / "t.db", "h", RANGES, highest=True).run(apart, 5)
+    highest = SettingSearch(tmp_path / "t.db", "h", RANGES, highest=True).run(apart, 5)
     assert highest[0][0] == max(value for value, _ in highest)
 
 
@@ -66,7 +66,7 @@ import os, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
 from test_tune import RANGES, apart
-from gesticulator.tune import Search
+from gesticulator.tune import SettingSearch
 seen = []
 def killed(settings):
     seen.append(settings)
@@ -74,7 +74,7 @@ def killed(settings):
         Path({str(tmp_path / "last")!r}).write_text(repr(settings))
         os.kill(os.getpid(), 9)
     return apart(settings)
-Search(Path({str(tmp_path / "t.db")!r}), "s", RANGES).run(killed, 5)
+SettingSearch(Path({str(tmp_path / "t.db")!r}), "s", RANGES).run(killed, 5)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
     tried: list[str] = []
@@ -83,7 +83,7 @@ Search(Path({str(tmp_path / "t.db")!r}), "s", RANGES).run(killed, 5)
         tried.append(repr(settings))
         return apart(settings)
 
-    found = Search(tmp_path / "t.db", "s", RANGES).run(noted, 5)
+    found = SettingSearch(tmp_path / "t.db", "s", RANGES).run(noted, 5)
     assert len(found) == 5 and len(tried) == 3 and tried[0] == (tmp_path / "last").read_text()
 
 
