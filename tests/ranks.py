@@ -27,6 +27,12 @@ from lexicon.racer import RacerCodec
 from lexicon.settings import LexiconConfig, RacerConfig
 
 
+def first_trained(bundle: Path, stage: str) -> Path:
+    """The folder of a stage that a bundle was trained in: the oldest, since other tests train with other settings."""
+    found = bundle.with_name(bundle.name + ".work").glob(f"{stage}-*/figures.json")
+    return min(found, key=lambda file: file.stat().st_mtime).parent
+
+
 class StoppedRun(Run):
     """A run that trains each stage for its first steps, or for as long as its settings say."""
 

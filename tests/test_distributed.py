@@ -70,7 +70,8 @@ def two(tiny_store: Path, tiny_bundle: Path, tiny_movement_bundle: Path, tmp_pat
     out = tmp_path_factory.mktemp("two")
     work = out / "command.work"
     shutil.copytree(tiny_bundle.with_name(tiny_bundle.name + ".work"), work)
-    shutil.rmtree(next(work.glob("gate-*")))
+    for folder in work.glob("gate-*"):
+        shutil.rmtree(folder)
     command = ["--data", str(tiny_store), "--out", str(out / "command"), "--preset", "tiny", "--threads", "1",
                "--stage", "gate"]
     said = together(2, [
@@ -104,7 +105,7 @@ def assert_same_losses(ours: list[dict[str, float]], alone: list[dict[str, float
 def test_every_stage_has_the_losses_of_one_process(two: Path, tiny_bundle: Path, tiny_movement_bundle: Path, of: str,
                                                    stage: str) -> None:
     bundle = tiny_bundle if of == "tiny" else tiny_movement_bundle
-    alone = rows(next(bundle.with_name(bundle.name + ".work").glob(f"{stage}-*")), stage)
+    alone = rows(ranks.first_trained(bundle, stage), stage)
     ours = rows(two / of / stage, stage)
     assert len(ours) == STEPS
     assert_same_losses(ours, alone[:STEPS])
@@ -123,13 +124,12 @@ def test_one_process_goes_on_where_two_stopped(two: Path, tiny_store: Path, tiny
     shutil.copytree(two / "resumed" / "gate", tmp_path / "gate")
     assert len(rows(tmp_path / "gate", "gate")) == 3
     ranks.first_steps(tiny_store, tiny_bundle, tmp_path, only=["gate"])
-    alone = next(tiny_bundle.with_name(tiny_bundle.name + ".work").glob("gate-*"))
+    alone = ranks.first_trained(tiny_bundle, "gate")
     assert_same_losses(rows(tmp_path / "gate", "gate"), rows(alone, "gate"))
 
 
 def test_the_command_trains_together_and_one_process_speaks(two: Path, tiny_bundle: Path) -> None:
-    ours, alone = (next(work.glob("gate-*")) for work in (
-        two / "command.work", tiny_bundle.with_name(tiny_bundle.name + ".work")))
+    ours, alone = next((two / "command.work").glob("gate-*")), ranks.first_trained(tiny_bundle, "gate")
     assert_same_losses(rows(ours, "gate"), rows(alone, "gate"))
     assert not list(ours.glob("*.ckpt")) and not (two / "command").exists()
     first, second = ((two / f"said-{rank}").read_text() for rank in (0, 1))
@@ -232,7 +232,7 @@ def test_half_precision_is_for_gpus_and_keeps_the_losses(tiny_store: Path, tiny_
         only = None if bundle is tiny_bundle else list(MOVING)
         ranks.first_steps(tiny_store, bundle, out, steps=2, precision="bfloat16", only=only)
         for file in out.glob("*/*.jsonl"):
-            alone = rows(next(bundle.with_name(bundle.name + ".work").glob(f"{file.stem}-*")), file.stem)
+            alone = rows(ranks.first_trained(bundle, file.stem), file.stem)
             ours = rows(file.parent, file.stem)
             assert ours[0]["loss"] == pytest.approx(alone[0]["loss"], rel=0.02), file.stem
             assert ours != alone[:2], f"{file.stem}: computed in single precision"
