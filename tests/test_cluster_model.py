@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.benchmark_files import benchmark
 
-def _benchmark(name: str) -> ModuleType:
-    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-model = _benchmark("cluster_model")
+model = benchmark("cluster_model")
 Costs, Workers, simulate = model.BatchCosts, model.Workers, model.simulate
 SECOND = Costs(start=0.0, per_second=1.0, per_file=0.0)
 """A second of work for each second of sound, and nothing else."""

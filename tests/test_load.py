@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import json
-import sys
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,23 +12,14 @@ from live_double import LOOK_AHEAD, served
 from pipecat_gesticulator import Hello
 
 from gesticulator.serve.settings import ServerLimits
+from tests.benchmark_files import benchmark
 
 pytest.importorskip("websockets")
 LIMITS = ServerLimits(streams=6, stream_seconds=100.0, message_bytes=2**16, waiting_seconds=30.0, unread_bytes=2**16,
                       unread_seconds=1.0, hello_seconds=0.5, quiet_seconds=5.0, drain_seconds=0.5)
 
 
-def _benchmark(name: str) -> ModuleType:
-    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-loading = _benchmark("load")
+loading = benchmark("load")
 
 
 def told(clients: int, seconds: float = 3.0, limits: ServerLimits = LIMITS, **plan: Any) -> dict[str, Any]:
