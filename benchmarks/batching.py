@@ -21,7 +21,8 @@ from realtime import processor
 from torch import Tensor
 
 from data_module.speech.audio import SAMPLE_RATE, load_speech
-from generator.flow import FlowGenerator, FlowInputs, flow_time
+from generator.flow import FlowGenerator, FlowInputs
+from generator.flow_head import FlowTime
 from gesticulator.pipeline import Gesticulator
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -84,7 +85,11 @@ def _modules(system: Gesticulator) -> list[torch.nn.Module]:
 def wider(given: FlowInputs, added: Tensor, state: Any, count: int) -> tuple[FlowInputs, Tensor, Any]:
     """The inputs of a block for so many streams."""
     def many(one: Tensor | None, axis: int = 0) -> Any:
-        return None if one is None else torch.cat([one] * count, axis)
+        if one is None:
+            return None
+        # What is the same for all that guides is given once.
+        each = one if axis else one.expand(len(given.lexeme), *one.shape[1:])
+        return torch.cat([each] * count, axis)
 
     names = ("audio", "lexeme", "before", "ratio", "circumstances", "speaker", "control", "deaf", "forgets")
     return (FlowInputs(*(many(getattr(given, name)) for name in names)), many(added),
@@ -99,7 +104,7 @@ def drawn_together(generator: FlowGenerator, contexts: Tensor, gains: Tensor, no
 
     def v(at: Tensor, now: float) -> Tensor:
         wide = at[:, None].expand(-1, contexts.shape[1], -1, -1)
-        return (generator.head(wide, flow_time(now, at.device, at.dtype), conditions) * mix).sum(1)
+        return (generator.head(wide, FlowTime.of(torch.full((1,), now)), conditions) * mix).sum(1)
 
     for i in range(steps):
         first = v(u, i * step)
