@@ -178,8 +178,9 @@ def main() -> None:
     p.add_argument("--legs", action="store_true")
     p.add_argument("--clips", type=int, default=24, help="ray: how many")
     p.add_argument("--out", type=Path, metavar="FILE.json")
+    p.add_argument("--add", action="store_true", help="memory: keep what the file has of other lengths and formats")
     asked = p.parse_args()
-    rows = []
+    rows: list[dict[str, Any]] = []
     if asked.what == "ray":
         rows = ray_rows(asked.speech, asked.clips)
         print("\n".join(map(json.dumps, rows)), flush=True)
@@ -188,6 +189,11 @@ def main() -> None:
             rows.append(one(asked.speech, minutes, suffix, ["--legs"] if asked.legs else []))
             print(json.dumps(rows[-1]), flush=True)
     if asked.out is not None:
+        if asked.add and asked.out.exists():
+            new = {(row["minutes"], row["format"]) for row in rows}
+            known = json.loads(asked.out.read_text())["rows"]
+            rows = sorted([row for row in known if (row["minutes"], row["format"]) not in new] + rows,
+                          key=lambda row: (row["format"], row["minutes"]))
         found = {"machine": platform.processor() or platform.machine(), "python": platform.python_version(),
                  "numpy": np.__version__, "what": asked.what, "rows": rows}
         asked.out.write_text(json.dumps(found, indent=1) + "\n")

@@ -19,7 +19,7 @@ from gesticulator.batch import Doing, TaskOutcome
 from gesticulator.cli import PROGRAM
 
 if TYPE_CHECKING:
-    from eval.runner import AblationContext
+    from eval.row_context import AblationContext
 
 MakeContext: TypeAlias = "Callable[[], AblationContext]"
 """Opens the store and makes what rows stand on; called once in each worker."""

@@ -17,11 +17,11 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.store import Store
-from eval import ablate, runner, sweep
+from eval import ablate, row_context, sweep
 from eval.cells import PARTS, Cell, CellStore
 from eval.metrics.gesture_features import RawFeatures
+from eval.row_context import AblationContext
 from eval.rows import rg
-from eval.runner import AblationContext
 from gesticulator import config as configs
 from gesticulator.batch import TaskOutcome, done_here
 from gesticulator.stages import Run
@@ -87,7 +87,7 @@ def test_rows_at_once_are_those_one_after_the_other(context: AblationContext, pl
     assert figures(own) == plain and asked == [[0, 1, 2, 3]]
     own.cells.file.write_text("".join(line + "\n" for line in own.cells.file.read_text().splitlines()
                                       if '"row": "ours"' not in line or '"seed": 2' not in line))
-    monkeypatch.setattr(runner, "assemble", lambda *given: (_ for _ in ()).throw(InputError("disk", "is gone")))
+    monkeypatch.setattr(row_context, "assemble", lambda *given: (_ for _ in ()).throw(InputError("disk", "is gone")))
     assert sweep.rows_at_once(own, tasks, lambda: own, backwards) == {"ours, seed 2": "disk: is gone"}
     assert asked[1:] == [[2]], "the one that is missing"
     facts = ablate.ablate(own, only=NAMES, seeds=2, at_once=partial(
