@@ -358,6 +358,23 @@ def test_arms_point_in_mujoco_where_ours_do(mujoco: ModuleType, model: Any, tmp_
     assert free > 250  # of 450
 
 
+def test_the_lines_of_the_page_play_a_file(mujoco: ModuleType, document: ET.Element, tmp_path: Path,
+                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "robot.md").read_text(encoding="utf-8")
+    lines = page.split("```python\n")[1].split("```")[0]
+    made = small(6)
+    write(tmp_path / "talk.g1.csv", made)
+    (tmp_path / "g1.xml").write_text(ET.tostring(document, encoding="unicode"))
+    monkeypatch.chdir(tmp_path)
+    space: dict[str, Any] = {}
+    exec(compile(lines, "docs/robot.md", "exec"), space)
+    np.testing.assert_allclose(space["data"].qpos[7:], to_robot(made.motion).angles[-1], atol=1e-6)
+    order = eval(page.split("take `row[")[1].split("]`")[0], {"range": range})
+    base = [f"base_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    assert [COLUMNS[index] for index in order[:7]] == base
+    assert [COLUMNS[index] for index in order[7:]] == list(g1.NAMES)
+
+
 def test_feet_stand_still_and_flat_under_hips_that_move(mujoco: ModuleType, model: Any, tmp_path: Path) -> None:
     rows = read_g1(write(tmp_path / "talk.g1.csv", small(4, 54)))[1]
     assert np.ptp(rows[:, 1]) > 0.02 and np.ptp(rows[:, 2]) > 0.04  # the pelvis goes where the hips go
