@@ -21,7 +21,7 @@ from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.jobs import Job, is_folder, plan
-from gesticulator.performance import ENERGIES, FPS, HANDS, RANGES, UNITS, WRITERS, check_output
+from gesticulator.performance import ENERGIES, FPS, HANDS, RANGES, UNITS, WRITERS, check_output, suffix_of
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ _LONG = 300.0
 """Seconds from which on a recording is done in pieces; below, all of it takes less memory than the models do."""
 FORMAT = "bvh"
 """What is written to a folder that --output names, when not told."""
+_SHORT = {".g1": ".g1.csv"}
+"""What --format may be called, too."""
 
 
 def number(name: str) -> Callable[[str], float]:
@@ -263,10 +265,11 @@ def _asked_outputs(asked: argparse.Namespace) -> dict[str, str]:
 def _suffix_of(name: str, told: str | None) -> str:
     """The kind of file that an output is."""
     if is_folder(name):
-        return "." + (told or FORMAT).lower().lstrip(".")
+        asked = "." + (told or FORMAT).lower().lstrip(".")
+        return _SHORT.get(asked, asked)
     if told is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
-    return Path(name).suffix.lower() or f".{FORMAT}"
+    return suffix_of(name) or f".{FORMAT}"
 
 
 def _check(job: Job, asked: argparse.Namespace) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from data_module.errors import InputError
+from gesticulator.performance import suffix_of
 
 STDIN = "-"
 """The name of standard input on the command line."""
@@ -109,10 +110,11 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
 def _check_output(given: str, suffix: str, count: int) -> None:
     if is_folder(given):
         return
-    stem = given[:-len(Path(given).suffix)] if Path(given).suffix else given
+    own = suffix_of(given)
+    stem = given[:-len(own)] if own else given
     if count > 1:
         raise InputError(given, f"is one file for {count} recordings", f"name a folder: {stem}/")
-    if Path(given).suffix.lower() != suffix:
+    if own != suffix:
         raise InputError(given, f"does not end in {suffix}", f"name it {stem or 'gesture'}{suffix}, or {given}/ for a "
                          "folder")
 

@@ -49,6 +49,7 @@ WRITERS = {
     ".bvh": "gesticulator.performance:write_bvh_file",
     ".csv": "gesticulator.export.table:write_csv",
     ".fbx": "gesticulator.export.fbx:write_fbx",
+    ".g1.csv": "gesticulator.export.g1:write_g1",
     ".gif": "gesticulator.export.film:write_gif",
     ".glb": "gesticulator.export.glb:write_glb",
     ".html": "gesticulator.export.html:write_preview",
@@ -390,11 +391,19 @@ class Performance:
 
 # ---------------------------------------------------------------------------------------------------- its files
 
+def suffix_of(path: str | os.PathLike[str]) -> str:
+    """The ending of a path that picks its format, in small letters: the last one, or the last two where those are one
+    format (".g1.csv"); "" where it has none."""
+    suffixes = [suffix.lower() for suffix in Path(path).suffixes]
+    both = "".join(suffixes[-2:])
+    return both if both in WRITERS else "".join(suffixes[-1:])
+
+
 def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
     """`InputError` where a file of that name cannot be written here: its suffix is unknown (the known ones are listed),
     or what its writer needs is not installed, or the unit is not its own."""
     target = Path(path)
-    suffix = target.suffix.lower()
+    suffix = suffix_of(target)
     if suffix not in WRITERS:
         said = f"'{target.suffix}' is no format that can be written" if target.suffix else "has no suffix"
         raise InputError(target, said, f"use one of {', '.join(sorted(WRITERS))}")
@@ -414,7 +423,7 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
 def writer_for(path: str | os.PathLike[str]) -> Callable[[Path, Performance], Path]:
     """The writer for a path by its suffix, in any case; `InputError` as of `check_output`."""
     check_output(path)
-    module, name = WRITERS[Path(path).suffix.lower()].split(":")
+    module, name = WRITERS[suffix_of(path)].split(":")
     found: Callable[[Path, Performance], Path] = getattr(import_module(module), name)
     return found
 

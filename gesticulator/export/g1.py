@@ -1,0 +1,39 @@
+"""`.g1.csv`: joint angles of a Unitree G1, a row for each frame, as MuJoCo takes them."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data_module.files import write_text
+from gesticulator.robots.angles import to_robot
+from gesticulator.robots.g1 import NAMES
+
+if TYPE_CHECKING:
+    from gesticulator.performance import Performance
+
+COLUMNS = ("time", "base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz", *NAMES)
+"""time: seconds. base: where the pelvis is, metres (X ahead, Y left, Z up, the floor at 0), and how it is turned, a
+unit quaternion. Then the 29 joints, radians. All but the first are `qpos` of the model in MuJoCo, in its order."""
+
+
+class RobotWarning(UserWarning):
+    """What a robot could not do as it was asked."""
+
+
+def write_g1(path: Path, performance: Performance) -> Path:
+    """Write the motion for a G1, whole or not at all; a `RobotWarning` tells what its limits cut. Returns `path`."""
+    moved = to_robot(performance.motion)
+    rows = np.concatenate([np.arange(len(moved))[:, None] / moved.fps, moved.places, moved.turns, moved.angles], axis=1)
+    out = io.StringIO()
+    out.write(",".join(COLUMNS) + "\n")
+    np.savetxt(out, np.round(rows, 7) + 0.0, fmt="%.7f", delimiter=",")
+    write_text(path, out.getvalue())
+    note = moved.note()
+    if note is not None:
+        warnings.warn(RobotWarning(f"{path.name}: {note}"), stacklevel=1)
+    return path
