@@ -85,8 +85,9 @@ async def carry(server: Server, voice: np.ndarray, count: int, seconds: float, l
         return {f"p{round(q * 100)}": round(float(np.quantile(values, q)), 4) for q in (0.5, 0.95, 0.99)}
 
     return {"streams": count, "latency_mode": latency, "seconds": seconds, "packets": len(packets),
-            "delay": quantiles(packets[:, 0]), "latency": quantiles(packets[:, 1]), "hurried": round(hurried / sound, 4),
-            "passed": round(passed / sound, 4), "core_share": round((server.processor_seconds() - spent) / took, 3),
+            "delay": quantiles(packets[:, 0]), "latency": quantiles(packets[:, 1]),
+            "hurried": round(hurried / sound, 4), "passed": round(passed / sound, 4),
+            "core_share": round((server.processor_seconds() - spent) / took, 3),
             "memory": memory, "load": round(os.getloadavg()[0], 1)}
 
 
