@@ -77,7 +77,8 @@ def joined(parts: Sequence[StreamFrames]) -> Array:
 def test_fifteen_seconds_of_speech_in_pieces_are_the_file_to_the_last_bit() -> None:
     sound = example()[:15 * SAMPLE_RATE]
     stream = system().stream()
-    parts = [*fed(stream, sound, (320,)), stream.finish()]
+    # Four seconds as from a microphone, ten at once, and the rest a sample and two ticks at a time.
+    parts = [*fed(stream, sound, (*[320] * 200, 10 * SAMPLE_RATE, 1, 1600)), stream.finish()]
     made = system()(Speech(sound, SAMPLE_RATE))
     assert np.array_equal(joined(parts), made.rotations)
     blocks = [block for part in parts for block in part.blocks]
