@@ -320,8 +320,9 @@ def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
         hung = np.linalg.norm((positions_of(motion)[:, hands] - rest[hands]), axis=-1).max(-1)
         slow = frame + round(0.3 * FPS)
         assert found[0][slow - 1] < 0.3, at
-        # From there on they go down as evenly as 0.9 s allow, on arcs: who has less than 0.16 m to go stays under it.
-        assert found[0][slow:].max() < max(0.3, 1.8 * hung[slow]), at
+        # From there on they go down as evenly as 0.9 s allow, on arcs that are up to a third longer than the straight
+        # way: who has less than 0.13 m to go stays under it.
+        assert found[0][slow:].max() < max(0.3, 2.2 * hung[slow]), at
         assert hung[frame + round(1.2 * FPS)] < 0.06, "what is left is the life of hands that hang"
 
 
