@@ -49,12 +49,33 @@ sys.exit(cli.main(sys.argv[1:]))
 """A driver that does something when it has noted a row."""
 
 
+def begun(folder: Path) -> tuple[int, subprocess.Popen[bytes]]:
+    """The port and the process of a head that has begun. Ray gives up where its own processes are not there within
+    30 s, as on a machine that does much else: it is tried again."""
+    for _ in range(3):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        said = folder / f"head-{port}.log"
+        folder.mkdir(exist_ok=True)
+        command = [str(Path(sys.executable).parent / "ray"), "start", "--head", "--block", f"--port={port}",
+                   "--num-cpus=2", "--include-dashboard=false", f"--temp-dir={folder}"]
+        with said.open("wb") as log:
+            head = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        deadline = time.monotonic() + 120
+        while head.poll() is None and time.monotonic() < deadline:
+            if b"Ray runtime started" in said.read_bytes():
+                return port, head
+            time.sleep(0.1)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(head.pid, signal.SIGKILL)
+        head.wait()
+    pytest.fail(said.read_text())
+
+
 @pytest.fixture(scope="module")
 def head() -> Iterator[tuple[str, int]]:
     """The address and the group of processes of the head of a cluster of two workers; --ray auto finds it."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     # The name of a socket may have 107 characters.
     folder = Path(f"/tmp/ray-{os.getpid()}")
     told = {"RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0", "OMP_NUM_THREADS": "1",
@@ -62,17 +83,12 @@ def head() -> Iterator[tuple[str, int]]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in told.items():
             patch.setenv(name, value)
-        command = [str(Path(sys.executable).parent / "ray"), "start", "--head", "--block", f"--port={port}",
-                   "--num-cpus=2", "--include-dashboard=false", f"--temp-dir={folder}"]
-        begun = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        port, process = begun(folder)
         patch.setenv("RAY_ADDRESS", f"127.0.0.1:{port}")
-        deadline = time.monotonic() + 120
-        while not ray_pool._answers(f"127.0.0.1:{port}") and begun.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.1)
-        yield f"127.0.0.1:{port}", begun.pid
+        yield f"127.0.0.1:{port}", process.pid
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(begun.pid, signal.SIGKILL)
-        begun.wait()
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
         shutil.rmtree(folder, ignore_errors=True)
 
 
