@@ -125,7 +125,7 @@ def main() -> None:
             print(json.dumps(rows[-1]), flush=True)
     if asked.out:
         asked.out.write_text(json.dumps({"machine": platform.machine(), "python": platform.python_version(),
-                                         "steps": asked.steps, "rows": rows}, indent=1) + "\n")
+                                         "steps": asked.steps, "rows": sorted(rows, key=lambda row: row["hours"])}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
