@@ -124,8 +124,9 @@ def main() -> None:
             rows.append(one(Store.open(asked.store), settings(asked.steps), Path(folder), hours, asked.memory))
             print(json.dumps(rows[-1]), flush=True)
     if asked.out:
+        rows.sort(key=lambda row: float(row["hours"]))
         asked.out.write_text(json.dumps({"machine": platform.machine(), "python": platform.python_version(),
-                                         "steps": asked.steps, "rows": sorted(rows, key=lambda row: row["hours"])}, indent=1) + "\n")
+                                         "steps": asked.steps, "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
