@@ -129,7 +129,8 @@ def chosen_lexemes(context: EvalContext, judge: PolicyJudge, rows: Mapping[str, 
 
 
 def milliseconds(context: EvalContext) -> float:
-    """What a block costs the advantage interpreter once its window is full, on one thread: the median."""
+    """What a block costs the advantage interpreter once its window is full, on one thread: the median, of the
+    processor's time, so that what else runs counts little."""
     system = context.bundle.interpreter_named("advantage")
     corpus = context.corpus
     decisions = Decisions.of(context.bundle, corpus, context.labels, 1)
@@ -137,9 +138,9 @@ def milliseconds(context: EvalContext) -> float:
     state, previous = system.start(take.speaker, int(take.lexemes[0])), int(take.lexemes[0])
     for step in range(2 * _TIMED):
         features: BlockFeatures = decisions.features(int(take.blocks[1 + step % (len(take.blocks) - 1)]))
-        begin = time.perf_counter()
+        begin = time.process_time()
         scores, state = system.step(state, features, previous)
-        spent.append(time.perf_counter() - begin)
+        spent.append(time.process_time() - begin)
         previous = int(scores.argmax())
     return 1e3 * float(np.median(spent[_TIMED:]))
 
@@ -147,6 +148,6 @@ def milliseconds(context: EvalContext) -> float:
 def cost_clauses(context: EvalContext, parts: Sequence[str]) -> list[Clause]:
     """Milliseconds a block, and that the bundle holds no judge. parts: files of the bundle as it was read."""
     return [Clause.judged("cost of a block on one thread, ms", milliseconds(context), at_most(MILLISECONDS),
-                          reason="behaviour policy and critics; on a machine that does nothing else"),
+                          reason="behaviour policy and critics; time of the processor"),
             Clause.judged("reward models in the bundle", float(sum("reward" in part for part in parts)), at_most(0.0),
                           digits=0)]
