@@ -20,9 +20,12 @@ import torch
 from realtime import processor
 from torch import Tensor
 
+from data_module.layers import run_lstm
 from data_module.speech.audio import SAMPLE_RATE, load_speech
-from generator.flow import FlowGenerator, FlowInputs, flow_time
+from generator.flow import FlowGenerator, FlowInputs
+from generator.flow_head import FlowTime
 from gesticulator.pipeline import Gesticulator
+from interpreters import lstm
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -51,9 +54,7 @@ def recorded(system: Gesticulator, seconds: float) -> tuple[dict[str, tuple[Any,
         part = stream.feed(sound[round(start * SAMPLE_RATE):round((start + seconds) * SAMPLE_RATE)])
         least = min(least, (time.process_time() - begin) / max(len(part.blocks), 1))
     # The models are called through these two, and the interpreter through its LSTM.
-    contexts, draw = FlowGenerator.contexts, FlowGenerator.draw
-    lstm = next(one for one in _modules(system) if isinstance(one, torch.nn.LSTM))
-    hook = lstm.register_forward_pre_hook(lambda module, rows: given.__setitem__("lstm", (module, *rows)))
+    contexts, draw, run = FlowGenerator.contexts, FlowGenerator.draw, lstm.run_lstm
 
     def noted_contexts(self: FlowGenerator, *args: Any, **named: Any) -> Any:
         given["contexts"] = args
@@ -63,28 +64,29 @@ def recorded(system: Gesticulator, seconds: float) -> tuple[dict[str, tuple[Any,
         given["draw"] = args
         return draw(self, *args)
 
+    def noted_run(*args: Any) -> Any:
+        given["lstm"] = args
+        return run(*args)
+
     FlowGenerator.contexts, FlowGenerator.draw = noted_contexts, noted_draw  # type: ignore[assignment]
+    lstm.run_lstm = noted_run
     try:
         stream.feed(sound[:round(seconds * SAMPLE_RATE)])
     finally:
         FlowGenerator.contexts, FlowGenerator.draw = contexts, draw  # type: ignore[method-assign]
-        hook.remove()
+        lstm.run_lstm = run
     assert isinstance(generator, FlowGenerator)
     return given, least
-
-
-def _modules(system: Gesticulator) -> list[torch.nn.Module]:
-    """Of the interpreter that speaks by default."""
-    inner: Any = system.interpreter(system.bundle.interpreters[0], False)
-    while not isinstance(inner, torch.nn.Module):
-        inner = inner.inner
-    return list(inner.modules())
 
 
 def wider(given: FlowInputs, added: Tensor, state: Any, count: int) -> tuple[FlowInputs, Tensor, Any]:
     """The inputs of a block for so many streams."""
     def many(one: Tensor | None, axis: int = 0) -> Any:
-        return None if one is None else torch.cat([one] * count, axis)
+        if one is None:
+            return None
+        # What is the same for all that guides is given once.
+        each = one if axis else one.expand(len(given.lexeme), *one.shape[1:])
+        return torch.cat([each] * count, axis)
 
     names = ("audio", "lexeme", "before", "ratio", "circumstances", "speaker", "control", "deaf", "forgets")
     return (FlowInputs(*(many(getattr(given, name)) for name in names)), many(added),
@@ -99,7 +101,7 @@ def drawn_together(generator: FlowGenerator, contexts: Tensor, gains: Tensor, no
 
     def v(at: Tensor, now: float) -> Tensor:
         wide = at[:, None].expand(-1, contexts.shape[1], -1, -1)
-        return (generator.head(wide, flow_time(now, at.device, at.dtype), conditions) * mix).sum(1)
+        return (generator.head(wide, FlowTime.of(torch.full((1,), now)), conditions) * mix).sum(1)
 
     for i in range(steps):
         first = v(u, i * step)
@@ -117,18 +119,18 @@ def measured(system: Gesticulator, count: int, seconds: float) -> dict[str, Any]
     together = wider(inputs, added, state, count)
     contexts, gains, noise, steps = given["draw"]
     apart, all_noise = torch.stack([contexts] * count), torch.stack([noise] * count)
-    lstm, rows = given["lstm"][:2]
+    memory, rows = given["lstm"][:2]
     torch.testing.assert_close(drawn_together(generator, apart, gains, all_noise, steps)[-1],
                                generator.draw(contexts, gains, noise, steps), atol=1e-4, rtol=1e-4)
     many_rows = torch.cat([rows] * count)
-    # The interpreter is asked with sound and without.
-    pairs = {"contexts": (lambda: generator.contexts(inputs, added, state), lambda: generator.contexts(*together), 1),
+    pairs = {"contexts": (lambda: generator.contexts(inputs, added, state), lambda: generator.contexts(*together)),
              "draw": (lambda: generator.draw(contexts, gains, noise, steps),
-                      lambda: drawn_together(generator, apart, gains, all_noise, steps), 1),
-             "interpreter": (lambda: lstm(rows), lambda: lstm(many_rows), 2)}
+                      lambda: drawn_together(generator, apart, gains, all_noise, steps)),
+             # It is asked with sound and without, in one.
+             "interpreter": (lambda: run_lstm(memory, rows), lambda: run_lstm(memory, many_rows))}
     parts, saved = {}, 0.0
-    for name, (one, many, times) in pairs.items():
-        turn, batch = times * count * processor_seconds(one), times * processor_seconds(many)
+    for name, (one, many) in pairs.items():
+        turn, batch = count * processor_seconds(one), processor_seconds(many)
         parts[name] = {"in_turn": round(1e3 * turn, 2), "in_a_batch": round(1e3 * batch, 2),
                        "gain": round(turn / batch, 2)}
         saved += turn - batch

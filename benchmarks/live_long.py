@@ -32,11 +32,12 @@ AHEAD = 30.0
 """Seconds of media time that are asked for before their answers: what a server takes at once is 120 s of sound."""
 
 
-async def microphone(url: str, sound: np.ndarray, seconds: float, begin: float) -> list[tuple[float, float]]:
+async def microphone(url: str, sound: np.ndarray, seconds: float, begin: float, latency: str
+                     ) -> list[tuple[float, float]]:
     """Of each packet, in seconds: what the server added, and from the time that its first pose belongs to until it
     came. sound: repeated."""
     found: list[tuple[float, float]] = []
-    async with connect(url, Hello(RATE, options={"latency": "low"})) as stream:
+    async with connect(url, Hello(RATE, options={"latency": latency, "keep_up": True})) as stream:
         start = time.monotonic() + begin
         sending = asyncio.create_task(_speak(stream, sound, seconds, start))
         async for message in stream:
@@ -60,8 +61,8 @@ def counted(server: Server, name: str) -> float:
     return float(server.figures().split(f"\ngesticulator_{name}{{")[1].split()[1])
 
 
-async def carry(server: Server, voice: np.ndarray, count: int, seconds: float) -> dict[str, Any]:
-    """So many microphones for so long."""
+async def carry(server: Server, voice: np.ndarray, count: int, seconds: float, latency: str) -> dict[str, Any]:
+    """So many microphones for so long, in a latency mode."""
     names = ("hurried_seconds_total", "passed_seconds_total", "sound_seconds_total")
     before = [counted(server, name) for name in names]
     spent, clock, memory = server.processor_seconds(), time.monotonic(), []
@@ -72,7 +73,8 @@ async def carry(server: Server, voice: np.ndarray, count: int, seconds: float) -
             await asyncio.sleep(max(seconds / 10, 1.0))
 
     watching = asyncio.create_task(watch())
-    every = await asyncio.gather(*(microphone(server.url, np.roll(voice, k * 79190), seconds, PIECE / RATE * k / count)
+    every = await asyncio.gather(*(microphone(server.url, np.roll(voice, k * 79190), seconds, PIECE / RATE * k / count,
+                                              latency)
                                    for k in range(count)))
     watching.cancel()
     took = time.monotonic() - clock
@@ -82,9 +84,10 @@ async def carry(server: Server, voice: np.ndarray, count: int, seconds: float) -
     def quantiles(values: np.ndarray) -> dict[str, float]:
         return {f"p{round(q * 100)}": round(float(np.quantile(values, q)), 4) for q in (0.5, 0.95, 0.99)}
 
-    return {"streams": count, "seconds": seconds, "packets": len(packets), "delay": quantiles(packets[:, 0]),
-            "latency": quantiles(packets[:, 1]), "hurried": round(hurried / sound, 4),
-            "passed": round(passed / sound, 4), "core_share": round((server.processor_seconds() - spent) / took, 3),
+    return {"streams": count, "latency_mode": latency, "seconds": seconds, "packets": len(packets),
+            "delay": quantiles(packets[:, 0]), "latency": quantiles(packets[:, 1]),
+            "hurried": round(hurried / sound, 4), "passed": round(passed / sound, 4),
+            "core_share": round((server.processor_seconds() - spent) / took, 3),
             "memory": memory, "load": round(os.getloadavg()[0], 1)}
 
 
@@ -159,6 +162,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("job", choices=("carry", "hour"))
     p.add_argument("--streams", type=int, nargs="*", default=[16], help="of carry")
+    p.add_argument("--latency", choices=("low", "full"), default="low", help="of carry")
     p.add_argument("--seconds", type=float, nargs="*", help="of each run (default 600, or 3600)")
     p.add_argument("--speech", default=str(ROOT / "examples" / "speech.flac"))
     p.add_argument("--out", type=Path)
@@ -171,7 +175,7 @@ def main() -> None:
         seconds = a.seconds or [600.0]
         report["runs"] = []
         for count, length in zip(a.streams, np.resize(seconds, len(a.streams)), strict=True):
-            report["runs"].append(asyncio.run(carry(server, voice, count, float(length))))
+            report["runs"].append(asyncio.run(carry(server, voice, count, float(length), a.latency)))
             print(report["runs"][-1], flush=True)
     else:
         for kind in ("conversation", "silence"):

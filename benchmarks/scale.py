@@ -7,6 +7,8 @@ other work on the machine counts little. Then tasks that sleep, whose time does 
 for what a task costs; of a quarter of a second by one worker and two; and of three seconds with one worker of two ten
 times slower.
 
+load: of the machine, before and in the end (mean of five minutes); walls are of use where it is below 1.
+
 The recording is a speech over and over (`--speech`), at its own rate. Each length is done by a process of its own;
 seconds: of its processor time; peak: MB that it held at most, the interpreter, torch and the models included.
 """
@@ -49,15 +51,22 @@ def recording(path: Path, speech: Path, minutes: float) -> None:
             left -= len(samples)
 
 
+def measured(command: list[str]) -> tuple[float, float]:
+    """The two numbers that a command says; what it says on standard error is shown."""
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"scale.py: exit code {done.returncode} of {' '.join(command[3:])}")
+    first, second = map(float, done.stdout.split())
+    return first, second
+
+
 def one(speech: Path, minutes: float, suffix: str, asked: list[str]) -> dict[str, Any]:
     """A row: what a recording of so many minutes takes."""
     with tempfile.TemporaryDirectory() as folder:
         sound, outputs = Path(folder, "speech.flac"), [Path(folder, f"out{one}") for one in suffix.split(",")]
         recording(sound, speech, minutes)
         named = [word for out in outputs for word in ("-o", str(out))]
-        done = subprocess.run([sys.executable, "-c", CHILD, str(sound), *named, "--quiet", "--any-length",
-                               *asked], check=True, capture_output=True, text=True)
-        peak, seconds = map(float, done.stdout.split())
+        peak, seconds = measured([sys.executable, "-c", CHILD, str(sound), *named, "--quiet", "--any-length", *asked])
         size = sum(out.stat().st_size for out in outputs)
         return {"minutes": minutes, "format": suffix, "peak_mb": round(peak), "seconds": round(seconds, 1),
                 "real_time_factor": round(seconds / minutes / 60, 4), "output_mb": round(size / 1e6, 1)}
@@ -106,9 +115,8 @@ def clips_on_ray(speech: Path, count: int, where: str | None) -> dict[str, Any]:
         for number in range(1, count):
             (clips / f"{number}.flac").write_bytes((clips / "0.flac").read_bytes())
         more = ["--ray", where] if where else ["--manifest", str(Path(folder, "m.jsonl"))]
-        done = subprocess.run([sys.executable, "-c", COUNTED, sys.executable, "-m", "gesticulator", "infer", str(clips),
-                               "-o", f"{folder}/out/", "--quiet", *more], check=True, capture_output=True, text=True)
-        wall, cpu = map(float, done.stdout.split())
+        wall, cpu = measured([sys.executable, "-c", COUNTED, sys.executable, "-m", "gesticulator", "infer", str(clips),
+                              "-o", f"{folder}/out/", "--quiet", *more])
         return {"tasks": "clips", "workers": where or "one process", "count": count, "wall": round(wall, 1),
                 "cpu": round(cpu, 1)}
 
@@ -178,8 +186,10 @@ def main() -> None:
     p.add_argument("--legs", action="store_true")
     p.add_argument("--clips", type=int, default=24, help="ray: how many")
     p.add_argument("--out", type=Path, metavar="FILE.json")
+    p.add_argument("--add", action="store_true", help="memory: keep what the file has of other lengths and formats")
     asked = p.parse_args()
-    rows = []
+    rows: list[dict[str, Any]] = []
+    before = os.getloadavg()[0]
     if asked.what == "ray":
         rows = ray_rows(asked.speech, asked.clips)
         print("\n".join(map(json.dumps, rows)), flush=True)
@@ -188,8 +198,14 @@ def main() -> None:
             rows.append(one(asked.speech, minutes, suffix, ["--legs"] if asked.legs else []))
             print(json.dumps(rows[-1]), flush=True)
     if asked.out is not None:
+        if asked.add and asked.out.exists():
+            new = {(row["minutes"], row["format"]) for row in rows}
+            known = json.loads(asked.out.read_text())["rows"]
+            rows = sorted([row for row in known if (row["minutes"], row["format"]) not in new] + rows,
+                          key=lambda row: (row["format"], row["minutes"]))
         found = {"machine": platform.processor() or platform.machine(), "python": platform.python_version(),
-                 "numpy": np.__version__, "what": asked.what, "rows": rows}
+                 "numpy": np.__version__, "load": [round(one, 1) for one in (before, os.getloadavg()[1])],
+                 "what": asked.what, "rows": rows}
         asked.out.write_text(json.dumps(found, indent=1) + "\n")
 
 

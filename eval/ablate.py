@@ -35,7 +35,7 @@ from eval.rows import CONTROLS, REFERENCES, ROWS, TABLES, rg
 
 if TYPE_CHECKING:
     from eval.cells import Cells
-    from eval.runner import AblationContext
+    from eval.row_context import AblationContext
 
 SEEDS = 3
 FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-10", "figure-11",
@@ -256,7 +256,7 @@ def context_of(arguments: argparse.Namespace) -> AblationContext:
 
     from data_module.store import Store
     from eval.metrics import gesture_features
-    from eval.runner import AblationContext
+    from eval.row_context import AblationContext
     from gesticulator import bundle as bundles
     from gesticulator import config as configs
     from gesticulator.stages import Run

@@ -7,6 +7,7 @@ tables gathers into cells.jsonl: so no two machines write to one file.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -19,7 +20,7 @@ from gesticulator.batch import Doing, TaskOutcome
 from gesticulator.cli import PROGRAM
 
 if TYPE_CHECKING:
-    from eval.runner import AblationContext
+    from eval.row_context import AblationContext
 
 MakeContext: TypeAlias = "Callable[[], AblationContext]"
 """Opens the store and makes what rows stand on; called once in each worker."""
@@ -126,4 +127,7 @@ def submit(make: MakeContext, tasks: Sequence[RowSeed], folder: Path, options: M
         jobs = executor.map_array(partial(do_row, make), list(tasks))
     except (NameError, TypeError, ValueError) as error:  # submitit's, for an option it does not know
         raise InputError("--slurm", str(error).splitlines()[0][:200], "see submitit's documentation") from None
+    finally:
+        with contextlib.suppress(OSError):
+            (folder / "%j").rmdir()  # which submitit makes before it knows the numbers
     return [first.job_id, *(job.job_id for job in jobs)]

@@ -23,15 +23,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
-from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames, without_after
+from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames, run_lstm, without_after
 from data_module.motion.movement import PAST, MovementBasis, Pasts
+from generator.flow_head import FlowHead, FlowTime
 from generator.model import GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
 
 NearestLexeme = Callable[[Tensor], Tensor]
@@ -40,7 +39,6 @@ CIRCUMSTANCES = 8
 """Numbers that tell a block's place in speech: see `circumstances`."""
 _MOST = 8.0
 """Of asinh: beyond any coefficient that was met."""
-_FREQUENCIES = 8
 _TEMPO = 0.3
 """Seconds of a usual block."""
 
@@ -82,7 +80,8 @@ class FlowInputs:
     """What N blocks are drawn from: audio windows [B, N, 3K, d], lexemes [B, N] (S for none), the blocks before
     [B, N, K, D_m] with the ratios of durations [B, N], circumstances [B, N, 8], the speaker one-hot [B, P], and what is
     asked of the style [B, N, K, 2 F], None when nothing is. deaf: [B] the audio is left out. forgets: [B] how the body
-    moved before is left out, but for the last frames."""
+    moved before is left out, but for the last frames. What is the same for all B may be given once, with a 1 for B, but
+    for the lexemes."""
 
     audio: Tensor
     lexeme: Tensor
@@ -98,68 +97,6 @@ class FlowInputs:
     def past(self) -> Pasts:
         """What the blocks are told from."""
         return Pasts(self.before[..., -PAST:, :], self.ratio)
-
-
-@dataclass(frozen=True)
-class FlowTime:
-    """What `FlowHead` needs of times t. told: [..., 2 F] sines and cosines; deviation: [..., 1] sqrt(s); share:
-    [..., 1] (2 t - 1) / s."""
-
-    told: Tensor
-    deviation: Tensor
-    share: Tensor
-
-    @classmethod
-    def of(cls, time: Tensor) -> FlowTime:
-        """Of times [..., 1] from 0 (noise) to 1."""
-        angles, variance = time * _rates(time.device, time.dtype), time**2 + (1 - time) ** 2
-        return cls(torch.cat([angles.sin(), angles.cos()], -1), variance.sqrt(), (2 * time - 1) / variance)
-
-
-@lru_cache(maxsize=64)
-def flow_time(time: float, device: torch.device, dtype: torch.dtype) -> FlowTime:
-    """Of one time. All blocks are drawn in the same few, and so small sums cost as much as a layer."""
-    with torch.inference_mode(False), torch.no_grad():
-        return FlowTime.of(torch.full((1,), time, device=device, dtype=dtype))
-
-
-class FlowHead(nn.Module):
-    """v(u_t, t, h): what unit Gaussian data would have, and an MLP of residual blocks for the rest, each scaled and
-    shifted by the context:
-
-        v = (2 t - 1) / s u_t + F(u_t / sqrt(s), t, h) / sqrt(s)        s = t^2 + (1 - t)^2
-
-    s is the variance of u_t for data of variance 1, which u has, and F then has unit variance to tell at every t (as
-    Karras et al. 2022 scale denoisers). An F that knows nothing draws every coefficient as widely as it was met, so
-    what training does not reach is lively instead of still.
-    """
-
-    def __init__(self, width: int, context: int, hidden: int, layers: int) -> None:
-        """width: n; context: C; hidden: units of each of the layers."""
-        super().__init__()
-        self.enter = nn.Linear(width + 2 * _FREQUENCIES, hidden)
-        self.condition = nn.ModuleList([nn.Linear(context, 2 * hidden) for _ in range(layers)])
-        self.inner = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(layers)])
-        self.outer = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(layers)])
-        self.leave = nn.Linear(hidden, width)
-        nn.init.zeros_(self.leave.weight)
-        nn.init.zeros_(self.leave.bias)
-
-    def conditions(self, context: Tensor) -> list[tuple[Tensor, Tensor]]:
-        """What every layer is scaled and shifted by for the context [..., C]: it does not change along the way of
-        drawing."""
-        both = (layer(context).chunk(2, -1) for layer in self.condition)
-        return [(1 + gain, shift) for gain, shift in both]
-
-    def forward(self, noisy: Tensor, time: FlowTime, conditions: list[tuple[Tensor, Tensor]]) -> Tensor:
-        """noisy: [..., n] at a time; conditions: of `conditions`. Gives v [..., n]."""
-        told = time.told.expand(*noisy.shape[:-1], -1)
-        x = self.enter(torch.cat([noisy / time.deviation, told], -1))
-        for (scale, shift), inner, outer in zip(conditions, self.inner, self.outer, strict=True):
-            x = x + outer(functional.gelu(inner(functional.layer_norm(x, x.shape[-1:]) * scale + shift)))
-        # No last normalisation: how large the noise is must reach the end, or large movements could not be drawn.
-        v: Tensor = time.share * noisy + self.leave(x) / time.deviation
-        return v
 
 
 class FlowGenerator(nn.Module):
@@ -232,6 +169,7 @@ class FlowGenerator(nn.Module):
     def contexts(self, given: FlowInputs, added: Tensor, state: State | None = None, temperature: float = 1.0
                  ) -> tuple[Tensor, State]:
         """h [B, N, C + n] of N blocks and the LSTM's state after them; added: [B, N, n] u of the block before each."""
+        batch, blocks = given.lexeme.shape
         heard = self.encode_audio(given.audio)
         if given.deaf is not None:
             heard = torch.where(given.deaf[:, None, None, None], self.unheard, heard)
@@ -241,18 +179,18 @@ class FlowGenerator(nn.Module):
         if given.forgets is not None:
             kept = (~given.forgets)[:, None, None].to(added.dtype)
             moved, added = moved * kept[..., None], added * kept
-        rows = [moved, heard, repeat_frames(name, self.frames),
-                self.position.expand(*heard.shape[:2], -1, -1)]
+        rows = [moved, heard, repeat_frames(name, self.frames), self.position.expand(1, blocks, -1, -1)]
         pose, velocity, acceleration = given.past.state()
         known = [self.hear(heard.flatten(-2)), name, pose, 4.0 * velocity, 6.0 * acceleration, added,
-                 given.circumstances, given.speaker[:, None].expand(-1, heard.shape[1], -1)]
+                 given.circumstances, given.speaker[:, None].expand(-1, blocks, -1)]
         if self.control_width:
-            free = heard.new_zeros(*heard.shape[:3], self.control_width)
+            free = heard.new_zeros(1, blocks, self.frames, self.control_width)
             rows.append(free if given.control is None else given.control)
             known.append(rows[-1].mean(-2))
-        code, _ = self.codes(self.mlp(torch.cat(rows, -1)), temperature)
-        gathered = self.gather(torch.cat([*known, code.mean(-2)], -1))
-        out, state = self.lstm(gathered, state)
+        hidden = self.mlp(_side_by_side(rows, batch))
+        code = self.codes(hidden, temperature)[0] if self.training else self.codes.best(hidden)
+        gathered = self.gather(_side_by_side([*known, code.mean(-2)], batch))
+        out, state = run_lstm(self.lstm, gathered, state)
         context = self.to_context(torch.cat([out, gathered, name], -1))
         return torch.cat([context, self.centres[given.lexeme]], -1), state
 
@@ -337,24 +275,17 @@ class FlowGenerator(nn.Module):
         coefficient goes from those (classifier-free guidance).
         """
         conditions = [(scale[:, None], shift[:, None]) for scale, shift in self.head.conditions(contexts)]
-        mix = torch.cat([1.0 + gains.sum(0, keepdim=True), -gains])[:, None]
-
-        def v(u: Tensor, time: float) -> Tensor:
-            wide = u.expand(len(contexts), -1, -1)
-            return (self.head(wide, flow_time(time, u.device, u.dtype), conditions) * mix).sum(0)
-
+        mix, head = torch.cat([1.0 + gains.sum(0, keepdim=True), -gains])[:, None], self.head.sampling()
         u, step = noise, 1.0 / steps
         for i in range(steps):
-            first = v(u, i * step)
-            u = u + step * (first + v(u + step * first, (i + 1) * step)) / 2
+            first = head(u, i * step, conditions, mix)
+            u = u + step * (first + head(u + step * first, (i + 1) * step, conditions, mix)) / 2
         return self.stretch(u)
 
 
-@lru_cache(maxsize=4)
-def _rates(device: torch.device, dtype: torch.dtype) -> Tensor:
-    """[F] radians by which the time of the flow is told."""
-    with torch.inference_mode(False):
-        return 1.5 * 2.0 ** (0.5 * torch.arange(_FREQUENCIES, device=device, dtype=dtype))
+def _side_by_side(parts: Sequence[Tensor], batch: int) -> Tensor:
+    """[B, ..., sum D] of parts [B or 1, ..., D]."""
+    return torch.cat([part.expand(batch, *part.shape[1:]) for part in parts], -1)
 
 
 def _fade(frames: int, like: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
+from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames, run_lstm
 from data_module.settings import (
     Count,
     Depth,
@@ -196,6 +196,11 @@ class GumbelCodes(nn.Module):
             choice = functional.one_hot(logits.argmax(-1), self.classes).to(logits.dtype)
         return torch.einsum("...hc,hcw->...hw", choice, self.vectors).flatten(-2), choice
 
+    def best(self, hidden: Tensor) -> Tensor:
+        """The codebook vector of evaluation alone, [..., H * group_width] of hidden [..., width]."""
+        chosen = self.logits(hidden).unflatten(-1, (self.groups, self.classes)).argmax(-1)
+        return self.vectors[torch.arange(self.groups, device=hidden.device), chosen].flatten(-2)
+
 
 def positional_block(frames: int, width: int, beta: float = 10_000.0, direction: str = "forward") -> Tensor:
     """P [K, width]: p(k, 2j) = sin(k / beta^(2j / width)), p(k, 2j + 1) = cos of the same, k = 0..K-1 (RG Eq. 8).
@@ -286,7 +291,7 @@ class Generator(nn.Module):
             control[..., :self.control_width],
         ], dim=-1)
         vectors, choice = self.codes(self.mlp(rows), temperature)
-        hidden, state = self.lstm(vectors, state)
+        hidden, state = run_lstm(self.lstm, vectors, state)
         motion = self.to_motion(hidden)
         if self.config.residual:
             motion = motion + self.fade * past[:, -1:]

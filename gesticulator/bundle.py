@@ -242,13 +242,13 @@ class Bundle:
             prior = self.interpreter_named(entry.prior, text)
             return cast("LexemeInterpreter", entry.load()(prior, self.parts[entry.part], self.config.selection.beta))
         reads = text and entry.text_part in self.parts
-        found = cast("LexemeInterpreter", self.parts[entry.text_part if reads else entry.part])
+        found = self.parts[entry.text_part if reads else entry.part]
         guidance = self.config.selection.interpreter_guidance
         if not guidance or not getattr(found, "can_be_deaf", False):
-            return found
+            return cast("LexemeInterpreter", found)
         from interpreters.by_ear import InterpreterByEar
 
-        return InterpreterByEar(found, guidance)
+        return InterpreterByEar(cast("LstmInterpreter", found), guidance)
 
     @property
     def levels(self) -> Levels | None:

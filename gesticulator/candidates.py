@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import controls
-from data_module.motion.kinematics import positions_of_some
-from data_module.types import Array
+from data_module.motion.kinematics import chains, positions_of_some
+from data_module.motion.rotation import from_exponential_map
+from data_module.types import Array, Motion
 from gesticulator.bundle import Bundle
 from gesticulator.features import SpeechBlock, representation_of
 
@@ -51,6 +52,8 @@ class CandidateChooser:
         self._representation = representation_of(bundle.config)
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
         self._joints = [skeleton.index(side + "Hand") for side in ("Right", "Left")]
+        # Rotations are of each joint by itself, and a quarter of them moves the hands.
+        self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
     def choose(self, speech: SpeechBlock, past: Array, blocks: Array, nearer: NDArray[np.int64],
                asked: Array | None = None) -> int:
@@ -82,7 +85,13 @@ class CandidateChooser:
     def _hands(self, frames: Array) -> Array:
         """[C, T, 2, 3] metres, the right hand first, of features [C, T, D_m]."""
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
-        places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
+        if self._arms is None:
+            places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
+        else:
+            skeleton, joints = self._arms
+            rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
+            places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
+                                       [joints.index(hand) for hand in self._joints])
         return places.reshape(*frames.shape[:2], 2, 3)
 
     @staticmethod

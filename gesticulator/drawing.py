@@ -155,7 +155,7 @@ class FlowDrawer:
         if speech.foreseen and self.generator.config.after_dropout:
             place = alone(place)
         given, gains = self._given(place, features, lexeme, past)
-        context, self.state = self.generator.contexts(given, added.expand(len(given.audio), 1, -1), self.state)
+        context, self.state = self.generator.contexts(given, added[None], self.state)
         if self.unseen:  # all but the states of what comes next
             return self.base * self.generator.present, past[:, :0, 0]
         candidates, steps = self.chosen.candidates, self.chosen.flow_steps
@@ -197,10 +197,8 @@ class FlowDrawer:
                 asked[-1] = 0.0
         names = torch.tensor([[none if untold or what == "lexeme" else lexeme] for what in left], device=self.device)
         return FlowInputs(
-            features.low.expand(count, 1, -1, -1), names, past.expand(count, -1, -1)[:, None],
-            cast(Pasts, self.told).ratio.expand(count, 1), place.expand(count, 1, -1),
-            self.speaker.expand(count, -1), asked,
-            torch.tensor([what == "audio" for what in left], device=self.device),
+            features.low[None, None], names, past[:, None], cast(Pasts, self.told).ratio[None], place[None, None],
+            self.speaker, asked, torch.tensor([what == "audio" for what in left], device=self.device),
             torch.tensor([what == "history" for what in left], device=self.device)), list(gained.values())
 
     def _best(self, speech: SpeechBlock, lexeme: int, drawn: Tensor, made: Tensor, past: Tensor,

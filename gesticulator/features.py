@@ -36,6 +36,7 @@ _LEAST_SPREAD = 1e-4
 _CHUNK = 256
 """Blocks encoded at a time, which bounds the memory for an hour of speech."""
 Features = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,24 @@ class SpeechFeatures:
 
 
 @dataclass(frozen=True)
+class Span:
+    """What is known of the sound of a block and of the one after it. start, duration: seconds; quiet: [K] whether each
+    frame lies in silence; ahead: [K] the same of the next block, and how many seconds it lasts, None at the end."""
+
+    start: float
+    duration: float
+    quiet: Flags
+    ahead: Flags | None = None
+    ahead_duration: float = 0.0
+
+    @property
+    def times(self) -> Array:
+        """[K] seconds of the block's frames; the last lies on its end."""
+        count = len(self.quiet)
+        return self.start + self.duration * np.arange(1, count + 1) / count
+
+
+@dataclass(frozen=True)
 class SpeechBlock:
     """What is known of the speech of a block when it is drawn; all that a performance needs of it.
 
@@ -187,11 +206,19 @@ class SpeechBlock:
     low: Features
     high: Features
     text: Features | None
-    quiet: NDArray[np.bool_]
-    ahead: NDArray[np.bool_] | None = None
+    quiet: Flags
+    ahead: Flags | None = None
     flag: BeatFlag = BeatFlag.EVEN_PSEUDO
     foreseen: bool = False
     onsets: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def span(self) -> Span:
+        """What is known of its silence when it is drawn."""
+        _, own, after = self.durations
+        if self.ahead is None:
+            return Span(self.start, own, self.quiet)
+        return Span(self.start, own, self.quiet, self.ahead, after)
 
 
 def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:

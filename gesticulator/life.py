@@ -17,6 +17,7 @@ Four kinds of movement, all smooth and none periodic:
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -24,7 +25,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.motion.kinematics import positions_of
+from data_module.motion.representation import Representation
 from data_module.types import Array
+from gesticulator.features import Flags, Span, Statistics
 
 HEAD = ("Neck", "Neck1", "Head")
 """The joints that turn the face without moving a hand."""
@@ -41,6 +45,13 @@ _SETTLED = 16.0
 _TRIES = 8
 _REMEMBERED = 128
 """Postures before the one that is asked for that are kept, so that hours take no more memory than minutes."""
+
+_FAINT = 0.25
+"""Share of the idle life that is left in speech, where the generator moves the body."""
+_HEAD_STANDS, _HEAD_MOVES = 0.025, 0.06
+"""m/s of the generated head up to which there is all of the life, and from which on the faint share alone."""
+_GAIN_TAU = 0.25
+"""Seconds in which life grows and fades."""
 
 _ALL_BITS = 0xFFFFFFFFFFFFFFFF
 _STEP_OF_BITS = np.uint64(0x9E3779B97F4A7C15)
@@ -258,3 +269,84 @@ def _mixing(joints: list[str], rest: Array) -> Array:
             if name.startswith(side + "Hand") and name != side + "Hand" and length > 1e-6:
                 out[curl + number, index] = _CURL * rest[index] / length  # along its own bend
     return out
+
+
+# ---------------------------------------------------------------------------------------------------- over the poses
+
+@dataclass
+class _Gain:
+    """A number that follows 0 to 1 without a jump in itself or its slope (critically damped)."""
+
+    value: float = 0.0
+    slope: float = 0.0
+
+    def follow(self, target: float, seconds: float) -> float:
+        away = self.value - target
+        push = self.slope + away / _GAIN_TAU
+        fade = math.exp(-seconds / _GAIN_TAU)
+        self.value = target + (away + push * seconds) * fade
+        self.slope = (push - (away + push * seconds) / _GAIN_TAU) * fade
+        return self.value
+
+
+class LifeLayer:
+    """Idle life over the poses of one performance, frame by frame: wholly where the body rests or its head would stand,
+    else faintly. Head and body fade apart."""
+
+    def __init__(self, seed: int, statistics: Statistics, representation: Representation, speaker: int,
+                 parts: Sequence[NDArray[np.int64]]) -> None:
+        """seed: of `Idle`; representation: of exponential maps; parts: which dimensions are of the head, and which of
+        the body."""
+        pose = statistics.rest_pose[speaker]
+        names = representation.motion(pose[None], 1.0).skeleton.names
+        self._idle, self._parts = Idle(seed, names, pose.reshape(-1, 3)), parts
+        self._scale = statistics.present.numpy() / statistics.deviation
+        self._head_moves = _head_moves(statistics, representation, speaker)
+        self._shown = statistics.normalise(pose, speaker)
+        self._gains = [_Gain() for _ in parts]
+        self.gains = np.zeros((0, len(parts), 2))
+        """[K, parts, 2] how much of the life there was in each frame of the last block, and its slope."""
+
+    def fork(self) -> LifeLayer:
+        """A twin that goes on from here by itself."""
+        twin = copy.copy(self)
+        twin._gains = [copy.copy(gain) for gain in self._gains]
+        return twin
+
+    def stand_as(self, other: LifeLayer) -> None:
+        """Take over the pose and how much life there is from another of the same speaker."""
+        self._gains, self._shown = other.fork()._gains, other._shown
+
+    def go_back(self, gains: Array, pose: Array) -> None:
+        """To what was shown: `gains` [parts, 2] of that frame, and its pose [D_m]."""
+        self._gains = [_Gain(*gain) for gain in gains.tolist()]
+        self._shown = pose.astype(np.float64)
+
+    def __call__(self, block: Array, span: Span, rests: Sequence[Flags]) -> Array:
+        """[K, D_m] a block of normalised poses with the life on it; rests: [K] for each part, whether it rests."""
+        times = span.times
+        life = self._idle(times).reshape(block.shape) * self._scale
+        seconds = span.duration / len(times)
+        steps = np.diff(block, axis=0, prepend=self._shown[None])
+        speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
+        stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
+        self.gains = np.empty((len(times), len(self._parts), 2))
+        for part, (columns, flags, gain) in enumerate(zip(self._parts, rests, self._gains, strict=True)):
+            wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, flags)
+            for k, one in enumerate(wanted):
+                gain.follow(float(one), seconds)
+                self.gains[k, part] = gain.value, gain.slope
+            life[:, columns] *= self.gains[:, part, :1]
+        self._shown = block[-1].astype(np.float64)
+        return block + life
+
+
+def _head_moves(statistics: Statistics, representation: Representation, speaker: int) -> Array:
+    """[D_m, 3] metres that the head moves by for a unit of each feature, at the resting pose."""
+    tiny = 1e-3
+    rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
+    turned = np.concatenate([rest[None], rest + tiny * np.eye(len(rest))])
+    motion = representation.motion(statistics.denormalise(turned, speaker), 1.0)
+    at = positions_of(motion)[:, motion.skeleton.index("Head")]
+    moves: Array = (at[1:] - at[:1]) / tiny
+    return moves

@@ -149,6 +149,7 @@ def default() -> Config:
             head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=0, position_width=8,
             hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True, bend=4.0, dropout=0.1,
             history_dropout=0.2,
+            after_dropout=0.15,  # a live stream may ask for a block before the next one is heard
             # More noise teaches corrections that no past asks for: hands that should be held then drift.
             past_noise=0.06, velocity_noise=0.05),
         control=ControlConfig(free=0.7),
@@ -156,7 +157,8 @@ def default() -> Config:
         # (scheduled sampling): what it would have drawn is not known here.
         interpreter=dataclasses.replace(
             paper.interpreter, audio_features=8, dropout=0.3, own_past_most=0.0, pose_features=96, pose_noise=0.1,
-            memory=8, reads_by="block", lexeme_features=48, history_dropout=0.2, audio_dropout=0.15),
+            memory=8, reads_by="block", lexeme_features=48, history_dropout=0.2, audio_dropout=0.15,
+            after_dropout=0.15),
         # Four models a fold: of single lexemes one model's opinion is half noise. The judge is of other sizes.
         reward=RewardConfig(width=64, projection=48, rivals=0, choice=1.0, members=4, caution=0.5, centred=True),
         judge=RewardConfig(width=80, projection=32, kernel=2, dilations=(1, 2, 3), rivals=0, choice=1.0, members=4,
@@ -166,7 +168,7 @@ def default() -> Config:
         # the speeds of the hands, then in time and without seams.
         selection=SelectionConfig(temperature=1.0, guidance=4.0, audio_guidance=1.0, lexeme_guidance=0.4, noise=1.0,
                                   trunk_guidance=0.3, trunk_noise=0.72, interpreter_guidance=1.0, candidates=5,
-                                  timing=1.0, seam=0.25, as_asked=2.0))
+                                  timing=1.5, seam=0.25, as_asked=2.0))
 
 
 def tiny() -> Config:

@@ -30,6 +30,8 @@ SLOW, SLOW_SECONDS = 3.0, 10.0
 """A task is slow that takes so many times the median of those before it, and so many seconds at the least."""
 PULSE = 2.0
 """Seconds after which, where nothing was heard, the head of the cluster is asked whether it is there."""
+STARTS = 3
+"""Times that a cluster of this machine is tried to be started."""
 MISSED = 3
 """Times without an answer after which it is not: a busy machine may miss one."""
 _LOCAL, _CLIENT = "local:", "ray://"
@@ -93,22 +95,39 @@ def _connect(ray: Any, given: str) -> bool:
     told = {name: os.environ[name] for name in ("PYTHONPATH", "GESTICULATOR_DATA") if name in os.environ} \
         | {"OMP_NUM_THREADS": "1"}
     there: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR", "runtime_env": {"env_vars": told}}
-    here = {**there, "address": "local", "include_dashboard": False}
     try:
         if given.startswith(_LOCAL):
-            ray.init(num_cpus=int(given[len(_LOCAL):]), **here)
+            _start_here(ray, {**there, "num_cpus": int(given[len(_LOCAL):])})
+        elif given == "auto" and not _runs_here():
+            _start_here(ray, there)
         elif given == "auto":
-            ray.init(**({**there, "address": "auto"} if _runs_here() else here))
+            ray.init(address="auto", **there)
         else:
             # Ray tries for minutes to reach what is not there.
             if not _answers(given):
                 raise ConnectionError("nothing answers there")
             ray.init(address=given, **there)
-    except Exception as error:  # noqa: BLE001 - Ray raises a plain Exception where it cannot start
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001 - Ray raises a plain Exception where it cannot be reached
         raise InputError(f"--ray {given}", f"cannot be reached ({' '.join(str(error).split())[:100]})",
                          "check the address, and RAY_AUTH_MODE where the cluster has a token, or say local:N"
                          ) from None
     return True
+
+
+def _start_here(ray: Any, options: dict[str, Any]) -> None:
+    """Start a cluster on this machine. Ray gives up where a process of its own has not begun within 30 s, which on a
+    busy machine happens: it is tried again."""
+    for left in reversed(range(STARTS)):
+        try:
+            ray.init(address="local", include_dashboard=False, **options)
+            return
+        except Exception as error:  # noqa: BLE001 - Ray raises a plain Exception where it cannot start
+            ray.shutdown()
+            if not left:
+                raise InputError("--ray", f"Ray does not start on this machine ({' '.join(str(error).split())[:200]})",
+                                 "try again when less runs here, or use --shard") from None
 
 
 def _runs_here() -> bool:

@@ -26,13 +26,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.motion.kinematics import positions_of, positions_of_some
+from data_module.motion.kinematics import positions_of_some
 from data_module.motion.representation import Representation
 from data_module.types import Array
-from gesticulator.features import SpeechBlock, Statistics
-from gesticulator.life import HEAD, SIDES, Idle, uniform
-
-Flags = NDArray[np.bool_]
+from gesticulator.features import Flags, Span, Statistics
+from gesticulator.life import HEAD, SIDES, LifeLayer, uniform
 
 REAL = 0.42
 """Seconds of silence that make a pause; a shorter one is a breath, in which gestures go on."""
@@ -73,12 +71,6 @@ _TOWARDS = 0.3, 0.8
 is."""
 _LEAST_FADE = 0.2
 """Seconds in which a join can be made; where a block has less left, the body wakes with the next."""
-_FAINT = 0.25
-"""Share of the idle life that is left in speech, where the generator moves the body."""
-_HEAD_STANDS, _HEAD_MOVES = 0.025, 0.06
-"""m/s of the generated head up to which there is all of the life, and from which on the faint share alone."""
-_GAIN_TAU = 0.25
-"""Seconds in which life grows and fades."""
 _ALWAYS = -1e3
 """Seconds: who has not begun has rested since then."""
 _REPAY = 6.0
@@ -88,32 +80,6 @@ _TRUSTED = 4.0
 _RANKED = 1000
 """Phrases before that a phrase is ranked among: most of an hour, and no more memory for a day."""
 _PATH = 9
-
-
-@dataclass(frozen=True)
-class Span:
-    """What is known of the sound of a block and of the one after it. start, duration: seconds; quiet: [K] whether each
-    frame lies in silence; ahead: [K] the same of the next block, and how many seconds it lasts, None at the end."""
-
-    start: float
-    duration: float
-    quiet: Flags
-    ahead: Flags | None = None
-    ahead_duration: float = 0.0
-
-    @property
-    def times(self) -> Array:
-        """[K] seconds of the block's frames; the last lies on its end."""
-        count = len(self.quiet)
-        return self.start + self.duration * np.arange(1, count + 1) / count
-
-
-def span_of(block: SpeechBlock) -> Span:
-    """What is known of the sound when a block is drawn."""
-    _, own, after = block.durations
-    if block.ahead is None:
-        return Span(block.start, own, block.quiet)
-    return Span(block.start, own, block.quiet, block.ahead, after)
 
 
 # ---------------------------------------------------------------------------------------------------- pauses
@@ -405,22 +371,6 @@ class RestKnots:
     gains: Array
 
 
-@dataclass
-class _Gain:
-    """A number that follows 0 to 1 without a jump in itself or its slope (critically damped)."""
-
-    value: float = 0.0
-    slope: float = 0.0
-
-    def follow(self, target: float, seconds: float) -> float:
-        away = self.value - target
-        push = self.slope + away / _GAIN_TAU
-        fade = math.exp(-seconds / _GAIN_TAU)
-        self.value = target + (away + push * seconds) * fade
-        self.slope = (push - (away + push * seconds) / _GAIN_TAU) * fade
-        return self.value
-
-
 class Rest:
     """Rest and life of one performance, block by block.
 
@@ -440,13 +390,7 @@ class Rest:
         ways = _Way(), _Way(_Hands(representation, statistics, speaker, self._body))
         self._parts = [(columns, RestingPart(rest[columns], statistics.bounds[:, columns], way))
                        for columns, way in zip((self._head, self._body), ways, strict=True)]
-        self._idle = Idle(seed, names, rest_pose.reshape(-1, 3))
-        self._scale = statistics.present.numpy() / statistics.deviation
-        self._head_moves = _head_moves(statistics, representation, speaker)
-        self._shown = rest
-        self._gains = [_Gain(), _Gain()]
-        self.gains = np.zeros((0, len(self._parts), 2))
-        """[K, 2, 2] how much of the life there was in each frame of the last block, see `RestKnots`."""
+        self._life = LifeLayer(seed, statistics, representation, speaker, [columns for columns, _ in self._parts])
         self._pauses, self._phrases = Pauses(), Phrases(activity, seed)
         self._rests: list[Flags] = []
         self._span: Span | None = None
@@ -454,15 +398,15 @@ class Rest:
     def fork(self) -> Rest:
         """A twin that goes on from here by itself."""
         twin = copy.copy(self)
-        twin._gains = [copy.copy(gain) for gain in self._gains]
+        twin._life = self._life.fork()
         twin._parts = [(columns, copy.copy(part)) for columns, part in self._parts]
         twin._pauses, twin._phrases = copy.copy(self._pauses), self._phrases.fork()
         return twin
 
     def stand_as(self, other: Rest) -> None:
         """Take over where the body is and how it moves from the rest of another performance by the same speaker."""
-        twin = other.fork()
-        self._parts, self._gains, self._shown = twin._parts, twin._gains, twin._shown
+        self._parts = other.fork()._parts
+        self._life.stand_as(other._life)
 
     def hear(self, span: Span, score: float = math.nan, still: Flags | None = None) -> bool:
         """True where the hands have nothing to do for half of the block or more. score: the gate's probability; still:
@@ -489,8 +433,12 @@ class Rest:
         for columns, part in self._parts:
             part.break_off([(float(time), pose[columns].astype(np.float64))
                             for time, pose in zip(shown.times[-2:], shown.poses[-2:], strict=True)], word)
-        self._gains = [_Gain(*gain) for gain in shown.gains[-1].tolist()]
-        self._shown = shown.poses[-1].astype(np.float64)
+        self._life.go_back(shown.gains[-1], shown.poses[-1])
+
+    @property
+    def gains(self) -> Array:
+        """[K, 2, 2] how much of the life there was in each frame of the last block, see `RestKnots`."""
+        return self._life.gains
 
     def step(self, generated: Array) -> Array:
         """[K, D_m] the block as it goes on, for one that was generated [K, D_m], both normalised, without the life."""
@@ -503,29 +451,4 @@ class Rest:
     def alive(self, block: Array) -> Array:
         """[K, D_m] the block of `step` with the idle life on it."""
         assert self._span is not None, "hear comes first"
-        times = self._span.times
-        life = self._idle(times).reshape(block.shape) * self._scale
-        seconds = self._span.duration / len(times)
-        steps = np.diff(block, axis=0, prepend=self._shown[None])
-        speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
-        stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
-        self.gains = np.empty((len(times), len(self._parts), 2))
-        for part, ((columns, _), rests, gain) in enumerate(zip(self._parts, self._rests, self._gains, strict=True)):
-            wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, rests)
-            for k, one in enumerate(wanted):
-                gain.follow(float(one), seconds)
-                self.gains[k, part] = gain.value, gain.slope
-            life[:, columns] *= self.gains[:, part, :1]
-        self._shown = block[-1].astype(np.float64)
-        return block + life
-
-
-def _head_moves(statistics: Statistics, representation: Representation, speaker: int) -> Array:
-    """[D_m, 3] metres that the head moves by for a unit of each feature, at the resting pose."""
-    tiny = 1e-3
-    rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
-    turned = np.concatenate([rest[None], rest + tiny * np.eye(len(rest))])
-    motion = representation.motion(statistics.denormalise(turned, speaker), 1.0)
-    at = positions_of(motion)[:, motion.skeleton.index("Head")]
-    moves: Array = (at[1:] - at[:1]) / tiny
-    return moves
+        return self._life(block, self._span, self._rests)

@@ -18,9 +18,9 @@ from data_module.errors import InputError
 from data_module.layers import without_after
 from gesticulator.bundle import Bundle
 from gesticulator.drawing import FREE, Direction, Keys, drawer_for
-from gesticulator.features import SpeechBlock, SpeechFeatures, control_rows, representation_of
+from gesticulator.features import Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
 from gesticulator.performance import BEST, LexemeWorth
-from gesticulator.rest import Rest, RestKnots, Span, span_of
+from gesticulator.rest import Rest, RestKnots
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 
 if TYPE_CHECKING:
@@ -289,7 +289,7 @@ class Rollout:
             probability, self._gate_state = self._gate.step(self._gate_state, features)
             closed = not self._gate.opened(probability, self.activity)
         if self.life is not None:
-            closed = self.life.hear(span_of(speech), probability, still)
+            closed = self.life.hear(speech.span, probability, still)
         elif still is not None:
             closed = closed or bool(still.mean() >= 0.5)
         return closed, probability

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from interpreters.base import BlockFeatures, LexemeInterpreter, Scores
+from interpreters.base import BlockFeatures, Scores
+from interpreters.lstm import LstmInterpreter, LstmState
 
 
 @dataclass(frozen=True)
@@ -18,18 +17,16 @@ class InterpreterByEar:
     inner: an interpreter that was taught with sound left out now and then (zeros); guidance: g.
     """
 
-    inner: LexemeInterpreter
+    inner: LstmInterpreter
     guidance: float
 
-    def start(self, speaker: int, first_lexeme: int) -> tuple[Any, Any]:
+    def start(self, speaker: int, first_lexeme: int) -> tuple[LstmState, LstmState]:
         """The states before the first block, of the one that hears and of the one that does not."""
         return self.inner.start(speaker, first_lexeme), self.inner.start(speaker, first_lexeme)
 
-    def step(self, state: tuple[Any, Any], features: BlockFeatures, previous_lexeme: int
-             ) -> tuple[Scores, tuple[Any, Any]]:
+    def step(self, state: tuple[LstmState, LstmState], features: BlockFeatures, previous_lexeme: int
+             ) -> tuple[Scores, tuple[LstmState, LstmState]]:
         """Log-probabilities [S] of this block's lexeme."""
-        heard, hearing = self.inner.step(state[0], features, previous_lexeme)
-        silence = replace(features, high=torch.zeros_like(features.high))
-        unheard, deaf = self.inner.step(state[1], silence, previous_lexeme)
+        (heard, hearing), (unheard, deaf) = self.inner.step_with_and_without_sound(state, features, previous_lexeme)
         scores = heard + self.guidance * (heard - unheard)
         return scores - np.logaddexp.reduce(scores), (hearing, deaf)

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import BlockLinear
+from data_module.layers import BlockLinear, run_lstm
 from interpreters.base import BlockFeatures
 from interpreters.settings import GateConfig
 
@@ -56,7 +56,7 @@ class ActivityGate(nn.Module):
         rows = self.encode_audio(audio)
         if self.config.use_speaker:
             rows = torch.cat([rows, speaker[:, None, None].expand(-1, blocks, self.frames, -1)], dim=-1)
-        out, hidden = self.lstm(self.dropout(rows).flatten(1, 2), hidden)
+        out, hidden = run_lstm(self.lstm, self.dropout(rows).flatten(1, 2), hidden)
         last = out.unflatten(1, (blocks, self.frames))[:, :, -1]
         return self.classify(self.dropout(last))[..., 0], hidden
 

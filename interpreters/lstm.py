@@ -3,13 +3,14 @@ Eq. 16 to 18), and the style interpreter P_z, from low-level audio to a block's 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import BlockLinear, repeat_frames, without_after
+from data_module.layers import BlockLinear, repeat_frames, run_lstm, without_after
 from interpreters.base import BlockFeatures, Scores
 from interpreters.pose import pose_of
 from interpreters.settings import LstmConfig, StyleConfig
@@ -171,7 +172,7 @@ class LstmInterpreter(nn.Module):
 
     def _read(self, rows: Tensor, hidden: Hidden | None = None) -> tuple[Tensor, Hidden]:
         """Rows [B, N, n, W] to what is classified, [B, N, width] (twice that by block), and the state after them."""
-        out, hidden = self.lstm(rows.flatten(1, 2), hidden)
+        out, hidden = run_lstm(self.lstm, rows.flatten(1, 2), hidden)
         last = out.unflatten(1, rows.shape[1:3])[:, :, -1]
         return torch.cat([last, rows[:, :, -1]], dim=-1) if self.by_block else last, hidden
 
@@ -234,24 +235,47 @@ class LstmInterpreter(nn.Module):
         number = torch.tensor([speaker], device=self.lexemes.device)
         return LstmState(None, functional.one_hot(number, self.speakers).float())
 
-    @torch.inference_mode()
     def step(self, state: LstmState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, LstmState]:
         """Log-probabilities [S] of this block's lexeme."""
-        previous = torch.tensor([[previous_lexeme]], device=self.lexemes.device)
-        text = None if features.text is None else features.text[None, None]
-        control = None if features.control is None else features.control[None, None]
-        pose = None
-        if self.encode_pose is not None and features.past is not None:
-            durations = None if features.durations is None else features.past.new_tensor(features.durations)
-            pose = pose_of(features.past, durations)[None, None]
-        rows = self.rows(previous, features.high[None, None], state.speaker, text, control, pose)
-        kept = None
+        return self._steps([state], features.high[None], features, previous_lexeme)[0]
+
+    def step_with_and_without_sound(self, states: tuple[LstmState, LstmState], features: BlockFeatures,
+                                    previous_lexeme: int) -> list[tuple[Scores, LstmState]]:
+        """What `step` gives of the first state, and of the second where the sound is left out (zeros)."""
+        audio = torch.stack([features.high, torch.zeros_like(features.high)])
+        return self._steps(states, audio, features, previous_lexeme)
+
+    @torch.inference_mode()
+    def _steps(self, states: Sequence[LstmState], audio: Tensor, features: BlockFeatures, previous_lexeme: int
+               ) -> list[tuple[Scores, LstmState]]:
+        """Of B states of equal age, with a sound [B, 3K, d] each and all else the same."""
+        count, device = len(states), self.lexemes.device
+        previous = torch.full((count, 1), previous_lexeme, device=device)
+        text, control, pose, speaker = (None if one is None else one.expand(count, *[-1] * (one.dim() - 1)) for one in (
+            None if features.text is None else features.text[None, None],
+            None if features.control is None else features.control[None, None],
+            self._pose(features), states[0].speaker))
+        assert speaker is not None
+        rows = self.rows(previous, audio[:, None], speaker, text, control, pose)
+        hidden = None
         if self.config.memory:
-            rows = kept = (rows if state.rows is None else torch.cat([state.rows, rows], 1))[:, -self.config.memory:]
-        last, hidden = self._read(rows, None if kept is not None else state.hidden)
-        logits = self._classified(last[:, -1:], previous, state.speaker, text)
-        after = LstmState(None if kept is not None else hidden, state.speaker, kept)
-        return functional.log_softmax(logits[0, 0].double(), -1).cpu().numpy(), after
+            before = [state.rows for state in states if state.rows is not None]
+            rows = (torch.cat([torch.cat(before), rows], 1) if before else rows)[:, -self.config.memory:]
+        else:
+            known = [state.hidden for state in states if state.hidden is not None]
+            hidden = (torch.cat([h for h, _ in known], 1), torch.cat([c for _, c in known], 1)) if known else None
+        last, (h, c) = self._read(rows, hidden)
+        logits = self._classified(last[:, -1:], previous, speaker, text)
+        scores = functional.log_softmax(logits[:, 0].double(), -1).cpu().numpy()
+        return [(scores[i], LstmState(None, state.speaker, rows[i:i + 1]) if self.config.memory else
+                 LstmState((h[:, i:i + 1], c[:, i:i + 1]), state.speaker)) for i, state in enumerate(states)]
+
+    def _pose(self, features: BlockFeatures) -> Tensor | None:
+        """[1, 1, 3 D_m] what is seen of the body before a block; None where it is not seen."""
+        if self.encode_pose is None or features.past is None:
+            return None
+        durations = None if features.durations is None else features.past.new_tensor(features.durations)
+        return pose_of(features.past, durations)[None, None]
 
 
 @dataclass(frozen=True)
@@ -301,7 +325,7 @@ class StyleInterpreter(nn.Module):
         if self.config.use_speaker:
             parts.append(speaker[:, None, None].expand(-1, blocks, self.frames, -1))
         rows = self.dropout(torch.cat(parts, dim=-1)).flatten(1, 2)
-        out, hidden = self.lstm(rows, hidden)
+        out, hidden = run_lstm(self.lstm, rows, hidden)
         return self.to_code(out.unflatten(1, (blocks, self.frames))[:, :, -1]), hidden
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:

@@ -14,20 +14,20 @@ import torch
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.store import Store
-from eval import ablate, runner
+from eval import ablate, row_context, runner
 from eval.baselines import RandomStyle
 from eval.cells import CellStore, summaries
 from eval.draw import paper
 from eval.metrics.gesture_features import RawFeatures
+from eval.row_context import AblationContext
 from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, rg
 from eval.rows.row import COLUMNS
-from eval.runner import AblationContext
 from eval.stats import Interval
 from eval.table import load, loads
 from generator import losses
 from gesticulator import config as configs
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages import Run
+from gesticulator.stages import LABELS, Run
 from lexicon.movement import MovementLexicon
 
 SHORT = ("schedules.speech.steps=1", "schedules.contrast.steps=1", "schedules.lexicon.steps=20",
@@ -108,7 +108,7 @@ def test_the_command_goes_on_where_it_was_stopped(context: AblationContext, work
 
     picture, stored = (own.out / "figure-17.png").stat().st_mtime_ns, own.cells.file.read_text()
     with monkeypatch.context() as patched:
-        patched.setattr(runner, "assemble", nothing)
+        patched.setattr(row_context, "assemble", nothing)
         ablate.ablate(own, only=["ours", "figure-17"], seeds=1)
     assert own.cells.file.read_text() == stored
     assert (own.out / "figure-17.png").stat().st_mtime_ns == picture, "a figure of the same rows stands"
@@ -147,7 +147,7 @@ def test_the_row_without_hint_and_mask_plays_other_lexemes_in_silence(context: A
         assert len(silent) >= 5
         own[name] = float(np.isin(silent, bundle.silent).mean())
     assert own[OURS] == 1.0 > own["no-hint"]
-    hinted = [context.runs(name, 1)[1].get(runner.LABELS).hinted for name in (OURS, "no-hint")]
+    hinted = [context.runs(name, 1)[1].get(LABELS).hinted for name in (OURS, "no-hint")]
     assert not np.array_equal(hinted[0], hinted[1])
 
 

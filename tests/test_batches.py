@@ -268,6 +268,32 @@ def _marker(folder: Path) -> Callable[[int], float]:
     return partial(_marking, folder)
 
 
+@pytest.mark.parametrize("late", [0, 2, 3])
+def test_a_cluster_that_a_busy_machine_does_not_start_is_started_again(late: int) -> None:
+    from gesticulator import ray_pool
+
+    class LateRay:
+        begun, ended = 0, 0
+
+        def init(self, **options: object) -> None:
+            assert options == {"num_cpus": 2, "address": "local", "include_dashboard": False}
+            assert self.begun == self.ended, "what is left of the one before is ended first"
+            self.begun += 1
+            if self.begun <= late:
+                raise Exception("The current node timed out during startup.\nIt may be overloaded.")
+
+        def shutdown(self) -> None:
+            self.ended += 1
+
+    ray = LateRay()
+    if late < 3:
+        ray_pool._start_here(ray, {"num_cpus": 2})
+    else:
+        with pytest.raises(InputError, match=r"does not start on this machine \(The current node timed out"):
+            ray_pool._start_here(ray, {"num_cpus": 2})
+    assert ray.begun == min(late + 1, 3) and ray.ended == late
+
+
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[None]:
     """A Ray cluster of two workers on this machine."""

@@ -62,18 +62,17 @@ def together(count: int, orders: list[tuple[str, dict[str, Any]]], folder: Path)
     return said
 
 
+def gate_command(store: Path, out: Path) -> list[str]:
+    """The arguments that train the gate of the tiny preset."""
+    return ["--data", str(store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--stage", "gate"]
+
+
 @pytest.fixture(scope="module")
 def two(tiny_store: Path, tiny_bundle: Path, tiny_movement_bundle: Path, tmp_path_factory: pytest.TempPathFactory
         ) -> Path:
     """What two processes left that trained every stage for its first steps, and the gate to its third; and that were
-    asked for what cannot be, and for the command itself."""
+    asked for what cannot be."""
     out = tmp_path_factory.mktemp("two")
-    work = out / "command.work"
-    shutil.copytree(tiny_bundle.with_name(tiny_bundle.name + ".work"), work)
-    for folder in work.glob("gate-*"):
-        shutil.rmtree(folder)
-    command = ["--data", str(tiny_store), "--out", str(out / "command"), "--preset", "tiny", "--threads", "1",
-               "--stage", "gate"]
     said = together(2, [
         ("first_steps", {"store": tiny_store, "bundle": tiny_bundle, "out": out / "tiny", "steps": STEPS}),
         ("first_steps", {"store": tiny_store, "bundle": tiny_movement_bundle, "out": out / "moving", "steps": STEPS,
@@ -81,8 +80,8 @@ def two(tiny_store: Path, tiny_bundle: Path, tiny_movement_bundle: Path, tmp_pat
         ("first_steps", {"store": tiny_store, "bundle": tiny_bundle, "out": out / "resumed", "steps": 3,
                          "only": ["gate"]}),
         ("codebooks", {"out": out / "codebooks", "steps": 100}),
-        ("train", {"arguments": [*command, "--set", "schedules.gate.batch=7"], "code": 2}),
-        ("train", {"arguments": command, "code": 0})], out)
+        ("train", {"arguments": [*gate_command(tiny_store, out / "none"), "--set", "schedules.gate.batch=7"],
+                   "code": 2})], out)
     for rank, text in enumerate(said):
         (out / f"said-{rank}").write_text(text)
     return out
@@ -128,13 +127,24 @@ def test_one_process_goes_on_where_two_stopped(two: Path, tiny_store: Path, tiny
     assert_same_losses(rows(tmp_path / "gate", "gate"), rows(alone, "gate"))
 
 
-def test_the_command_trains_together_and_one_process_speaks(two: Path, tiny_bundle: Path) -> None:
-    ours, alone = next((two / "command.work").glob("gate-*")), ranks.first_trained(tiny_bundle, "gate")
-    assert_same_losses(rows(ours, "gate"), rows(alone, "gate"))
-    assert not list(ours.glob("*.ckpt")) and not (two / "command").exists()
+def test_torchrun_goes_on_with_two_processes_where_one_stopped(two: Path, tiny_store: Path, tiny_bundle: Path,
+                                                               tmp_path: Path) -> None:
+    alone, work = ranks.first_trained(tiny_bundle, "gate"), tmp_path / "command.work"
+    shutil.copytree(alone.parent, work, ignore=shutil.ignore_patterns("gate-*"))
+    ranks.first_steps(tiny_store, tiny_bundle, tmp_path, steps=3, only=["gate"])
+    (tmp_path / "gate").rename(work / alone.name)
+    assert len(rows(work / alone.name, "gate")) == 3
+    done = subprocess.run([sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2", "-m",
+                           "gesticulator", "train", *gate_command(tiny_store, tmp_path / "command")], check=False,
+                          env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+                          capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("gate, 40 steps") == 1, "one process speaks"
+    assert_same_losses(rows(work / alone.name, "gate"), rows(alone, "gate"))
+    assert not list((work / alone.name).glob("*.ckpt")) and not (tmp_path / "command").exists()
     first, second = ((two / f"said-{rank}").read_text() for rank in (0, 1))
     assert first.count("schedules.gate.batch=7") == 1 and "cannot be divided among 2 processes" in first
-    assert "gate, 40 steps" in first and "gate" not in second
+    assert "gate" not in second
 
 
 # ---------------------------------------------------------------------------------------------- draws, without a group

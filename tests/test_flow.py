@@ -10,6 +10,7 @@ import torch
 
 from data_module.motion.movement import MovementBasis, pasts_of
 from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, circumstances
+from generator.flow_head import FlowTime
 from generator.model import GeneratorConfig, GeneratorWidths
 from gesticulator.drawing import Keys
 
@@ -219,3 +220,55 @@ def test_who_forgets_is_told_the_last_frames_alone() -> None:
     assert not torch.equal(context(true, False, 0.0), context(other, False, 0.0))
     assert not torch.equal(context(true, False, 0.0), context(true, False, 1.0))
     assert not torch.equal(context(true, True, 0.0), context(true + 1.0, True, 0.0)), "where the body is it must know"
+
+
+def test_drawing_follows_the_field_that_was_trained() -> None:
+    """Heun's method over `FlowHead` itself, context by context, against the head that drawing uses: also after the
+    weights have changed."""
+    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
+    contexts = torch.randn(3, CONFIG.context + generator.basis.width, generator=torch.manual_seed(1))
+    gains, noise = torch.rand(2, generator.basis.width), torch.randn(4, generator.basis.width)
+
+    def slowly(steps: int) -> torch.Tensor:
+        def v(u: torch.Tensor, time: float) -> torch.Tensor:
+            at = FlowTime.of(torch.full((len(u), 1), time))
+            one, *others = (generator.head(u, at, generator.head.conditions(own.expand(len(u), -1)))
+                            for own in contexts)
+            return one + sum(gain * (one - other) for gain, other in zip(gains, others, strict=True))
+
+        u = noise
+        for i in range(steps):
+            first = v(u, i / steps)
+            u = u + (first + v(u + first / steps, (i + 1) / steps)) / 2 / steps
+        return generator.stretch(u)
+
+    for seed in range(2):
+        with torch.no_grad():
+            for weight in generator.head.parameters():
+                weight.copy_(0.3 * torch.randn(weight.shape, generator=torch.manual_seed(seed)))
+            wanted = slowly(3)
+            found = generator.draw(contexts, gains, noise, 3)
+        assert wanted.std() > 0.1
+        torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-3)
+
+
+def test_what_is_given_once_holds_for_all() -> None:
+    """What guides hears the same as what is guided, so it may be told once."""
+    batch = swings(1, False)
+    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
+    torch.manual_seed(5)
+
+    def context(count: int) -> torch.Tensor:
+        def each(one: torch.Tensor) -> torch.Tensor:
+            return one.expand(count, *one.shape[1:])
+
+        given = FlowInputs(each(torch.randn(1, 1, 3 * FRAMES, AUDIO, generator=torch.manual_seed(2))),
+                           torch.tensor([[0], [0], [TWO]]), each(batch["motion"][:, :1]), each(torch.ones(1, 1)),
+                           each(batch["circumstances"][:, 1:2]), each(torch.ones(1, 1)),
+                           deaf=torch.tensor([False, True, False]), forgets=torch.tensor([False, False, True]))
+        with torch.no_grad():
+            return generator.contexts(given, each(torch.ones(1, 1, generator.basis.width)))[0]
+
+    found = context(1)
+    torch.testing.assert_close(found, context(3))
+    assert (found[0] - found[1]).abs().max() > 1e-3

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -109,6 +111,21 @@ def test_lstm_streams_as_it_trains(changes: dict[str, object]) -> None:
         heard = BlockFeatures(torch.zeros_like(audio[0, i]), audio[0, i], text=text[0, i], control=control[0, i])
         scores, state = model.step(state, heard, int(previous[0, i]))
         np.testing.assert_allclose(scores, whole[i].detach().numpy(), atol=1e-5)
+
+
+@pytest.mark.parametrize("changes", [{}, {"memory": 2}, {"text_features": 4, "use_control": True}])
+def test_lstm_asked_with_and_without_sound_at_once_says_what_it_says_to_each(changes: dict[str, object]) -> None:
+    model = lstm(**changes).eval()
+    states, apart = (model.start(1, 0), model.start(1, 0)), [model.start(1, 0), model.start(1, 0)]
+    for block in range(4):
+        features = hear(block, text=windows(block, 1)[0, 0], control=torch.ones(FRAMES, CONTROL))
+        (heard, one), (unheard, other) = model.step_with_and_without_sound(states, features, block)
+        states = one, other
+        deaf = dataclasses.replace(features, high=torch.zeros_like(features.high))
+        for i, (scores, told) in enumerate(((heard, features), (unheard, deaf))):
+            wanted, apart[i] = model.step(apart[i], told, block)
+            np.testing.assert_allclose(scores, wanted, atol=1e-5)
+        assert np.abs(heard - unheard).max() > 1e-3
 
 
 def test_lstm_without_text_is_deaf_to_text_and_control() -> None:

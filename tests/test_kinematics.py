@@ -98,3 +98,13 @@ def test_some_joints_are_where_all_of_them_are() -> None:
     joints = [CHARACTER.index(name) for name in ("LeftHand", "Head", CHARACTER.names[0], "RightHand")]
     np.testing.assert_array_equal(kinematics.positions_of_some(motion, joints),
                                   kinematics.positions_of(motion)[:, joints])
+
+
+def test_the_chains_to_some_joints_move_them_as_the_whole_body_does() -> None:
+    motion = Motion(CHARACTER, random_pose(7, len(CHARACTER)), np.zeros((7, 3)), 60.0)
+    ends = [CHARACTER.index(name) for name in ("RightHand", "LeftForeArm")]
+    skeleton, joints = kinematics.chains(CHARACTER, ends)
+    assert skeleton.names[0] == CHARACTER.names[0] and "Head" not in skeleton.names and len(skeleton) < len(CHARACTER)
+    few = Motion(skeleton, motion.rotations[:, joints], motion.root_positions, 60.0)
+    np.testing.assert_array_equal(kinematics.positions_of(few)[:, [joints.index(end) for end in ends]],
+                                  kinematics.positions_of(motion)[:, ends])

@@ -16,10 +16,10 @@ from data_module.errors import InputError
 from eval import ablate
 from eval.ablate import FIGURES
 from eval.cells import Cell, Cells, CellStore, summaries
+from eval.row_context import AblationContext, configured
 from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, SYSTEMS, TABLES, claims, racer, rg, tables
 from eval.rows.claims import CLAIMS, FAILS, HOLDS, UNDECIDED, Claim
 from eval.rows.row import COLUMNS, DECISIONS
-from eval.runner import AblationContext, configured
 from eval.stats import Interval
 from eval.table import Column, Table, dumps, load, loads, save
 from gesticulator import config as configs

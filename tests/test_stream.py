@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import gc
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -18,6 +21,7 @@ from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
+from generator.flow_head import SamplingHead
 from gesticulator import stream as stream_module
 from gesticulator.cutter import BlockCutter
 from gesticulator.features import representation_of
@@ -73,7 +77,8 @@ def joined(parts: Sequence[StreamFrames]) -> Array:
 def test_fifteen_seconds_of_speech_in_pieces_are_the_file_to_the_last_bit() -> None:
     sound = example()[:15 * SAMPLE_RATE]
     stream = system().stream()
-    parts = [*fed(stream, sound, (320,)), stream.finish()]
+    # Four seconds as from a microphone, ten at once, and the rest a sample and two ticks at a time.
+    parts = [*fed(stream, sound, (*[320] * 200, 10 * SAMPLE_RATE, 1, 1600)), stream.finish()]
     made = system()(Speech(sound, SAMPLE_RATE))
     assert np.array_equal(joined(parts), made.rotations)
     blocks = [block for part in parts for block in part.blocks]
@@ -226,16 +231,30 @@ def test_what_is_passed_over_leaves_no_jump_and_no_gap(latency: str) -> None:
     assert found["hands"][0][seams[-1] - 60:seams[-1]].max() < 0.1
 
 
+@contextmanager
+def asked_of_the_head() -> Iterator[list[int]]:
+    """How many rows v is computed for, each time that it is."""
+    rows: list[int] = []
+    call = SamplingHead.__call__
+
+    def counted(self: SamplingHead, noisy: torch.Tensor, time: float, conditions: Any, mix: torch.Tensor
+                ) -> torch.Tensor:
+        rows.append(len(noisy) * len(mix))
+        return call(self, noisy, time, conditions, mix)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SamplingHead, "__call__", counted)
+        yield rows
+
+
 def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
     """The flow head is asked for one way of each step, four times a block instead of 24; the beats are the sound's."""
     sound, edges, calls = example()[:round(SHORT * SAMPLE_RATE)], [], []
-    head = system().bundle.generator.head
     for hurried in (False, True):
-        stream, rows = system().stream(), []
+        stream = system().stream()
         stream.hurried = hurried
-        hook = head.register_forward_pre_hook(lambda _, given, rows=rows: rows.append(given[0][..., 0].numel()))
-        blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
-        hook.remove()
+        with asked_of_the_head() as rows:
+            blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
         edges.append([block.end for block in blocks])
         calls.append(sum(rows) / len(blocks))
     chosen = system().bundle.config.selection
@@ -251,11 +270,9 @@ def test_what_nobody_sees_is_not_drawn_and_changes_nothing(monkeypatch: pytest.M
     for patch in (False, True):
         if patch:
             monkeypatch.setattr(Rest, "rests_wholly", False)
-        asked: list[None] = []
-        hook = system().bundle.generator.head.register_forward_pre_hook(lambda *_, asked=asked: asked.append(None))
         stream = system().stream()
-        parts = [*fed(stream, sound, (4000,)), stream.finish()]
-        hook.remove()
+        with asked_of_the_head() as asked:
+            parts = [*fed(stream, sound, (4000,)), stream.finish()]
         made.append(joined(parts))
         blocks = sum(len(part.blocks) for part in parts)
         drawn.append(len(asked) / (2 * system().bundle.config.selection.flow_steps))
@@ -303,8 +320,9 @@ def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
         hung = np.linalg.norm((positions_of(motion)[:, hands] - rest[hands]), axis=-1).max(-1)
         slow = frame + round(0.3 * FPS)
         assert found[0][slow - 1] < 0.3, at
-        # From there on they go down as evenly as 0.9 s allow, on arcs: who has less than 0.16 m to go stays under it.
-        assert found[0][slow:].max() < max(0.3, 1.8 * hung[slow]), at
+        # From there on they go down as evenly as 0.9 s allow, on arcs that are up to a third longer than the straight
+        # way: who has less than 0.13 m to go stays under it.
+        assert found[0][slow:].max() < max(0.3, 2.2 * hung[slow]), at
         assert hung[frame + round(1.2 * FPS)] < 0.06, "what is left is the life of hands that hang"
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import stat
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,11 +19,11 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.store import Store
-from eval import ablate, runner, sweep
+from eval import ablate, row_context, sweep
 from eval.cells import PARTS, Cell, CellStore
 from eval.metrics.gesture_features import RawFeatures
+from eval.row_context import AblationContext
 from eval.rows import rg
-from eval.runner import AblationContext
 from gesticulator import config as configs
 from gesticulator.batch import TaskOutcome, done_here
 from gesticulator.stages import Run
@@ -66,8 +68,12 @@ def plain(context: AblationContext) -> dict[tuple[str, int], Any]:
 
 def figures(context: AblationContext) -> dict[tuple[str, int], Any]:
     """Of each cell what does not tell of time."""
+    return cells_of(context.out)
+
+
+def cells_of(folder: Path) -> dict[tuple[str, int], Any]:
     return {(cell["row"], cell["seed"]): json.dumps([cell["key"], cell["clips"], cell["sets"]])
-            for cell in context.cells.lines()}
+            for cell in CellStore(folder).lines() if cell["kind"] == "row"}
 
 
 def test_rows_at_once_are_those_one_after_the_other(context: AblationContext, plain: dict[tuple[str, int], Any],
@@ -87,12 +93,43 @@ def test_rows_at_once_are_those_one_after_the_other(context: AblationContext, pl
     assert figures(own) == plain and asked == [[0, 1, 2, 3]]
     own.cells.file.write_text("".join(line + "\n" for line in own.cells.file.read_text().splitlines()
                                       if '"row": "ours"' not in line or '"seed": 2' not in line))
-    monkeypatch.setattr(runner, "assemble", lambda *given: (_ for _ in ()).throw(InputError("disk", "is gone")))
+    monkeypatch.setattr(row_context, "assemble", lambda *given: (_ for _ in ()).throw(InputError("disk", "is gone")))
     assert sweep.rows_at_once(own, tasks, lambda: own, backwards) == {"ours, seed 2": "disk: is gone"}
     assert asked[1:] == [[2]], "the one that is missing"
     facts = ablate.ablate(own, only=NAMES, seeds=2, at_once=partial(
         sweep.rows_at_once, make=lambda: own, outcomes=backwards))
     assert facts["refused"] == {"ours, seed 2": "disk: is gone"} and facts["rows"]["ours"]["seeds"] == [1]
+
+
+@pytest.fixture
+def command(context: AblationContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The command for "ours" at its first seed, whose generator and interpreter are not trained."""
+    work = tmp_path / "work"
+    shutil.copytree(context.first.work, work, ignore=shutil.ignore_patterns("generator-*", "interpreter-*", "*.lock"))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))  # of other processes
+    return ["--data", str(context.store.path), "--work", str(work), "--out", str(tmp_path / "out"), "--preset", "tiny",
+            "--only", "ours", "--seeds", "1", "--limit", "1", "--workers", "1", "--quiet",
+            *(part for setting in SHORT for part in ("--set", setting))]
+
+
+def test_jobs_that_are_processes_of_this_machine_make_the_cell(
+        command: list[str], plain: dict[tuple[str, int], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("submitit", reason="submitit is not installed: pip install 'gesticulator[slurm]'")
+    assert ablate.main([*command, "--slurm", "cluster=local", "timeout_min=10"]) == 0
+    deadline = time.monotonic() + 600
+    while not list((tmp_path / "work" / "slurm").glob("*/*_0_result.pkl"))[1:] and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert not (tmp_path / "out" / "cells.jsonl").exists() and list((tmp_path / "out" / PARTS).iterdir())
+    monkeypatch.setattr(row_context, "assemble", None)  # the cell is there: nothing is trained or played
+    assert ablate.main(command) == 0
+    assert cells_of(tmp_path / "out") == {("ours", 1): plain["ours", 1]} and (tmp_path / "out" / "table.md").exists()
+
+
+def test_the_command_on_ray_makes_the_cell(command: list[str], plain: dict[tuple[str, int], Any], tmp_path: Path
+                                           ) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'gesticulator[scale]'")
+    assert ablate.main([*command, "--ray", "local:1"]) == 0
+    assert cells_of(tmp_path / "out") == {("ours", 1): plain["ours", 1]}
 
 
 @pytest.fixture

@@ -77,6 +77,18 @@ def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
     return np.stack([at(joint)[1] for joint in joints], axis=1)
 
 
+def chains(skeleton: Skeleton, ends: Sequence[int]) -> tuple[Skeleton, list[int]]:
+    """The skeleton of these joints and those above them alone, and which joints of the whole one it has, rising."""
+    needed: set[int] = set()
+    for end in ends:
+        while end >= 0:
+            needed.add(end)
+            end = skeleton.parents[end]
+    joints = sorted(needed)
+    parents = tuple(joints.index(skeleton.parents[joint]) if joint else -1 for joint in joints)
+    return Skeleton(tuple(skeleton.names[joint] for joint in joints), parents, skeleton.offsets[joints]), joints
+
+
 def positions_of(motion: Motion) -> Array:
     """Joint positions of a motion, [T, J, 3] metres."""
     return joint_positions(motion.skeleton, motion.rotations, motion.root_positions)

@@ -93,6 +93,8 @@ class MovementBasis(nn.Module):
     scale: Tensor
     weight: Tensor
     limits: Tensor
+    _order: Tensor
+    _back: Tensor
 
     def __init__(self, frames: int, parts: Mapping[str, tuple[int, ...]], components: Mapping[str, int]) -> None:
         """frames: K; parts: name -> its columns of D_m; components: name -> how many principal components it has."""
@@ -104,6 +106,10 @@ class MovementBasis(nn.Module):
             self.register_buffer(f"columns_{index}", torch.tensor(columns, dtype=torch.long), persistent=False)
             self.register_buffer(f"predictor_{index}", torch.zeros(3 * len(columns) + 1, frames * len(columns)))
             self.register_buffer(f"components_{index}", torch.zeros(frames * len(columns), width))
+        # All columns part after part, and back: one look-up for all is cheaper than one for each part.
+        order = torch.tensor([column for columns in parts.values() for column in columns], dtype=torch.long)
+        self.register_buffer("_order", order, persistent=False)
+        self.register_buffer("_back", order.argsort(), persistent=False)
         self.register_buffer("scale", torch.ones(self.width))  # deviation of each coefficient
         self.register_buffer("weight", torch.ones(self.width))  # of a coefficient where parts are compared
         self.register_buffer("limits", torch.zeros(2, self.width))
@@ -119,31 +125,34 @@ class MovementBasis(nn.Module):
         return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
     def _buffer(self, name: str, part: int) -> Tensor:
-        return self.get_buffer(f"{name}_{part}")
+        found: Tensor = getattr(self, f"{name}_{part}")
+        return found
+
+    def _by_part(self, values: Tensor) -> Sequence[Tensor]:
+        """[..., D_m] to each part's columns."""
+        return values[..., self._order].split([len(columns) for columns in self.parts.values()], -1)
+
+    def _joined(self, parts: Sequence[Tensor]) -> Tensor:
+        """Blocks [..., K * columns] of each part to [..., K, D_m]."""
+        return torch.cat([part.unflatten(-1, (self.frames, -1)) for part in parts], -1)[..., self._back]
 
     def base(self, past: Pasts) -> Tensor:
         """[..., K, D_m] what the body would do if nothing new came."""
-        last, velocity, acceleration = past.state()
-        one = torch.ones_like(last[..., :1])
-        out = last[..., None, :].repeat(*[1] * (last.dim() - 1), self.frames, 1)
-        for part, columns in enumerate(self.parts.values()):
-            at = self._buffer("columns", part)
-            told = torch.cat([last[..., at], velocity[..., at], acceleration[..., at], one], -1)
-            out[..., at] += (told @ self._buffer("predictor", part)).unflatten(-1, (self.frames, len(columns)))
-        return out
+        state = torch.stack(past.state(), -2)
+        one = torch.ones_like(state[..., 0, :1])
+        led = [torch.cat([own.flatten(-2), one], -1) @ self._buffer("predictor", part)
+               for part, own in enumerate(self._by_part(state))]
+        return state[..., :1, :] + self._joined(led)
 
     def project(self, error: Tensor) -> Tensor:
         """E [..., K, D_m], a block less its base, to coefficients y [..., n]."""
-        return torch.cat([error[..., self._buffer("columns", part)].flatten(-2) @ self._buffer("components", part)
-                          for part in range(len(self.parts))], -1)
+        return torch.cat([own.flatten(-2) @ self._buffer("components", part)
+                          for part, own in enumerate(self._by_part(error))], -1)
 
     def expand(self, coefficients: Tensor) -> Tensor:
         """Coefficients [..., n] to E [..., K, D_m]."""
-        out = coefficients.new_zeros(*coefficients.shape[:-1], self.frames, self.motion_width)
-        for part, (at, columns) in enumerate(zip(self.slices(), self.parts.values(), strict=True)):
-            rows = coefficients[..., at] @ self._buffer("components", part).T
-            out[..., self._buffer("columns", part)] = rows.unflatten(-1, (self.frames, len(columns)))
-        return out
+        return self._joined([own @ self._buffer("components", part).T
+                             for part, own in enumerate(coefficients.split(self.widths, -1))])
 
     def coefficients(self, motion: Tensor, past: Pasts) -> Tensor:
         """Blocks [..., K, D_m] and their pasts to y [..., n]."""

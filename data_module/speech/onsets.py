@@ -216,8 +216,8 @@ class OnsetTracker:
 
 @lru_cache(maxsize=4)
 def _hann(window: int) -> Array:
-    """[window, 1] one period."""
-    return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, window + 1))[:-1, None]
+    """[window] one period."""
+    return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, window + 1))[:-1]
 
 
 @lru_cache(maxsize=4)
@@ -228,13 +228,19 @@ def _bands(sample_rate: int, window: int) -> NDArray[np.float32]:
     return bands
 
 
+@lru_cache(maxsize=4)
+def _places(window: int, hop: int, count: int) -> NDArray[np.int64]:
+    """[count, window] which samples the windows hold that begin every `hop` samples."""
+    return hop * np.arange(count)[:, None] + np.arange(window)
+
+
 def _spectra(sound: Samples, window: int, hop: int) -> NDArray[np.complex64]:
     """[window / 2 + 1, T] of the windows that begin every `hop` samples. The same numbers as of librosa's stft, whose
     checks cost five times as much as the arithmetic for so few windows."""
     from scipy import fft
 
-    windows = np.lib.stride_tricks.sliding_window_view(sound, window)[::hop].T
-    return np.asfortranarray(fft.rfft(_hann(window) * windows, axis=0).astype(np.complex64))
+    windows = sound[_places(window, hop, 1 + (len(sound) - window) // hop)]
+    return fft.rfft(windows * _hann(window), axis=1).astype(np.complex64).T
 
 
 def _covered(window: int, hop: int) -> Array:

@@ -34,10 +34,10 @@ from eval.encode import latents_of
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.diversity import nearest_lexemes
 from eval.probes import style_editing
+from eval.row_context import SHOWN_SEED, AblationContext
 from eval.rows import OURS, PERFORMER, REAL_TAKE, TABLES
 from eval.rows.rg import SIZES
 from eval.rows.row import COLUMNS, PAPERS_DELTA
-from eval.runner import SHOWN_SEED, AblationContext
 from eval.table import dumps, loads
 from gesticulator import config as configs
 from gesticulator.pipeline import Gesticulator
