@@ -155,7 +155,8 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     body = p.add_argument_group("whose body", "A character of yours, from Mixamo, VRM, Unreal, Blender or elsewhere; "
                                 "see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE", help="move this character: .bvh, .glb, .gltf, .vrm, or .fbx where "
-                      "Blender is installed; she stands on her legs, unless --seated leaves them and her hips alone")
+                      "Blender is installed; she stands on her legs, unless she sits in the file or --seated leaves "
+                      "them and her hips alone")
     body.add_argument("--mapping", metavar="FILE.json", help="which of her nodes is which joint, where they are not "
                       "found by themselves")
     body.add_argument("--save-mapping", metavar="FILE.json", help="write what was found, to look at or to correct")
@@ -312,7 +313,11 @@ def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
     from gesticulator.retarget import Retargeter
 
     character, mapping = choose(asked.character, asked.mapping, asked.save_mapping)
-    return Retargeter(character, mapping, contacts=not asked.no_contacts, legs=not asked.seated)
+    legs = False if asked.seated else True if asked.legs else None
+    made = Retargeter(character, mapping, contacts=not asked.no_contacts, legs=legs)
+    if legs is None and not made.legs and not asked.quiet:
+        complain(f"{PROGRAM}: {asked.character}: sits, so hips and legs stay as they are; --legs lets her stand")
+    return made
 
 
 def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls: Controls | None = None,
@@ -323,7 +328,7 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
             return _perform_long(job, sound, system, asked, controls)
         speech = _heard(job, asked, sound)
     begin = time.perf_counter()
-    stands = retargeter is not None and retargeter.mapping.legs and not asked.seated
+    stands = retargeter is not None and retargeter.mapping.legs and retargeter.legs
     made = replace(performed(job, speech, system, asked, controls, asked.legs or stands), sound_name=job.name)
     if retargeter is not None:
         made = replace(made, character=retargeter(made.motion))

@@ -114,10 +114,11 @@ class Retargeter:
     """
 
     def __init__(self, character: Character, mapping: RigMapping | None = None, *, contacts: bool = True,
-                 legs: bool = True) -> None:
+                 legs: bool | None = None) -> None:
         """mapping: found by name, tree and geometry when not told. contacts: keep hands out of the trunk.
 
-        legs: False leaves hips and legs as they are at rest (somebody who sits).
+        legs: False leaves hips and legs as they are at rest (somebody who sits), True lets her stand; when not told she
+        stands unless she sits in her file.
         `InputError` where the character has no body, or one that can only be guessed.
         """
         from gesticulator.characters.joints import find_joints
@@ -125,8 +126,8 @@ class Retargeter:
         self.character = character
         self.mapping = mapping or find_joints(character)
         check(self.mapping, character)
-        self.contacts, self.legs = contacts, legs
         self.body: Body = measure(character, self.mapping)
+        self.contacts, self.legs = contacts, not self.body.sits if legs is None else legs
 
     def __call__(self, motion: Motion) -> CharacterMotion:
         """The motion on the character. ValueError for a motion that is not on one of our skeletons."""
@@ -259,8 +260,8 @@ def reach_with_leg(turns: dict[int, Array], body: Body, mapping: RigMapping, sid
 
 
 def retarget(motion: Motion | Performance, character: Character | str | os.PathLike[str],
-             mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True, legs: bool = True
-             ) -> CharacterMotion:
+             mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True,
+             legs: bool | None = None) -> CharacterMotion:
     """A motion, or a performance's, on a character; see `Retargeter`.
 
     character: what `read_character` gives, or a file. mapping: a `RigMapping`, or a file as `save_mapping` writes it.

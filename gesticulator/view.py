@@ -100,11 +100,13 @@ def _character(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     if asked.character is None:
         return {}, False
     from gesticulator.characters.choice import choose
+    from gesticulator.characters.frames import measure
     from gesticulator.export.html import character_data
 
     character, mapping = choose(asked.character, asked.mapping, asked.save_mapping)
     joints = {joint: character.node_ids[node] for joint, node in mapping.named().items()}
-    return character_data(character.path, joints), mapping.legs and not asked.seated
+    sits = asked.seated or (not asked.legs and measure(character, mapping).sits)
+    return character_data(character.path, joints), mapping.legs and not sits
 
 
 def _takes(system: Gesticulator, job: Job, asked: argparse.Namespace, legs: bool) -> dict[str, Performance]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -226,6 +227,49 @@ def test_somebody_who_sits_keeps_legs_and_hips() -> None:
     for name in ("Hips", "LeftUpLeg", "LeftLeg", "RightFoot"):
         assert np.allclose(moved.rotations[:, rig.truth[name]], rig.character.rotations[rig.truth[name]])
     assert not np.allclose(moved.rotations[:, rig.truth["LeftArm"]], rig.character.rotations[rig.truth["LeftArm"]])
+
+
+def seated_file(rig: Rig, path: Path) -> Path:
+    """The rig as a GLB that stands in another pose than its mesh was bound in: thighs level, shins down."""
+    world, turned = rig.character.world_turns(), {}
+    level = rig.axes.T @ Rotation.from_euler("X", -80.0, degrees=True).as_matrix() @ rig.axes
+    for side in ("Left", "Right"):
+        thigh, shin = (rig.truth[side + part] for part in ("UpLeg", "Leg"))
+        above = world[rig.character.parents[thigh]]
+        turned[thigh] = above.T @ level @ world[thigh]
+        turned[shin] = (level @ world[thigh]).T @ world[shin]
+    path.write_bytes(as_glb(rig, {node: Rotation.from_matrix(turn).as_quat(scalar_first=True)
+                                  for node, turn in turned.items()}))
+    return path
+
+
+@pytest.mark.parametrize("style", ["mixamo", "rocketbox", "vrm table"])
+def test_somebody_who_sits_in_her_file_keeps_legs_and_hips_unless_told(style: str, tmp_path: Path) -> None:
+    rig = draw(4, style, "A")
+    sitting = read_character(seated_file(rig, tmp_path / "sits.glb"))
+    (tmp_path / "stands.glb").write_bytes(as_glb(rig))
+    assert Retargeter(read_character(tmp_path / "stands.glb")).legs
+    kept = Retargeter(sitting)
+    assert not kept.legs
+    moved = kept(motion_of())
+    assert moved.translations is None
+    for name in ("Hips", "LeftUpLeg", "LeftLeg", "RightFoot"):
+        np.testing.assert_allclose(moved.rotations[:, rig.truth[name]], np.tile(
+            sitting.rotations[rig.truth[name]], (len(moved), 1)), atol=1e-9)
+    up = Retargeter(sitting, legs=True)(motion_of())
+    places = up.world_matrices()[..., :3, 3] @ rig.axes.T
+    thigh = places[:, rig.truth["LeftLeg"]] - places[:, rig.truth["LeftUpLeg"]]
+    assert (thigh[:, 1] < -0.8 * np.linalg.norm(thigh, axis=-1)).all()
+
+
+def test_the_command_tells_of_somebody_who_sits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parser = argparse.ArgumentParser()
+    infer.arguments(parser)
+    file = str(seated_file(draw(4, "mixamo", "A"), tmp_path / "sits.glb"))
+    for told, legs in (([], False), (["--legs"], True), (["--seated"], False)):
+        made = infer._retargeter(parser.parse_args(["a.wav", "--character", file, *told]))
+        assert made is not None and made.legs is legs
+        assert ("sits.glb: sits" in capsys.readouterr().err) is (not told)
 
 
 def test_a_performance_is_saved_on_a_character(tmp_path: Path) -> None:

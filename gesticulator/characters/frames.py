@@ -35,6 +35,8 @@ _LENGTH = 0.6
 """Metres from hips to head of an adult."""
 _SUNK = 0.2
 """Share of her height that the feet of a BVH character are under 0, for her to be meant standing on 0."""
+_AHEAD, _DOWN = float(np.cos(np.radians(50.0))), float(np.cos(np.radians(60.0)))
+"""How near thighs are to straight ahead, and shins to down, where somebody sits."""
 _KNUCKLES = (("Index", "Pinky"), ("Index", "Ring"), ("Middle", "Pinky"), ("Index", "Middle"), ("Middle", "Ring"))
 """Fingers whose first joints give the direction across the palm, the best first."""
 
@@ -74,6 +76,17 @@ class Body:
     leg_ratio: float
     segments: tuple[BoneSegment, ...]
     leg_nodes: frozenset[int]
+
+    @property
+    def sits(self) -> bool:
+        """Whether she sits in the pose that her file stands in: thighs ahead and about level, shins down."""
+        def way(above: str, below: str) -> Array:
+            bone = self.rest_places[self.mapping.joints[below]] - self.rest_places[self.mapping.joints[above]]
+            return np.asarray(bone / max(float(np.linalg.norm(bone)), 1e-9))
+
+        return self.mapping.legs and all(
+            way(side + "UpLeg", side + "Leg")[2] > _AHEAD and way(side + "Leg", side + "Foot")[1] < -_DOWN
+            for side in SIDES)
 
     def place(self, turns: Mapping[int, Array], node: int) -> Array:
         """[T, 3] where a node under the hips is, from the hips, metres; turns: node -> [T, 3, 3] its axes to ours.
