@@ -7,6 +7,8 @@ other work on the machine counts little. Then tasks that sleep, whose time does 
 for what a task costs; of a quarter of a second by one worker and two; and of three seconds with one worker of two ten
 times slower.
 
+load: of the machine, before and in the end (mean of five minutes); walls are of use where it is below 1.
+
 The recording is a speech over and over (`--speech`), at its own rate. Each length is done by a process of its own;
 seconds: of its processor time; peak: MB that it held at most, the interpreter, torch and the models included.
 """
@@ -187,6 +189,7 @@ def main() -> None:
     p.add_argument("--add", action="store_true", help="memory: keep what the file has of other lengths and formats")
     asked = p.parse_args()
     rows: list[dict[str, Any]] = []
+    before = os.getloadavg()[0]
     if asked.what == "ray":
         rows = ray_rows(asked.speech, asked.clips)
         print("\n".join(map(json.dumps, rows)), flush=True)
@@ -201,7 +204,8 @@ def main() -> None:
             rows = sorted([row for row in known if (row["minutes"], row["format"]) not in new] + rows,
                           key=lambda row: (row["format"], row["minutes"]))
         found = {"machine": platform.processor() or platform.machine(), "python": platform.python_version(),
-                 "numpy": np.__version__, "what": asked.what, "rows": rows}
+                 "numpy": np.__version__, "load": [round(one, 1) for one in (before, os.getloadavg()[1])],
+                 "what": asked.what, "rows": rows}
         asked.out.write_text(json.dumps(found, indent=1) + "\n")
 
 

@@ -124,6 +124,7 @@ def main() -> None:
             rows.append(one(Store.open(asked.store), settings(asked.steps), Path(folder), hours, asked.memory))
             print(json.dumps(rows[-1]), flush=True)
     if asked.out:
+        rows.sort(key=lambda row: float(row["hours"]))
         asked.out.write_text(json.dumps({"machine": platform.machine(), "python": platform.python_version(),
                                          "steps": asked.steps, "rows": rows}, indent=1) + "\n")
 

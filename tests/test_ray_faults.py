@@ -28,8 +28,8 @@ from gesticulator.batch import TaskOutcome
 from gesticulator.manifest import DONE, FAILED, read_manifest
 
 pytest.importorskip("ray", reason="Ray is not installed: pip install 'gesticulator[scale]'")
-if os.name == "nt":
-    pytest.skip("processes are ended otherwise", allow_module_level=True)
+if not Path("/proc/self/stat").exists():
+    pytest.skip("processes are looked up as on Linux", allow_module_level=True)
 from gesticulator import ray_pool
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -71,6 +71,28 @@ def begun(folder: Path) -> tuple[int, subprocess.Popen[bytes]]:
             os.killpg(head.pid, signal.SIGKILL)
         head.wait()
     pytest.fail(said.read_text())
+
+
+def end_head(head: int) -> None:
+    """Kill the head of a cluster, and wait until its workers, whom nobody kills, have noticed."""
+    parents, below = {}, {head}
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            parents[int(file.parent.name)] = int(file.read_text().rpartition(")")[2].split()[1])
+    while more := {pid for pid, parent in parents.items() if parent in below} - below:
+        below |= more
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(head, signal.SIGKILL)
+    deadline = time.monotonic() + 120
+    while any(_lives(pid) for pid in below) and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +212,7 @@ def test_a_head_that_is_killed_is_told_and_the_next_run_goes_on(head: tuple[str,
                                                                 plain: dict[str, bytes], tmp_path: Path) -> None:
     out = tmp_path / "store"
     # A worker has one recording at a time, so two are left when the workers have noticed.
-    lost = build(source, out, head[0], noting=f"import time; os.killpg({head[1]}, 9); time.sleep(5)")
+    lost = build(source, out, head[0], noting=f"import test_ray_faults as own; own.end_head({head[1]})")
     assert lost.returncode == EXIT_BAD_INPUT and not out.exists()
     said = lost.stderr.strip().splitlines()
     assert [line for line in said if line.startswith("gesticulator: --ray")] == said[-1:] and "is lost" in said[-1]
