@@ -122,12 +122,13 @@ def test_workers_share_a_port_and_a_dead_one_is_replaced() -> None:
 
         for again in asyncio.run(two_at_once()):
             np.testing.assert_array_equal(joined(again), first, "the same seed, whoever answers")
-        short = speech(0.3)
-        for _ in range(200):  # who takes a connection is the system's choice, and workers tell each other every second
-            if all(_heard(at.get("/metrics")).values()):
+        short, heard = speech(0.3), dict[str, float]()
+        for _ in range(200):  # who takes a connection is the system's choice
+            heard = _heard(at.get("/metrics"))
+            if all(heard.values()):
                 break
             asyncio.run(talk(at.port, short))
-        assert all(_heard(at.get("/metrics")).values()), "both work"
+        assert all(heard.values()), "both work, as one of them tells at least: the other learns of it within a second"
         children = _children(at.process.pid)
         assert len(children) >= 2
         victim = _worker_of(children)
