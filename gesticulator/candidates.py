@@ -1,6 +1,8 @@
 """Which of several drawn blocks is kept: of those that show the lexeme the one most in time, that joins on smoothly and
 is nearest to what is asked of the hands.
 
+- Not thrown: a candidate in which a hand gets faster than people's hands do counts only where all do. The corpus has
+  leaps, one frame in a thousand, and what learns from it draws one now and then.
 - In time: the hands' braking b(t) = max(0, -ds/dt), where s is the summed speed of both, lies near the onsets of the
   block's sound. The figure is sum b w / (sum b + b0), where w(t) is a Gaussian of the time to the nearest onset, and b0
   keeps what hardly moves from counting.
@@ -34,6 +36,8 @@ _NEAR = 0.05
 """Seconds: the deviation of w. Half of what the measures of timing forgive."""
 _STILL = 3.0
 """Summed braking (m/s^2 over a block's frames) of hands that hardly move: b0."""
+FASTEST = 3.5
+"""m/s: the hands of the real takes stay under 3.1 in 99 of 100 seconds."""
 _SEAM = 0.02
 """Seconds at the start of a block in which braking does not count: a jolt at the seam is no beat."""
 _BEFORE = 4
@@ -64,15 +68,17 @@ class CandidateChooser:
         """
         if len(blocks) == 1:
             return 0
-        most = int(nearer.min())
+        frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+        hands, times = self._hands(frames), self._times(speech, blocks.shape[1])
+        likely = not_thrown(hands, times)
+        most = int(nearer[likely].min())
         if asked is not None and self._settings.as_asked:
             most = max(most, _ASKED_RANK)
-        allowed = np.flatnonzero(nearer <= most)
+        allowed = likely[nearer[likely] <= most]
         timed = bool(self._settings.timing) and len(speech.onsets) > 0
         if len(allowed) == 1 or not (timed or self._settings.seam or asked is not None):
             return int(allowed[nearer[allowed].argmin()])
-        frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(allowed), axis=0), blocks[allowed]], axis=1)
-        hands, times = self._hands(frames), self._times(speech, blocks.shape[1])
+        hands = hands[allowed]
         worth = -1e-3 * nearer[allowed].astype(np.float64)  # of equals the one that shows the lexeme best
         if timed:
             worth += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
@@ -113,6 +119,17 @@ class CandidateChooser:
             return np.zeros(len(hands))
         wanted, given = asked[:, :width].mean(0), asked[:, width:].mean(0)
         return np.asarray((np.abs((done - levels.mean) / levels.spread - wanted) * given).sum(-1))
+
+
+def not_thrown(hands: Array, times: Array) -> NDArray[np.int64]:
+    """The candidates whose hands stay under `FASTEST`, or else the slowest one.
+
+    hands: [C, T, 2, 3] metres at times [T] seconds, the frames before the block and its own.
+    """
+    speed = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])[:, None]
+    fastest = speed.max((1, 2))
+    slow = np.flatnonzero(fastest <= FASTEST)
+    return slow if len(slow) else np.array([fastest.argmin()])
 
 
 def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:

@@ -11,7 +11,7 @@ from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
 from eval import baselines
 from gesticulator.bundle import Bundle
-from gesticulator.candidates import CandidateChooser, in_time
+from gesticulator.candidates import FASTEST, CandidateChooser, in_time, not_thrown
 from gesticulator.cutter import encode_speech
 from gesticulator.features import SpeechBlock, control_rows, representation_of
 from gesticulator.pipeline import Gesticulator
@@ -71,6 +71,17 @@ def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(bu
     assert chooser.choose(speech, past, blocks, np.array([3, 0]), asked(0.0)) == 0
     assert chooser.choose(speech, past, blocks, np.array([0, 3]), asked(1.5)) == 1
     assert chooser.choose(speech, past, blocks, np.array([5, 0]), asked(0.0)) == 1, "it is not among the best five"
+
+
+def test_a_hand_that_is_thrown_counts_only_where_all_are() -> None:
+    times = np.arange(-3, 11) * 0.05
+
+    def hands(*speeds: float) -> Array:
+        way = np.outer(speeds, np.maximum(times, 0.0))[..., None, None] * np.array([1.0, 0.5])[:, None]
+        return np.concatenate([way, np.zeros((*way.shape[:3], 2))], axis=-1)
+
+    assert not_thrown(hands(1.0, FASTEST + 0.1, FASTEST - 0.1), times).tolist() == [0, 2]
+    assert not_thrown(hands(9.0, 5.0, 7.0), times).tolist() == [1], "the slowest of them"
 
 
 def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> None:
