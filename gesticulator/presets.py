@@ -77,7 +77,7 @@ def paper_ted() -> Config:
 def regression() -> Config:
     """The paper's lexicon and generator for two CPU cores: as `paper_trinity` but narrower, with fewer steps."""
     return Config(
-        name="regression", default_speaker="connor",
+        name="regression", default_speaker="conversation",
         schedules=Schedules(  # higher rates that fall, since there are few epochs
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
             generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
@@ -240,7 +240,7 @@ def racer_native() -> Config:
     """RACER's own form a quarter as wide, for two CPU cores, with far fewer steps at a higher rate."""
     trinity = racer_trinity()
     return dataclasses.replace(
-        trinity, name="racer-native", default_speaker="connor", front_end=FrontEndConfig(name="mel", bands=32),
+        trinity, name="racer-native", default_speaker="conversation", front_end=FrontEndConfig(name="mel", bands=32),
         motion=MotionConfig(least_deviation=0.1),
         schedules=dataclasses.replace(
             trinity.schedules,

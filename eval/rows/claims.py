@@ -4,8 +4,10 @@ A claim says that one row's figure lies above (or below) another's, or that both
 seeds and clips are subtracted; the mean difference has a 95 % interval by the bootstrap, seeds and clips both drawn
 anew. The claim holds when the whole interval lies on its side, does not hold when it lies on the other, and is
 undecided between. One that says "alike" holds when the interval lies within `ALIKE` of zero. Fewer than three seeds
-decide nothing, whatever the interval. Three claims are answered by probes (`PROBED`): they are of one bundle, with
-intervals over clips alone, and hold when all of several intervals lie on their side.
+decide nothing, whatever the interval. Beside each claim stands what could have been seen: the least true difference
+that four of five such experiments would decide (`detectable`). What is undecided may be any smaller one. Three claims
+are answered by probes (`PROBED`): they are of one bundle, with intervals over clips alone, and hold when all of several
+intervals lie on their side.
 
 What fools it: no correction is made for the number of claims (one in forty that is false will seem to hold); three
 seeds are few, and their bootstrap is narrow; a part that does nothing on this corpus may matter on another.
@@ -13,8 +15,10 @@ seeds are few, and their bootstrap is narrow; a part that does nothing on this c
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 
@@ -30,6 +34,7 @@ HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 ALIKE = 5.0
 """How far apart two shares of PMB, in percent, may lie and still be called alike."""
 RACER_TABLE = "RACER Table 2"
+_CONFIDENCE, _POWER = (NormalDist().inv_cdf(share) for share in (0.975, 0.8))
 _PAPERS_KEY = {"pmb_above_chance": "pmb", "judge_return": "return"}
 """Columns that stand for one of the paper's of another name."""
 _COLUMNS: dict[str, RowColumn] = {**{key: own for part in DECISIONS.values() for key, own in part.items()}, **COLUMNS}
@@ -145,6 +150,14 @@ def decided(difference: stats.Interval, says: str) -> str:
     return HOLDS if right else FAILS if wrong else UNDECIDED
 
 
+def detectable(difference: stats.Interval) -> float:
+    """The least true difference whose 95 % interval would leave zero out in four of five experiments as precise.
+
+    (z(0.975) + z(0.8)) standard errors, where the interval is as wide as 2 z(0.975) of them (a normal estimate).
+    """
+    return (difference.high - difference.low) / 2 * (1 + _POWER / _CONFIDENCE)
+
+
 def judged(claim: Claim, cells: Cells) -> Verdict:
     """Whether a claim holds for these cells."""
     if claim.needs:
@@ -209,14 +222,17 @@ def claims_table(cells: Cells, results: Path | None = None) -> Table:
         rows[str(number)] = {
             "where": claim.where, "claim": claim.sentence, "paper": papers_numbers(claim),
             "difference": found.difference.text(digits) if found.difference else None,
+            "detectable": f"{least:.{digits}f}" if found.difference and math.isfinite(
+                least := detectable(found.difference)) else None,
             "pairs": f"{found.seeds}, {found.clips}" if found.difference else None,
             "verdict": found.verdict + (f" ({found.reason})" if found.reason else "")}
     columns = {key: Column(title) for key, title in (
         ("where", "where"), ("claim", "claim"), ("paper", "the paper's figures"), ("difference", "difference here"),
-        ("pairs", "seeds, clips"), ("verdict", ""))}
+        ("detectable", "could be seen from"), ("pairs", "seeds, clips"), ("verdict", ""))}
     facts = [{**asdict(claim), "sentence": claim.sentence, "paper": papers_numbers(claim), **asdict(found)}
              for claim, found in zip(CLAIMS, verdicts, strict=True)]
     return Table("Claims", columns, rows, "", [
         f"{count[HOLDS]} claims hold, {count[FAILS]} do not, {count[UNDECIDED]} are undecided. Differences are paired, "
-        "with bootstrap 95 % intervals over seeds and clips. The papers' figures are of other data: compare the "
-        "order."], {"claims": facts, "count": count})
+        "with bootstrap 95 % intervals over seeds and clips; a true difference of the size that could be seen is "
+        "decided in four of five such experiments. The papers' figures are of other data: compare the order."],
+        {"claims": facts, "count": count})
