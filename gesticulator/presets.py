@@ -244,9 +244,9 @@ def racer_native() -> Config:
         motion=MotionConfig(least_deviation=0.1),
         schedules=dataclasses.replace(
             trinity.schedules,
-            lexicon=FitSettings(steps=800, batch=32, rate=1e-3, schedule="cosine"),
+            lexicon=FitSettings(steps=2_400, batch=32, rate=1e-3, schedule="cosine"),
             reward=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
-            cql=FitSettings(steps=500, batch=32, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
+            cql=FitSettings(steps=1_000, batch=32, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
                             weight_decay=0.01)),
         selection=SelectionConfig(q_temperature=1.0),  # the best code of so short a training is one resting code
         # A mixture, as in `default`, but without the supervised interpreter, of which there is none over these codes.

@@ -45,21 +45,23 @@ def lexeme_speeds(corpus: Corpus, labels: NDArray[np.int64], size: int, config: 
     Measured on the blocks themselves (up to `most` of each lexeme): what the decoder makes of a lexeme is a mean, and
     its small errors from frame to frame look like movement. A lexeme without blocks counts as infinitely fast.
     """
-    representation, fps = representation_of(config), config.rhythm.fps
     train = corpus.select("train")
     speeds = np.full(size, np.inf)
     for lexeme in range(size):
         blocks = train[labels[train] == lexeme]
         blocks = blocks[:: max(1, len(blocks) // most)][:most]
         if len(blocks):
-            speeds[lexeme] = np.mean([_block_speed(corpus, int(block), representation, fps) for block in blocks])
+            speeds[lexeme] = _speed(corpus, blocks, representation_of(config), config.rhythm.fps)
     return speeds
 
 
-def _block_speed(corpus: Corpus, block: int, representation: Representation, fps: float) -> float:
-    poses = corpus.statistics.denormalise(corpus.motion[block].double().numpy(),
-                                          int(corpus.speaker_of[corpus.recording[block]]))
-    moved = np.diff(positions_of(representation.motion(poses, fps)), axis=0)
+def _speed(corpus: Corpus, blocks: NDArray[np.int64], representation: Representation, fps: float) -> float:
+    """Mean over blocks [B] of the same length, all of whose joints are placed at once."""
+    speakers = corpus.speaker_of[corpus.recording[blocks]]
+    poses = np.stack([corpus.statistics.denormalise(corpus.motion[int(block)].double().numpy(), int(speaker))
+                      for block, speaker in zip(blocks, speakers, strict=True)])
+    places = positions_of(representation.motion(poses.reshape(-1, poses.shape[-1]), fps))
+    moved = np.diff(places.reshape(*poses.shape[:2], *places.shape[1:]), axis=1)
     return float(np.linalg.norm(moved, axis=-1).mean() * fps)
 
 
