@@ -4,11 +4,12 @@
                        [--units STORE] [--split test] [--piece SECONDS] [--rate FPS] [--fps NAME=RATE]
                        [--out results/score.json]
 
-Every DIR holds motion by clip (see `eval.foreign` for what can be read), or is a store, of which one split counts;
-clips are matched by their names, only those that all have are read, and what does not match is named. All motion is
-brought onto the 16-joint character, to the lowest frame rate among them (or --rate) and, clip by clip, to the shortest
-length. Each figure is a mean over clips with its bootstrap 95 % interval, or of the set of clips, with the basic
-bootstrap's; systems are compared in pairs over the same clips. `eval.metrics.METRICS` lists the figures.
+Every DIR holds motion by clip (see `eval.foreign` for what can be read), or is a store, of which one split counts, or a
+bundle, which is played for the sounds of the truth; clips are matched by their names, only those that all have are
+read, and what does not match is named. All motion is brought onto the 16-joint character, to the lowest frame rate
+among them (or --rate) and, clip by clip, to the shortest length. Each figure is a mean over clips with its bootstrap 95
+% interval, or of the set of clips, with the basic bootstrap's; systems are compared in pairs over the same clips.
+`eval.metrics.METRICS` lists the figures.
 
 Beside the systems stand rows of motion known to be wrong (`eval.baselines`), made of the truth: shuffled among the
 speeches, played backwards, with 2 cm of jitter, with the right arm's motion on both arms, the mean pose of each clip,
@@ -57,6 +58,7 @@ from eval.metrics.evaluate import (
 from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_features, load, networks, pooled, published
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
+from eval.played_rows import PlayedBundle, unit_selection_row
 from eval.score_tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
 from eval.stats import Indices, Interval
 from eval.table import Marked, publish
@@ -390,30 +392,20 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
     unknown = sorted(set(rates) - {TRUTH, *systems})
     if unknown:
         raise InputError(f"--fps {unknown[0]}", "names no system", f"choose among {', '.join((TRUTH, *systems))}")
-    places = {TRUTH: arguments.truth, **{name: Path(place) for name, place in systems.items()}}
+    played = {name: bundle for name, place in systems.items() if (bundle := PlayedBundle.named(place))}
+    places = {TRUTH: arguments.truth,
+              **{name: Path(place) for name, place in systems.items() if name not in played}}
     names, notes = shared_names({name: names_in(place, arguments.split) for name, place in places.items()})
     folders: dict[str, dict[str, Clip]] = {}
     for name, place in places.items():
         folders[name], left_out = read_folder(place, arguments.speech, rates.get(name), names, arguments.split)
         notes += [f"{name}: {one}" for one in left_out]
+    folders |= {name: bundle.row(folders[TRUTH], arguments.seed) for name, bundle in played.items()}
     silent = [name for name in names if all(clips[name].speech is None for clips in folders.values())]
     if silent and arguments.speech is not None:
         raise InputError(arguments.speech, f"has no sound for {listed(silent, 3)}",
                          "put a sound of that name there, or leave --speech out")
     return folders, notes
-
-
-def unit_selection_row(truth: Mapping[str, Clip], store: Store, work: Path | None, seed: int) -> dict[str, Clip]:
-    """What unit selection makes of the truth's speech; InputError for a clip without speech."""
-    from eval.unit_selection import UnitDatabase, UnitSelection
-
-    units = UnitSelection(UnitDatabase.of(store, work=work))
-    row = {}
-    for name, clip in truth.items():
-        if clip.speech is None:
-            raise InputError(name, "has no sound to select units by", "give --speech, or leave --units out")
-        row[name] = replace(clip, motion=units(clip.speech, seed=seed).motion)
-    return row
 
 
 def _positive(what: str, value: str) -> float:
@@ -430,7 +422,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator score` takes."""
     add = parser.add_argument
     add("--truth", type=Path, required=True, metavar="DIR", help="the speakers' own motion, or a store")
-    add("--system", action="append", required=True, metavar="NAME=DIR", help="may be given many times")
+    add("--system", action="append", required=True, metavar="NAME=DIR", help="motion files, or a "
+        "bundle (shipped: the one that comes along) that is played for the truth's sounds: NAME=BUNDLE:INTERPRETER; "
+        "may be given many times")
     add("--speech", type=Path, metavar="DIR", help="where the sounds lie (default: beside the motion)")
     add("--fgd", type=Path, metavar="FOLDER", help="the Human3.6M network of the papers")
     add("--work", type=Path, metavar="DIR", help="our own networks of gesture features are stored there; the work "

@@ -34,12 +34,14 @@ from eval.judges import with_judges
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.gesture_features import RawFeatures
+from eval.played_rows import PlayedBundle
 from eval.reward_probe import RewardProbe
 from eval.score import flags, mean_of
 from eval.score_tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, load, save
 from gesticulator import bundle as bundles
+from gesticulator.pipeline import Gesticulator
 from gesticulator.stages.corpus import prepare
 from gesticulator.stages.lexicon import token_labels
 
@@ -381,6 +383,28 @@ def test_of_a_store_only_what_is_compared_is_read(tiny_store: Path, tmp_path: Pa
     assert set(folders["ours"]) == {info.name, learned.name}
     with pytest.raises(InputError, match="no clip in common"):
         score.read_all(asked(tiny_store, [f"ours={ours}"], split="val"))
+
+
+def test_a_bundle_as_a_system_is_what_it_writes_for_the_truths_sounds(tiny_store: Path, tiny_bundle: Path,
+                                                                      tmp_path: Path) -> None:
+    store = Store.open(tiny_store)
+    (info, *_) = store.of_split("test")
+    recording, system = store.load(info.name), Gesticulator.from_pretrained(tiny_bundle)
+    for chooser in ("lstm", "statistical"):
+        (tmp_path / chooser).mkdir()
+        made = system(recording.speech, speaker=info.speaker, interpreter=chooser, seed=3)
+        write_bvh(tmp_path / chooser / f"{info.name}.bvh", made.motion)
+    folders, _ = score.read_all(asked(tiny_store, [f"first={tiny_bundle}", f"other={tiny_bundle}:statistical",
+                                                   *(f"{name}={tmp_path / name}" for name in ("lstm", "statistical"))],
+                                      seed=3))
+    played = {name: clips[info.name].motion for name, clips in folders.items() if name != TRUTH}
+    for name, written in (("first", "lstm"), ("other", "statistical")):
+        assert played[name].skeleton.names == played[written].skeleton.names
+        assert degrees(played[name], played[written]).max() < 0.01, "as it is written to a file and read"
+    assert degrees(played["first"], played["other"]).max() > 1, "another interpreter, other gestures"
+    clips, _ = foreign.read_folder(tiny_store)
+    with pytest.raises(InputError, match="has no sound to gesture to"):
+        PlayedBundle(tiny_bundle).row({name: replace(clip, speech=None) for name, clip in clips.items()}, 0)
 
 
 def test_a_speech_folder_without_the_sound_is_an_error(truth: dict[str, Clip], tmp_path: Path) -> None:
