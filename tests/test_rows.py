@@ -376,6 +376,19 @@ def test_what_could_be_seen_is_seen_in_four_of_five_experiments() -> None:
     assert np.mean(decided) == pytest.approx(0.8, abs=0.07)
 
 
+def test_an_interval_may_leave_out_half_of_the_papers_effect() -> None:
+    cells = fgd_cells(ours=[[1.0, 2.0]] * 3, no_style=[[2.0, 6.0]] * 3)
+    half = claims.half_of_the_papers(LOWER, cells)
+    assert half == pytest.approx((10.78 - 12.53) / 12.53 / 2 * 4.0), "Table 1 on Trinity, as a share of 4 here"
+    points = Claim("RG Table 1", OURS, "no-lexemes", "pmb_above_chance")
+    assert claims.half_of_the_papers(points, {}) == pytest.approx((91.36 - 85.74) / 2)
+    assert claims.half_of_the_papers(Claim("RG Fig. 18", "size-100", "size-10", "fgd", "below"), cells) is None
+    for low, high, out in ((-0.2, 0.3, True), (-0.3, 0.3, False), (-0.9, -0.5, False), (0.1, 0.2, True)):
+        found = Interval((low + high) / 2, low, high, 9)
+        assert claims.leaves_out(found, -0.28) is out
+        assert claims.leaves_out(Interval(-found.mean, -high, -low, 9), 0.28) is out
+
+
 def test_fewer_than_three_seeds_or_no_figure_decide_nothing() -> None:
     found = claims.judged(LOWER, fgd_cells(ours=[[1.0] * 9] * 2, no_style=[[2.0] * 9] * 3))
     assert found.verdict == UNDECIDED and found.reason == "2 of 3 seeds"
