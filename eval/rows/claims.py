@@ -164,8 +164,8 @@ def half_of_the_papers(claim: Claim, cells: Cells) -> float | None:
     """Half of the difference that the paper prints (on Trinity), in this table's units; None where it prints none.
 
     Distances and variances are other numbers on other data, so theirs is a share of `second`'s figure here; shares of
-    PMB, points of accuracy and nats are taken as they stand (a point of the paper's PMB, which counts from zero, would be
-    more than one above chance, so this half is rather too small).
+    PMB, points of accuracy and nats are taken as they stand (a point of the paper's PMB, which counts from zero, would
+    be more than one above chance, so this half is rather too small).
     """
     key = _PAPERS_KEY.get(claim.metric, claim.metric)
     figures = [_paper(claim.where, row, key)[0] for row in (claim.first, claim.second)]
