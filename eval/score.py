@@ -393,6 +393,8 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
     if unknown:
         raise InputError(f"--fps {unknown[0]}", "names no system", f"choose among {', '.join((TRUTH, *systems))}")
     played = {name: bundle for name, place in systems.items() if (bundle := PlayedBundle.named(place))}
+    for name in sorted(set(rates) & set(played)):
+        raise InputError(f"--fps {name}", "is for motion files, and a bundle is played at its own rate", "leave it out")
     places = {TRUTH: arguments.truth,
               **{name: Path(place) for name, place in systems.items() if name not in played}}
     names, notes = shared_names({name: names_in(place, arguments.split) for name, place in places.items()})

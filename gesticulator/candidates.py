@@ -68,8 +68,7 @@ class CandidateChooser:
         """
         if len(blocks) == 1:
             return 0
-        frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
-        hands, times = self._hands(frames), self._times(speech, blocks.shape[1])
+        hands, times = self._moved(speech, past, blocks)
         likely = not_thrown(hands, times)
         most = int(nearer[likely].min())
         if asked is not None and self._settings.as_asked:
@@ -87,6 +86,15 @@ class CandidateChooser:
         if asked is not None:
             worth -= self._settings.as_asked * self._away(hands, times, asked)
         return int(allowed[worth.argmax()])
+
+    def throws(self, speech: SpeechBlock, past: Array, blocks: Array) -> bool:
+        """Whether a hand gets faster than `FASTEST` in every candidate; shapes as in `choose`."""
+        return bool((fastest(*self._moved(speech, past, blocks)) > FASTEST).all())
+
+    def _moved(self, speech: SpeechBlock, past: Array, blocks: Array) -> tuple[Array, Array]:
+        """Hands [C, T, 2, 3] metres of the last frames before a block and of its candidates, at times [T]."""
+        frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+        return self._hands(frames), self._times(speech, blocks.shape[1])
 
     def _hands(self, frames: Array) -> Array:
         """[C, T, 2, 3] metres, the right hand first, of features [C, T, D_m]."""
@@ -121,15 +129,20 @@ class CandidateChooser:
         return np.asarray((np.abs((done - levels.mean) / levels.spread - wanted) * given).sum(-1))
 
 
-def not_thrown(hands: Array, times: Array) -> NDArray[np.int64]:
-    """The candidates whose hands stay under `FASTEST`, or else the slowest one.
+def fastest(hands: Array, times: Array) -> Array:
+    """[C] m/s, the greatest speed of a hand in each block.
 
     hands: [C, T, 2, 3] metres at times [T] seconds, the frames before the block and its own.
     """
     speed = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])[:, None]
-    fastest = speed.max((1, 2))
-    slow = np.flatnonzero(fastest <= FASTEST)
-    return slow if len(slow) else np.array([fastest.argmin()])
+    return np.asarray(speed.max((1, 2)))
+
+
+def not_thrown(hands: Array, times: Array) -> NDArray[np.int64]:
+    """The candidates whose hands stay under `FASTEST`, or else the slowest one; see `fastest`."""
+    speeds = fastest(hands, times)
+    slow = np.flatnonzero(speeds <= FASTEST)
+    return slow if len(slow) else np.array([speeds.argmin()])
 
 
 def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:

@@ -158,17 +158,22 @@ class FlowDrawer:
         context, self.state = self.generator.contexts(given, added[None], self.state)
         if self.unseen:  # all but the states of what comes next
             return self.base * self.generator.present, past[:, :0, 0]
-        candidates, steps = self.chosen.candidates, self.chosen.flow_steps
-        pull = torch.tensor(gains, device=self.device)[:, None] * self.share
+        steps, pull = self.chosen.flow_steps, torch.tensor(gains, device=self.device)[:, None] * self.share
         if self.hurried:
             # One candidate, in few steps, without guidance. The states of what guides go on, for when there is time.
-            candidates, steps = 1, min(steps, HURRIED_STEPS)
-            context, pull = context[:1], pull[:0]
-        noise = self.keys.noise(speech.number, (candidates, self.generator.basis.width)).to(self.device) * self.noise
-        drawn = self.generator.draw(context[:, 0], pull, noise, steps)
-        made = (self.base + self.generator.basis.expand(drawn)) * self.generator.present
+            steps, context, pull = min(steps, HURRIED_STEPS), context[:1], pull[:0]
+            drawn, made = self._draw(speech.number, 1, context, pull, steps)
+            if not self.chooser.throws(speech, past[0].cpu().numpy(), made.cpu().numpy()):
+                return made, past[:, :0, 0]
+        drawn, made = self._draw(speech.number, self.chosen.candidates, context, pull, steps)
         best = self._best(speech, lexeme, drawn, made, past, features)
         return made[best:best + 1], past[:, :0, 0]
+
+    def _draw(self, number: int, candidates: int, context: Tensor, pull: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+        """Coefficients [C, n] of so many candidates for block `number`, and the blocks [C, K, D_m] that they make."""
+        noise = self.keys.noise(number, (candidates, self.generator.basis.width)).to(self.device) * self.noise
+        drawn = self.generator.draw(context[:, 0], pull, noise, steps)
+        return drawn, (self.base + self.generator.basis.expand(drawn)) * self.generator.present
 
     def _of_trunk(self, trunk: float) -> Tensor:
         """[n] this value for the coefficients of torso and head, 1 for the others."""

@@ -84,6 +84,19 @@ def test_a_hand_that_is_thrown_counts_only_where_all_are() -> None:
     assert not_thrown(hands(9.0, 5.0, 7.0), times).tolist() == [1], "the slowest of them"
 
 
+def test_a_throw_is_one_in_every_candidate(bundle: Bundle) -> None:
+    """An arm of half a metre or more that turns by five radians in half a second, and by one."""
+    statistics = bundle.statistics
+    skeleton = representation_of(bundle.config).motion(statistics.rest_pose[:1], 1.0).skeleton
+    rest = np.repeat(statistics.rest_pose[:1], FRAMES, axis=0)
+    raised = np.zeros_like(rest)
+    raised[:, 3 * skeleton.index("LeftArm") + 2] = np.arange(1, FRAMES + 1) / FRAMES
+    past, slow, fast = (statistics.normalise(rest + turned * raised, 0) for turned in (0.0, 1.0, 5.0))
+    chooser, speech = CandidateChooser(bundle, 0), block_of(np.zeros(0))
+    assert not chooser.throws(speech, past, slow[None]) and chooser.throws(speech, past, fast[None])
+    assert not chooser.throws(speech, past, np.stack([fast, slow]))
+
+
 def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> None:
     times = np.arange(-3, 11) * 0.05
 

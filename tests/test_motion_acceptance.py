@@ -395,12 +395,12 @@ def test_ranks_are_places_in_the_order_of_distance(blocks: int, size: int, seed:
 
 def test_obedience_is_a_share_of_all_blocks() -> None:
     obeyed = movements.obedience_clauses([np.array([0, 0, 0, 1]), np.array([0, 4])],
-                                         [np.zeros(4, int), np.ones(2, int)], ["a", "b"])
+                                         [np.zeros(4, int), np.ones(2, int)], ["a", "b"], np.array([], int))
     assert obeyed[0].value.mean == pytest.approx(4 / 6) and obeyed[0].holds is True
     assert obeyed[1].value.mean == 1.0 and obeyed[1].holds is True
-    blind = movements.obedience_clauses([np.arange(10)], [np.arange(10)], ["a"])
-    assert [clause.holds for clause in blind] == [False, False]
-    assert [clause.value.mean for clause in blind] == [0.1, 0.5]
+    blind = movements.obedience_clauses([np.arange(10)], [np.arange(10)], ["a"], np.arange(5, 9))
+    assert [clause.holds for clause in blind] == [False, False, None]
+    assert [clause.value.mean for clause in blind] == pytest.approx([0.1, 0.5, 5 / 6])
 
 
 def test_silent_lexemes_are_looked_at_after_another_silent_one() -> None:

@@ -23,6 +23,7 @@ from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from generator.flow_head import SamplingHead
 from gesticulator import stream as stream_module
+from gesticulator.candidates import CandidateChooser
 from gesticulator.cutter import BlockCutter
 from gesticulator.features import representation_of
 from gesticulator.pipeline import Gesticulator
@@ -33,8 +34,9 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FPS = 60.0
 SHORT = 2.83
 """Seconds of the pieces that are fed again and again: nine blocks, and no whole number of frames."""
-FASTEST, HARDEST = 3.5, 60.0
-"""m/s and m/s^2 that no hand passes at a seam; the same hands do up to 2.2 and 31 within a stroke."""
+FASTEST, HARDEST = 4.0, 60.0
+"""m/s and m/s^2 that no hand passes at a seam. Of a candidate's own frames, 20 a second, none is over 3.5 m/s from the
+one before; between them a hand may be a little faster."""
 HEAD_FASTEST, HEAD_HARDEST = 0.5, 8.0
 
 
@@ -260,6 +262,19 @@ def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
     chosen = system().bundle.config.selection
     assert edges[0] == edges[1]
     assert calls[0] >= 2 * chosen.flow_steps * chosen.candidates and calls[1] == 4
+
+
+def test_who_hurries_draws_again_what_throws_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    sound, counts = example()[:round(SHORT * SAMPLE_RATE)], []
+    chosen = system().bundle.config.selection
+    for thrown in (False, True):
+        monkeypatch.setattr(CandidateChooser, "throws", lambda *_, thrown=thrown: thrown)
+        stream = system().stream()
+        stream.hurried = True
+        with asked_of_the_head() as rows:
+            blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
+        counts.append(sum(rows) / len(blocks))
+    assert counts == [4, 4 * (1 + chosen.candidates)], "as many as when there is time, but without guidance"
 
 
 def test_what_nobody_sees_is_not_drawn_and_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

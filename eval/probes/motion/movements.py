@@ -203,9 +203,11 @@ def ranks_of(distances: Tensor, asked: Tensor) -> NDArray[np.int64]:
 
 
 def obedience_clauses(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDArray[np.int64]],
-                      groups: Sequence[str], bare: bool = False) -> list[Clause]:
-    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each. bare: of the generator alone,
-    which is shown and not judged."""
+                      groups: Sequence[str], silent: NDArray[np.int64], bare: bool = False) -> list[Clause]:
+    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each. Beside them, not judged, of
+    those that were asked for a gesture: where a silent lexeme is played, the layer of rest holds or sinks the hands
+    whatever was drawn, and the lexicon names that otherwise. bare: of the generator alone, which is shown and not
+    judged."""
     where = ", generator alone, without rest and life" if bare else ""
     sizes = [len(own) for own in ranks]
     every = np.concatenate(lexemes)
@@ -216,9 +218,15 @@ def obedience_clauses(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDAr
 
     told = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; asking for the most frequent one always "
             f"would reach {common:.2f}")
+    gestures = [~np.isin(own, silent) for own in lexemes]
+    among = stats.mean_interval([float((own[gesture] < BEST).mean()) if gesture.any() else float("nan")
+                                 for own, gesture in zip(ranks, gestures, strict=True)],
+                                [int(gesture.sum()) for gesture in gestures], groups=list(groups))
     return [Clause.judged(f"a drawn block is the lexeme that was asked for, share{where}", share(1),
                           ANY if bare else at_least(OBEYED), reason=told),
-            Clause.judged(f"it is among the best {BEST}, share{where}", share(BEST), ANY if bare else at_least(AMONG))]
+            Clause.judged(f"it is among the best {BEST}, share{where}", share(BEST), ANY if bare else at_least(AMONG)),
+            Clause.judged(f"the same of blocks whose lexeme is not a silent one{where}", among, ANY,
+                          reason=f"{sum(int(gesture.sum()) for gesture in gestures)} blocks")]
 
 
 def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> float:
@@ -295,4 +303,4 @@ def _obedience(ours: BundleSystem, voices: Sequence[AcceptanceVoice], made: Sequ
     speakers = [ours.gesticulator.speaker_index(ours.speaker(voice)) for voice in voices]
     ranks = [encode(ours.bundle, own, speaker) for own, speaker in zip(made, speakers, strict=True)]
     groups = [voice.group or voice.name for voice in voices]
-    return obedience_clauses(ranks, [own.lexemes for own in made], groups, bare)
+    return obedience_clauses(ranks, [own.lexemes for own in made], groups, ours.bundle.silent, bare)
