@@ -166,7 +166,7 @@ def default() -> Config:
         silence=SilenceConfig(rest="life", augmentation=0.0, mask=False, hint=False),
         # Chosen on the validation split, with the speaker: nearest to the corpus by the distance of its windows and by
         # the speeds of the hands, then in time and without seams.
-        selection=SelectionConfig(temperature=1.0, guidance=4.0, audio_guidance=1.0, lexeme_guidance=0.4, noise=1.0,
+        selection=SelectionConfig(temperature=1.3, guidance=4.0, audio_guidance=1.0, lexeme_guidance=0.4, noise=1.0,
                                   trunk_guidance=0.3, trunk_noise=0.72, interpreter_guidance=1.0, candidates=5,
                                   timing=1.5, seam=0.25, as_asked=2.0))
 
