@@ -144,6 +144,23 @@ def test_what_is_the_corpus_itself_is_as_the_corpus(space: ReferenceSpace) -> No
     assert named(own, "fingers moving").holds is None
 
 
+def test_halves_of_one_kind_are_near_and_of_two_kinds_far(space: ReferenceSpace) -> None:
+    rng = np.random.default_rng(3)
+
+    def recordings(*centres: float) -> EyeSample:
+        sample = EyeSample()
+        sample.windows += [rng.normal(centre, 1.0, (80, 40)) for centre in centres]
+        return sample
+
+    alike = seen.halves(recordings(*[0.0] * 6), space)
+    two = seen.halves(recordings(0.0, 3.0, 0.0, 3.0, 0.0, 3.0), space)
+    assert alike.n == two.n == 6 and two.low < two.mean < two.high
+    assert two.low > alike.high, "three of six cannot be half of each kind"
+    assert math.isnan(seen.halves(recordings(0.0), space).mean)
+    clause = seen.halves_clause(recordings(0.0, 3.0), space)
+    assert clause.holds is None and clause.value.mean > two.mean, "one against the other"
+
+
 def test_slow_and_frozen_motion_is_refused(space: ReferenceSpace) -> None:
     slow = judged([moved(20.0, 0.5 * np.ones(1200), seed) for seed in range(3)], space)
     assert all(named(slow, f"hand speed, {percent} % over").holds is False for percent in (25, 50, 75, 95, 99))

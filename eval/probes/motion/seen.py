@@ -30,6 +30,7 @@ PIECE, LEAST_PIECE = 20.0, 8.0
 MIDDLE, ENDS = 0.2, 0.4
 """How far the percentiles of hand speed may be from the corpus': 25 to 95 %, and 5 and 99 %."""
 REPEATS = 0.1
+_HALVED = 200
 TO_REFERENCE = 1.25
 """Times unit selection's distance from the reference."""
 FINGERS = 30.0
@@ -153,6 +154,34 @@ def _distances(where: str, ours: Figures, units: Figures | None) -> list[Clause]
     return out
 
 
+def halves(corpus: EyeSample, space: ReferenceSpace) -> Interval:
+    """How far one half of the corpus' recordings lies from the other, over `_HALVED` ways to halve them.
+
+    It is what a distance between so few recordings is by chance; the interval holds 95 % of the ways.
+    """
+    seen, rng = [space.see(windows) for windows in corpus.windows], np.random.default_rng(0)
+    if len(seen) < 2:
+        return Interval.undefined(len(seen))
+    found = []
+    for _ in range(_HALVED):
+        order = rng.permutation(len(seen))
+        one, other = (eye.frechet.Moments.of(np.concatenate([seen[k] for k in part]))
+                      for part in (order[:len(seen) // 2], order[len(seen) // 2:]))
+        if one is None or other is None:  # fewer windows than a covariance takes
+            return Interval.undefined(len(seen))
+        found.append(eye.frechet.frechet(one, other))
+    low, high = np.percentile(found, [2.5, 97.5])
+    return Interval(float(np.mean(found)), float(low), float(high), len(seen))
+
+
+def halves_clause(corpus: EyeSample, space: ReferenceSpace | None) -> Clause:
+    """Shown and not judged: what the distance to the corpus is to be read beside."""
+    name = "window Frechet of one half of the corpus' recordings to the other, test split"
+    if space is None:
+        return Clause.skipped(name, "no reference space")
+    return Clause.judged(name, halves(corpus, space), ANY, digits=1, reason=f"halved at random in {_HALVED} ways")
+
+
 def _timing(where: str, ours: Figures, units: Figures | None) -> list[Clause]:
     """PMB above chance, with the sound rolled, and both it and seams beside unit selection's."""
     first, second = ours["eye_above_1"], ours["eye_above_2"]
@@ -255,4 +284,5 @@ def run(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoice], re
         if real is not None and real.windows:
             figures[REAL] = measured(real, space, corpus)
         tables.append(comparison(where, figures))
-    return [*found, mismatch_clause(pieces)], tables
+    beside = [] if corpus is None else [halves_clause(corpus, space)]
+    return [*found, *beside, mismatch_clause(pieces)], tables
