@@ -207,7 +207,7 @@ def _locked(file: Path, folder: Path, what: str, shared: bool, wait: bool) -> in
                                      "wait until it has ended, or choose another folder")
                 pause = WAIT
             # Whoever held it before removes the file: a lock on a removed file holds nothing.
-            elif file.exists() and os.path.samestat(os.fstat(handle), file.stat()):
+            elif _is_at(handle, file):
                 os.ftruncate(handle, 0)
                 os.write(handle, f"{what}\n{os.getpid()}\n{socket.gethostname()}\n".encode())
                 return handle
@@ -216,6 +216,14 @@ def _locked(file: Path, folder: Path, what: str, shared: bool, wait: bool) -> in
             raise
         os.close(handle)
         time.sleep(pause)
+
+
+def _is_at(handle: int, file: Path) -> bool:
+    """Whether an open file is the one that has this name now; between two looks another may have come and gone."""
+    try:
+        return os.path.samestat(os.fstat(handle), file.stat())
+    except FileNotFoundError:
+        return False
 
 
 def _holder(handle: int) -> str:
