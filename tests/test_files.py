@@ -193,23 +193,17 @@ def test_threads_hold_a_folder_one_after_the_other(tmp_path: Path) -> None:
     assert most == 1 and refused > 0
 
 
-@pytest.mark.skipif(os.name != "posix", reason="elsewhere an open file keeps its name")
-def test_a_lock_file_that_goes_between_two_looks_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The holder before removes it at the worst moment: after it was opened and locked, before it is looked at."""
-    file, takes = tmp_path / "w" / LOCK, []
-    take = files._take
-
-    def taken(handle: int, shared: bool = False) -> bool:
-        had = take(handle, shared)
-        takes.append(had)
-        if len(takes) == 1:
-            file.unlink()
-        return had
-
-    monkeypatch.setattr(files, "_take", taken)
-    with lock(tmp_path / "w", "work"):
-        assert takes == [True, True] and file.read_text().startswith("work\n")
-    assert not file.exists()
+def test_a_lock_file_is_looked_for_by_its_name(tmp_path: Path) -> None:
+    """Who had the lock before removes its file, and another may have come and gone since."""
+    own, other = tmp_path / "own", tmp_path / "other"
+    other.write_text("another")
+    handle = os.open(own, os.O_RDWR | os.O_CREAT)
+    try:
+        assert files._is_at(handle, own)
+        assert not files._is_at(handle, other)
+        assert not files._is_at(handle, tmp_path / "gone")
+    finally:
+        os.close(handle)
 
 
 def test_a_lock_is_shared_by_those_who_say_so_and_left_by_the_last(tmp_path: Path) -> None:
