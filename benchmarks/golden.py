@@ -154,7 +154,7 @@ def load_once() -> None:
             loaded[key] = load(path, **more)
         return loaded[key]
 
-    Gesticulator.from_pretrained = from_pretrained  # type: ignore[method-assign,assignment]
+    Gesticulator.from_pretrained = from_pretrained  # type: ignore[method-assign]
 
 
 def cut(source: Path, target: Path, start: float, seconds: float) -> Path:
