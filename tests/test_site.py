@@ -1,0 +1,76 @@
+"""The site: its index lists every page of the navigation, and its search works when pages are opened from a disk."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import yaml
+from browser import chromium
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+
+
+def make_index() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_index", DOCS / "make_index.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_index_is_what_the_navigation_makes_it() -> None:
+    page = DOCS / "index.md"
+    assert page.read_text(encoding="utf-8") == make_index().index(ROOT), "run python docs/make_index.py"
+
+
+def test_a_page_of_the_navigation_stands_in_the_index_with_its_summary(tmp_path: Path) -> None:
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "mkdocs.yml").write_text(
+        "nav:\n  - Home: index.md\n  - Guide:\n      - Use: use.md\n      - Tables:\n          - One: results/one.md\n")
+    (tmp_path / "docs" / "use.md").write_text("# Use\n\nTurn *speech* into\n[motion](a.md). More is said here.\n")
+    (tmp_path / "docs" / "index.md").write_text("# Title\n\n## Pages\n\nold\n")
+    assert make_index().index(tmp_path) == (
+        "# Title\n\n## Pages\n\n### Guide\n\n| page | content |\n|---|---|\n"
+        "| [Use](use.md) | Turn *speech* into motion. |\n")
+
+
+def test_a_page_without_a_summary_is_refused(tmp_path: Path) -> None:
+    page = tmp_path / "bare.md"
+    page.write_text("# Bare\n\n```sh\ngesticulator\n```\n")
+    with pytest.raises(SystemExit, match=r"bare\.md"):
+        make_index().summary(page)
+
+
+def test_the_search_works_from_a_disk(tmp_path: Path) -> None:
+    """The theme, the plugins and the worker of the site, on two pages of our own, opened without a server."""
+    pytest.importorskip("material", reason="mkdocs-material is not installed")
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    pages = tmp_path / "docs"
+    pages.mkdir()
+    (pages / "index.md").write_text("# Home\n\nNothing to be found here.\n")
+    (pages / "other.md").write_text("# Other\n\nA page on *marsupials*.\n")
+    shutil.copy(DOCS / "iframe-worker.js", pages)
+    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    kept = {name: settings[name] for name in ("site_name", "theme", "extra", "use_directory_urls")}
+    kept["plugins"] = [plugin for plugin in settings["plugins"] if isinstance(plugin, str)]
+    config = tmp_path / "mkdocs.yml"
+    config.write_text(yaml.safe_dump(kept))
+    build(load_config(str(config), site_dir=str(tmp_path / "site")))
+
+    requests: list[str] = []
+    with chromium() as browser:
+        page = browser.new_page()
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto((tmp_path / "site" / "index.html").as_uri())
+        page.keyboard.press("s")
+        page.keyboard.type("marsupials")
+        link = page.wait_for_selector(".md-search-result__link", timeout=20_000)
+        assert "other.html" in link.get_attribute("href")
+    assert [url for url in requests if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
