@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gesticulator.stages.advantage import CounterfactualRewards, discounted, gains
-from interpreters.advantage import AdvantageInterpreter, Critics, advantages
+from interpreters.advantage import AdvantageInterpreter, Critics, CriticValues, advantages
 from interpreters.base import BlockFeatures, Scores, select
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import EnsembleReward, RewardTable
@@ -69,6 +69,19 @@ def test_of_several_critics_the_least_counts() -> None:
     # A of the first is (-0.5, 0.5), of one that is surer (-1.5, 1.5): the least (-1.5, 0.5) told from its mean, -0.5.
     sure = advantages(torch.stack([q[0], 3 * q[0]]), flat)
     torch.testing.assert_close(sure, torch.tensor([-1.0, 1.0]))
+
+
+def test_the_least_of_the_critics_is_taken_lexeme_by_lexeme() -> None:
+    """Of three lexemes alike to the behaviour, A is (-2, -1, 3) and (-2, 2, 0): the least (-2, -1, 0) has mean -1."""
+    q = torch.tensor([[0.0, 1.0, 5.0], [0.0, 4.0, 2.0]])
+    torch.testing.assert_close(advantages(q, torch.zeros(3)), torch.tensor([-1.0, 0.0, 1.0]))
+
+
+def test_what_comes_later_is_discounted() -> None:
+    found = CriticValues(torch.tensor([[1.0, 2.0]]), torch.tensor([[10.0, -10.0]]), torch.zeros(1))
+    torch.testing.assert_close(found.q(0.8), torch.tensor([[9.0, -6.0]]))
+    model = critics()  # its discount is 0.8, too
+    torch.testing.assert_close(model.advantage(found, torch.zeros(2)), torch.tensor([7.5, -7.5]))
 
 
 def test_what_a_state_is_worth_changes_nothing() -> None:

@@ -81,6 +81,22 @@ def test_gumbel_samples_follow_the_soft_probabilities() -> None:
     torch.testing.assert_close(share, torch.tensor([0.7, 0.2, 0.1]), atol=0.02, rtol=0)
 
 
+@pytest.mark.parametrize("temperature", [100.0, 1000.0])
+def test_the_gradient_of_a_gumbel_choice_follows_its_temperature(temperature: float) -> None:
+    """Where the temperature drowns logits and noise, the soft choice s is 1 / C for each class, whatever is drawn, and
+    its gradient s_c (1 - s_c) / temperature for a class's own logit."""
+    torch.manual_seed(4)
+    codes = GumbelCodes(4, groups=1, classes=4, group_width=2)
+    with torch.no_grad():
+        codes.logits.weight.copy_(torch.eye(4))
+        codes.logits.bias.zero_()
+    logits = torch.randn(200, 4, requires_grad=True)
+    _, choice = codes(logits, temperature)
+    gradient, = torch.autograd.grad(choice[:, 0, 0].sum(), logits)
+    expected = torch.tensor([0.25 * 0.75, -0.25 ** 2, -0.25 ** 2, -0.25 ** 2]) / temperature
+    torch.testing.assert_close(gradient.mean(0), expected, rtol=0.05, atol=0)
+
+
 def test_style_row_zero_stays_zero_and_rows_outside_the_batch_do_not_move() -> None:
     styles = StyleCodes(6, 3)
     optimiser = torch.optim.SparseAdam([styles.table.weight], lr=0.1)
@@ -100,6 +116,27 @@ def test_style_divergence_known_values() -> None:
     assert got == pytest.approx(0.5 * 4, abs=1e-5)
     assert math.isfinite(float(losses.style_divergence(torch.randn(1, 8))))
     assert float(losses.style_divergence(torch.zeros(0, 8))) == 0
+
+
+def test_lexeme_and_perceptual_losses_are_mean_squares_by_hand() -> None:
+    """RG Eq. 11 and 13 with an encoder that takes the first two numbers of a block."""
+    def first_two(motion: torch.Tensor) -> torch.Tensor:
+        return motion.flatten(1)[:, :2]
+
+    made = torch.tensor([[[1.0, 3.0, 9.0]], [[0.0, -2.0, 9.0]]])
+    true = torch.tensor([[[4.0, 3.0, 0.0]], [[0.0, 2.0, 0.0]]])
+    assert float(losses.perceptual(made, true, first_two)) == pytest.approx((9 + 0 + 0 + 16) / 4)
+    wanted = torch.tensor([[1.0, 1.0], [3.0, 0.0]])
+    assert float(losses.lexeme(made, wanted, first_two)) == pytest.approx((0 + 4 + 9 + 4) / 4)
+
+
+@pytest.mark.parametrize(("mean", "deviation"), [(0.0, 2.0), (0.0, 0.1), (1.5, 1.0), (-0.7, 3.0)])
+def test_style_divergence_is_that_of_torchs_normal_distributions(mean: float, deviation: float) -> None:
+    torch.manual_seed(5)
+    codes = mean + deviation * torch.randn(40, 6)
+    own = torch.distributions.Normal(codes.mean(0), codes.std(0, unbiased=False))
+    expected = torch.distributions.kl_divergence(own, torch.distributions.Normal(0.0, 1.0)).mean()
+    torch.testing.assert_close(losses.style_divergence(codes, eps=0.0), expected, rtol=1e-4, atol=1e-5)
 
 
 def test_roll_out_is_the_same_as_stepping_block_by_block() -> None:

@@ -70,6 +70,24 @@ def test_gradient_codebook_moves_only_by_the_third_term() -> None:
     assert torch.autograd.grad(out.codebook, latents, allow_unused=True)[0] is None
 
 
+@pytest.mark.parametrize("mode", ["ema", "gradient"])
+def test_commitment_draws_the_latents_and_nothing_else(mode: str) -> None:
+    """The gradient of mean |e - s|^2 with s held is 2 (e - s) / elements (RG Eq. 3)."""
+    quantizer, latents = Quantizer(4, 3, mode=mode).eval(), torch.randn(20, 3, requires_grad=True)
+    chosen = quantizer.vectors.detach()[quantizer.labels(latents)]
+    commitment = quantizer(latents).commitment
+    drawn, = torch.autograd.grad(commitment, latents, retain_graph=True)
+    torch.testing.assert_close(drawn, 2 * (latents.detach() - chosen) / latents.numel())
+    if mode == "gradient":
+        assert torch.autograd.grad(commitment, quantizer.vectors, allow_unused=True)[0] is None
+
+
+def test_the_encoder_learns_from_the_commitment() -> None:
+    lexicon = small()
+    lexicon.losses({"motion": torch.randn(16, 10, 6), "mask": torch.ones(16, 6)})["commitment"].backward()
+    assert lexicon.to_code.weight.grad is not None and lexicon.to_code.weight.grad.abs().sum() > 0
+
+
 def test_ema_vectors_converge_to_the_means_of_their_clusters() -> None:
     torch.manual_seed(4)
     centres = torch.tensor([[5.0, 0.0], [-5.0, 0.0], [0.0, 5.0]])
