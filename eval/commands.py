@@ -38,7 +38,7 @@ ABLATE = verb("every table, figure and claim of both papers, run again", "eval.a
               "ablate --data STORE --work DIR --ray local:8", "ablate --data STORE --work DIR --slurm mem_gb=8",
               "ablate --tables --out docs/results/ablation")
 PROBE = choice("probe", "one question about a bundle or a data set (--list shows them)", PROBES, _publish, _out,
-               ("probe --list", "probe quality --data STORE", "probe parts --data STORE --out parts.json"))
+               ("probe --list", "probe quality --data STORE", "probe gate --data STORE --out gate.json"))
 REPORT = verb("everything that was measured, on one page", "eval.report",
               "report", "report --results docs/results --out docs/report")
 STUDY = verb("a user study: its page, and what the answers say", "eval.study",

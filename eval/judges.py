@@ -47,15 +47,6 @@ def with_judges(bundle: Bundle, work: Path | None) -> Bundle:
     return bundle.with_parts(**found) if found else bundle
 
 
-def why_none(bundle: Bundle, work: Path | None) -> str:
-    """Why a bundle has no judge, for a reader."""
-    if work is None:
-        return "no work folder was given (--work), which holds the judging reward model"
-    if not bundle.config.schedules.cql.steps:
-        return "the bundle was trained without reward models"
-    return f"{work} does not hold the judging reward model of this bundle's training"
-
-
 def _opened(bundle: Bundle, folder: Path, name: str) -> RewardEnsemble:
     weights = load_file(folder / WEIGHTS)
     frames, motion = bundle.frames, len(bundle.statistics.deviation)

@@ -19,6 +19,7 @@ from eval.metrics.diversity import (
     longest_run,
     motion_variance,
     nearest_lexemes,
+    runs,
     unseen_bigrams,
 )
 
@@ -129,6 +130,13 @@ def test_the_longest_run_stays_within_a_recording() -> None:
     assert longest_run([[1, 1], [1, 1, 1], [2]]) == 3
     assert longest_run([[0, 1, 0]]) == 1
     assert math.isnan(longest_run([])) and math.isnan(longest_run([[]]))
+
+
+def test_runs_by_hand() -> None:
+    labels = [0, 0, 0, 3, 3, 3, 3, 1, 1, 0]
+    assert runs(labels) == [(0, 3), (3, 4), (1, 2), (0, 1)]
+    assert longest_run([labels]) == 4 and longest_run([labels], [3]) == 3
+    assert math.isnan(longest_run([labels], [0, 1, 3]))
 
 
 def test_unseen_bigrams_by_hand() -> None:

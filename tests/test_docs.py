@@ -24,8 +24,8 @@ README = ROOT / "README.md"
 DOCS = ROOT / "docs"
 CHANGELOG = ROOT / "CHANGELOG.md"
 WRITTEN = [README, CHANGELOG, *sorted(DOCS.glob("*.md")), *sorted((DOCS / "api").glob("*.md"))]
-"""Pages that people write. Those under docs/results and docs/report are made by commands."""
-PAGES = [*WRITTEN, *sorted((DOCS / "results").rglob("*.md")), *sorted((DOCS / "report").rglob("*.md"))]
+"""Pages that people write. Those under docs/results are made by commands."""
+PAGES = [*WRITTEN, *sorted((DOCS / "results").rglob("*.md"))]
 GUIDE = [page for page in WRITTEN if page != CHANGELOG]
 
 README_LINES = 150
@@ -237,7 +237,7 @@ def tables(name: str) -> dict[str, Table]:
 
 def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
     quality, claims = tables("quality.json"), tables("claims.json")["Claims"].facts
-    motion, asked = tables("motion.json"), tables("style_editing_shipped.json")["Style editing"].rows
+    motion, asked = tables("motion.json"), tables("style_editing.json")["Style editing"].rows
     seen, held = motion["Beside others, BEAT voice"].rows, motion["Acceptance of the motion"].rows
     judged = [row["holds"] for row in result("racer_acceptance.json")]
     speed, onsets = result("realtime.json"), [row["f"] for row in result("onsets.json")["rows"].values()]

@@ -51,7 +51,7 @@ from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fin
 from data_module.text.transcript import FORMATS, read_transcript
 from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
-from eval import foreign, label_files
+from eval import foreign
 from eval.metrics.eye import ReferenceSpace
 from eval.metrics.gesture_features import reference_windows
 
@@ -224,12 +224,6 @@ TRANSCRIPTS = {
     ".json": json.dumps({"segments": [{"start": 0.1, "end": 0.5, "text": "hello there", "words": [
         {"word": word, "start": start, "end": end} for word, start, end in WORDS if word]}, {
         "start": 0.7, "end": 0.95, "text": "friend"}]}),
-}
-LABELS = {
-    "seconds": "# beats\n0.5 beat\n1.25\n2.0\n", "audacity": "0.5\t0.7\tb\n1.25\t1.5\tc\n",
-    "table": "file,time,end\na,0.5,0.7\na,1.25,1.5\nb,2.0,2.5\n",
-    "json": '{"beats": [0.5, {"time": 1.25}, [2.0, "b"]]}',
-    "textgrid": published.textgrid_of(WORDS),
 }
 
 
@@ -426,8 +420,6 @@ READERS: dict[str, Case] = {
                             examples=0.5),
     "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, ("load_takes",), examples=0.5),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes, ("load_strokes",)),
-    **{f"labels, {kind}": Case(_written("labels", text), label_files.read_recordings,
-                                   ("read_labels", "read_recordings")) for kind, text in LABELS.items()},
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion, ("read_motion", "read_positions", "read_npy")),
     "foreign sidecar": Case(_positions("a.json"), lambda file: foreign.read_motion(file.with_suffix(".npy")),
                             ("read_motion", "read_positions")),
@@ -553,7 +545,7 @@ def test_only_input_errors_come_out_of_damaged_files(name: str, tmp_path: Path) 
 
 def test_every_reader_is_in_the_table() -> None:
     covered = {function for case in READERS.values() for function in case.covers}
-    modules = [foreign, label_files, *(importlib.import_module(found.name) for found in
+    modules = [foreign, *(importlib.import_module(found.name) for found in
                                        pkgutil.walk_packages(data_module.__path__, "data_module."))]
     there = {name for module in modules for name, function in inspect.getmembers(module, inspect.isfunction)
              if function.__module__ == module.__name__ and re.match(r"read_|load_|deserialise", name)

@@ -323,7 +323,7 @@ def test_tables_and_claims_are_drawn_again_from_the_cells(tmp_path: Path, capsys
     save([Table("Ablation", {}, {}, facts=facts)], out / "table.json")
     step = {"mean": 2.0, "low": 1.0, "high": 3.0, "n": 5}
     save([Table("x", {"a": Column("a")}, {}, facts={"claim": [step, {**step, "low": 0.4}]})],
-         tmp_path / "style_editing.json")
+         tmp_path / "earlier" / "style_editing.json")
     assert ablate.main(["--tables", "--out", str(out)]) == 0
     first = load(out / "table.json")[0]
     assert first.facts["rows"]["no-style"]["figures"]["fgd"]["mean"] == 4.5 and first.facts["preset"] == "tiny"

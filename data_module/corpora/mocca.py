@@ -10,8 +10,7 @@ the split; else the last recordings of each speaker test.
 
 The subtitles time whole utterances, and some of them wrongly by seconds; the words of each share out its loud parts,
 so they count as guessed. The hand-labelled gesture beats of speaker01 come in a download of their own, whose layout is
-not published. They are no part of a store: `gesticulator probe beat-labels --labels DIR` finds the file of each
-recording below DIR by its name and scores the beats that are found in the store against it.
+not published; they are not imported.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class Mocca:
         if absent:
             self._notes.append(f"not there: {', '.join(absent)}")
         texts = {take.text for take in self._takes.values()}
-        self._notes += [f"left out {file}: no motion, sound or subtitles (for labelled beats: `probe beat-labels`)"
+        self._notes += [f"left out {file}: no motion, sound or subtitles"
                         for file in sorted(source.rglob("speaker??_clip??*"))
                         if file.is_file() and file.suffix.lower() not in (".bvh", ".wav") and file not in texts]
         if any(self._folder_split(take) is None for take in self._takes.values()):

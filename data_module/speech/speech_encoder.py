@@ -184,8 +184,8 @@ class TextContrast(nn.Module):
 
     F_t and one F_a per level are linear without bias. Even so they can lower Eq. 1 while the encoder stays as it is:
     each level has a projection of its own, and one that turns a level's mean away from the text pushes that level
-    away. What the loss did to the encoder is therefore measured by `retrieval` and by probes on frozen levels
-    (`gesticulator probe speech-levels`), never by the loss; `train_projections` off closes the way.
+    away. What the loss did to the encoder is therefore measured by `retrieval` and by linear probes on frozen
+    levels (docs/results/earlier/speech_levels.md), never by the loss; `train_projections` off closes the way.
     """
 
     def __init__(self, encoder: SpeechEncoder, config: EncoderConfig, text_width: int, frames: int) -> None:

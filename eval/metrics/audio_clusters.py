@@ -17,7 +17,7 @@ high level alone makes its own gestures depend on it; the performer's gestures a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,6 @@ from data_module.types import Array
 from eval import stats
 from eval.metrics.diversity import entropy
 from eval.stats import Interval
-from eval.table import Cell, Column, Table
 
 CLUSTERS, DRAWS, TURNS = 50, 300, 100
 _AVERAGED = 10  # of the turns: those that the baseline of a bootstrap draw is the mean of
@@ -110,13 +109,3 @@ def _drawn_entropy(weights: Array, clusters: Labels, lexemes: Labels, group: Lab
 def _interval(values: Array, groups: int) -> Interval:
     """The first value, of everything, with the interval of the others, the draws."""
     return stats.limits(float(values[0]), values[1:], groups)
-
-
-def table(found: Mapping[str, Any], levels: Sequence[str], whose: str) -> Table:
-    """`association` for a reader."""
-    columns = {"entropy": Column("H(lexeme given cluster)", "nats", 3), "by_chance": Column("by chance", "nats", 3),
-               "gain": Column("gain", "nats", 3, "high"), "p": Column("p", digits=3)}
-    rows: dict[str, dict[str, Cell]] = {name: {key: found[name][key] for key in columns} for name in levels}
-    rows |= {f"{name}, gain": {"gain": value} for name, value in found["gain_differences"].items()}
-    return Table(f"Clusters of sound and lexemes, {whose} (RG Fig. 14)", columns, rows, "clusters of", [
-        f"{found['blocks']} blocks with speech, entropy of the lexemes {found['lexeme_entropy']:.3f} nats."])

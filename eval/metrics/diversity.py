@@ -172,16 +172,6 @@ def runs(sequence: ArrayLike) -> list[tuple[int, int]]:
     return [(int(own[begin]), int(length)) for begin, length in zip(edges, np.diff(edges), strict=False)]
 
 
-def repetition(sequences: Sequence[ArrayLike], leave_out: ArrayLike = ()) -> float:
-    """Share of blocks that have the lexeme of the block before in their sequence; NaN without a pair of blocks.
-
-    leave_out: lexemes that do not count, neither as repeated nor as blocks.
-    """
-    pairs = _bigrams(sequences)
-    pairs = pairs[~np.isin(pairs[:, 1], np.asarray(leave_out))]
-    return float((pairs[:, 0] == pairs[:, 1]).mean()) if len(pairs) else float("nan")
-
-
 def unseen_bigrams(sequences: Sequence[ArrayLike], training: Sequence[ArrayLike]) -> float:
     """Share of the bigrams of `sequences` that occur nowhere in `training`: moves that no speaker was seen to make.
 

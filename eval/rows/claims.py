@@ -122,7 +122,7 @@ NOT_HERE = [
     Claim("RG Fig. 13", "a model of one language gestures in time with others, for each above chance", "", "",
           needs="run gesticulator probe languages"),
     Claim("RG Fig. 14", "the high level tells lexemes better than the low one", "", "",
-          needs="run gesticulator probe speech-levels"),
+          needs="needs the earlier table of speech levels"),
     Claim("RACER Table 1", "RACER beats SG, Ges, S2AG and Bailando in MAJE, MAD, FGD and PMB", "", "", needs=_SYSTEMS),
     Claim("RACER Fig. 4", "people prefer RACER", "", "", needs=_PEOPLE),
 ]
@@ -201,8 +201,8 @@ def judged(claim: Claim, cells: Cells) -> Verdict:
     return Verdict(decided(found, claim.says), "", found, seeds, found.n)
 
 
-PROBED = {"RG Fig. 10": "style_editing", "RG Fig. 13": "languages", "RG Fig. 14": "speech_levels"}
-"""By a claim's place: the file of the probe that answers it. The first table's facts have under "claim" the intervals
+PROBED = {"RG Fig. 10": "earlier/style_editing", "RG Fig. 13": "languages", "RG Fig. 14": "earlier/speech_levels"}
+"""By a claim's place: the file of results that answers it. The first table's facts have under "claim" the intervals
 that must lie above 0."""
 LEAST_CLIPS = 3
 """An interval over fewer decides nothing."""

@@ -1,0 +1,63 @@
+"""Clusters of sound beside lexemes (RG Fig. 14): entropies by their definition, real ties and none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eval.metrics import audio_clusters
+
+
+@given(st.integers(0, 99), st.integers(1, 6), st.integers(1, 6))
+def test_conditional_entropy_is_the_joint_less_the_marginal(seed: int, rows: int, columns: int) -> None:
+    table = np.random.default_rng(seed).integers(0, 4, (rows, columns)).astype(float)
+    table[0, 0] += 1
+    wanted = 0.0
+    for row in table:
+        if row.sum():
+            p = row[row > 0] / row.sum()
+            wanted -= row.sum() / table.sum() * (p * np.log(p)).sum()
+    assert audio_clusters.conditional_entropy(table) == pytest.approx(wanted, abs=1e-12)
+    assert np.allclose(audio_clusters.conditional_entropy(np.stack([table, 3 * table])), wanted)
+
+
+def test_association_finds_the_tie_and_no_other() -> None:
+    rng = np.random.default_rng(0)
+    recording = np.repeat(np.arange(8), 150)
+    lexemes = rng.integers(0, 6, 1200)
+    tied = np.where(rng.random(1200) < 0.7, lexemes, rng.integers(0, 6, 1200))
+    loose = rng.integers(0, 6, 1200)
+    found = audio_clusters.association({"loose": loose, "tied": tied, "same": lexemes}, lexemes, recording,
+                                       recording // 2, draws=60, turns=40)
+    assert found["same"]["entropy"] == 0
+    assert found["same"]["by_chance"] == pytest.approx(np.log(6), abs=0.05)
+    assert abs(found["loose"]["gain"].mean) < 0.02 and found["loose"]["p"] > 0.05
+    assert found["tied"]["gain"].low > 0.4 and found["tied"]["p"] == pytest.approx(1 / 41)
+    assert found["gain_differences"]["tied - loose"].low > 0.4
+    assert found["tied"]["gain"].n == 4
+    assert found["lexeme_entropy"] == pytest.approx(np.log(6), abs=0.01)
+    # who performs is no tie: lexemes and clusters that only differ between recordings gain nothing
+    own = audio_clusters.association({"who": recording}, recording % 3, recording, recording, draws=10, turns=20)
+    assert own["who"]["entropy"] == 0 and own["who"]["gain"].mean == pytest.approx(0)
+
+
+def test_turning_keeps_each_recordings_lexemes_in_their_order() -> None:
+    recording = np.array([0] * 30 + [1] * 25 + [2])
+    labels = np.arange(56)
+    out = audio_clusters.turned(labels, recording, np.random.default_rng(3))
+    for own in range(3):
+        before, after = labels[recording == own], out[recording == own]
+        shift = int(np.flatnonzero(after == before[0])[0])
+        assert np.array_equal(np.roll(before, shift), after)
+        assert own == 2 or 10 <= shift <= len(before) - 10
+
+
+def test_clusters_are_those_that_were_put_in() -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.integers(0, 5, 300)
+    points = 10 * rng.standard_normal((5, 7))[truth] + 0.1 * rng.standard_normal((300, 7))
+    found = audio_clusters.cluster(points, 5)
+    assert len(set(zip(found.tolist(), truth.tolist(), strict=True))) == 5
+    assert audio_clusters.cluster(points[:3], 50).max() == 2
