@@ -112,6 +112,15 @@ def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> Non
     assert float(in_time(place(jolt), times, 0.0, np.array([0.0]))[0]) < 0.01, "what ends at the seam is no beat"
 
 
+def test_an_onset_a_deviation_away_counts_as_a_gaussian_says() -> None:
+    """One stop from 1 m/s of both hands: 40 m/s^2 at once, beside the 3 of hands that hardly move."""
+    times = np.arange(-3, 11) * 0.05
+    way = np.minimum(times, 0.2)
+    hands = np.stack([np.stack([way, 0 * way, 0 * way], -1)] * 2, axis=1)[None]
+    near = [float(in_time(hands, times, 0.0, np.array([0.2 + away]))[0]) for away in (0.0, 0.05, -0.1)]
+    np.testing.assert_allclose(near, 40 / 43 * np.exp([0.0, -0.5, -2.0]), rtol=1e-6)
+
+
 def test_every_onset_belongs_to_the_blocks_it_lies_in(bundle: Bundle) -> None:
     time = np.arange(6 * RATE) / RATE
     noise = np.random.default_rng(1).normal(size=len(time))

@@ -105,6 +105,8 @@ def test_rate_schedule() -> None:
     assert factors[0] == pytest.approx(1 / 20) and max(factors) == pytest.approx(1)
     assert factors[-1] == pytest.approx(0.01, abs=1e-3)
     assert all(a >= b for a, b in pairwise(factors[20:]))
+    # A quarter, half and three quarters of the way down: 0.01 + 0.99 (1 + cos(pi s)) / 2.
+    assert [factors[20 + 245 * k] for k in (1, 2, 3)] == pytest.approx([0.855018, 0.505, 0.154982], abs=1e-6)
     assert rate_factor(FitSettings(steps=10, batch=1), 9) == 1.0
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from data_module.motion.movement import MovementBasis, pasts_of
-from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, circumstances
+from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, _fade, circumstances
 from generator.flow_head import FlowTime
 from generator.model import GeneratorConfig, GeneratorWidths
 from gesticulator.drawing import Keys
@@ -126,6 +126,11 @@ def test_squeezing_is_undone_and_held_within_what_was_done() -> None:
     y = low + (high - low) * torch.rand(40, len(low))
     torch.testing.assert_close(generator.stretch(generator.squeeze(y)), y, atol=1e-4, rtol=1e-4)
     assert (generator.stretch(100 * torch.ones(1, len(low))) <= high).all()
+
+
+def test_a_shift_is_taken_back_along_a_quintic() -> None:
+    """Of a block of four frames: 1 - (10 x^3 - 15 x^4 + 6 x^5) at its quarters."""
+    torch.testing.assert_close(_fade(4, torch.zeros(1)), torch.tensor([0.896484375, 0.5, 0.103515625, 0.0]))
 
 
 def test_what_no_source_has_weighs_nothing() -> None:
