@@ -1,4 +1,4 @@
-"""A calmer second take of a performance: the same plan with smaller and fewer gestures, its first second kept.
+"""Make a calmer second take: the same plan with smaller and fewer gestures, its first second unchanged.
 
     python examples/calmer_take.py examples/speech.flac first.bvh calm.bvh
 """

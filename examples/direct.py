@@ -1,4 +1,4 @@
-"""Directing a performance: what is said, where the hands are, how lively it is.
+"""Direct a performance: its words, the height of its hands, its liveliness.
 
     python examples/direct.py examples/speech.flac "Heavy bread rises slowly." calm.bvh rising.bvh
 """

@@ -1,4 +1,4 @@
-"""Edit a gesture plan: silence the start, swap a gesture, make one larger; all else stays as it was.
+"""Edit a gesture plan: silence the start, replace a gesture, make one larger; everything else stays the same.
 
     python examples/edit_plan.py examples/speech.flac edited.bvh plan.json
 """

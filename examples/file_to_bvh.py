@@ -1,4 +1,4 @@
-"""A sound file becomes motion and a page that plays it.
+"""Turn a recording into motion and a page that plays it.
 
     python examples/file_to_bvh.py examples/speech.flac gesture.bvh gesture.html
 """

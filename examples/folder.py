@@ -1,4 +1,4 @@
-"""Every recording of a folder, with its transcript where there is one; what cannot be read is told and left out.
+"""Process every recording of a folder, with its transcript if there is one; report and skip unreadable files.
 
     python examples/folder.py recordings/ out/
 """

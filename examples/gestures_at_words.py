@@ -1,4 +1,4 @@
-"""Ask for gestures at words.
+"""Place gestures at words.
 
     python examples/gestures_at_words.py examples/speech.flac examples/speech.txt "bread=wave,slowly=shrug" o.bvh
 """

@@ -1,4 +1,4 @@
-"""Sound that is in memory already, such as the output of a speech synthesiser, needs no file.
+"""Use audio that is already in memory, such as the output of a speech synthesiser.
 
     python examples/samples.py gesture.bvh
 """

@@ -1,4 +1,4 @@
-"""Another system's motion beside the speakers' own and ours, on the same recordings, in one table.
+"""Compare another system's motion with the speakers' own and with ours, on the same recordings, in one table.
 
     python examples/score.py recordings/ their_output/ score.json
 

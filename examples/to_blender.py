@@ -1,4 +1,4 @@
-"""A GLB and its sound become a Blender scene that plays both. Run it in Blender, which has a Python of its own:
+"""Make a Blender scene of a GLB and its sound. Run it in Blender, which has its own Python:
 
     gesticulator examples/speech.flac -o talk.glb --fps 30
     blender --background --python examples/to_blender.py -- talk.glb examples/speech.flac talk.blend

@@ -1,4 +1,4 @@
-"""A sound file becomes motion on your own character, from Mixamo, VRM or elsewhere: her file with one animation more.
+"""Animate your own character with a recording, from Mixamo, VRM or elsewhere: its file with one more animation.
 
     python examples/to_character.py examples/speech.flac character.glb talk.glb
 """

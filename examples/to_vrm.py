@@ -1,4 +1,4 @@
-"""A sound file becomes a VRM animation, which plays on every VRM character (three-vrm, UniVRM, VRM viewers).
+"""Turn a recording into a VRM animation, which plays on every VRM character (three-vrm, UniVRM, VRM viewers).
 
     python examples/to_vrm.py examples/speech.flac talk.vrma
 """

@@ -1,7 +1,7 @@
-"""Your own recordings become weights of your own, and these gesture: NAME.bvh beside NAME.wav, of any rig, in a folder.
+"""Train on your own recordings and gesture with the result: a folder of NAME.bvh (any rig) beside NAME.wav.
 
     python examples/train.py recordings/ bundle/ examples/speech.flac talk.bvh
-    python examples/train.py recordings/ bundle/ examples/speech.flac talk.bvh --preset tiny     # a first look
+    python examples/train.py recordings/ bundle/ examples/speech.flac talk.bvh --preset tiny     # a first try
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Two interpreters perform one recording, side by side on one page.
+"""Show the performances of two interpreters side by side on one page.
 
     python examples/two_takes.py examples/speech.flac lstm advantage two_takes.html
 """

@@ -105,6 +105,15 @@ def section(source: str, title: str) -> str:
     return found.group(1)
 
 
+DIALECT = re.compile(r"\b(she|her|hers|herself|whoever|told by|asked of)\b", re.I)
+"""Words that the pages do without: the figure on screen is "the character"."""
+
+
+@pytest.mark.parametrize("page", GUIDE, ids=of)
+def test_pages_speak_of_the_character(page: Path) -> None:
+    assert not DIALECT.findall(text(page)), of(page)
+
+
 def test_the_readme_is_short_and_has_one_table() -> None:
     source = text(README)
     assert len(source.splitlines()) <= README_LINES
