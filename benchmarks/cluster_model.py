@@ -193,8 +193,8 @@ def fresh_process(clip: Path, out: Path) -> float:
 def driver_times(clip: Path, folder: Path, count: int) -> tuple[dict[str, float], float]:
     """Processor seconds of the driver for a recording, without Ray, as `BatchCosts` has them; and bytes of the manifest
     for it."""
-    from gesticulator.batch import READERS, BatchTask, TaskOutcome, file_hash, run_batch, told_seconds
-    from gesticulator.jobs import plan
+    from gesticulator.batch.jobs import plan
+    from gesticulator.batch.run import READERS, BatchTask, TaskOutcome, file_hash, run_batch, told_seconds
 
     for number in range(count):
         (folder / "many").mkdir(exist_ok=True)

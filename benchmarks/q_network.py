@@ -17,7 +17,7 @@ import torch
 
 from data_module.layers import freeze
 from eval.table import Column, Table, publish
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.cql import QNetwork
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from data_module.layers import parameter_count
 from eval.table import Column, Table, publish
-from gesticulator import presets
+from gesticulator.training import presets
 from interpreters.cql import ConservativeQ, QNetwork
 from lexicon.racer import FRAMES, RacerCodec
 

@@ -25,7 +25,7 @@ from eval.table import Column, Table, publish  # noqa: E402
 from gesticulator import Gesticulator  # noqa: E402
 from gesticulator.characters.joints import find_joints  # noqa: E402
 from gesticulator.characters.mapping import SURE  # noqa: E402
-from gesticulator.retarget import Retargeter  # noqa: E402
+from gesticulator.characters.retarget import Retargeter  # noqa: E402
 from tests.rig_errors import LIMITS, worst  # noqa: E402
 from tests.rigs import draw  # noqa: E402
 

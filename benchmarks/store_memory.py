@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 
 from data_module.store import Store
-from gesticulator.config import Config, with_settings
-from gesticulator.presets import preset
-from gesticulator.stages.caches import blocks_folder, cut, encode_all, features_folder, read_arrays
+from gesticulator.bundle.config import Config, with_settings
+from gesticulator.training.presets import preset
+from gesticulator.training.stages.caches import blocks_folder, cut, encode_all, features_folder, read_arrays
 
 CHILD = """
 import resource, sys
-from gesticulator.train import main
+from gesticulator.training.command import main
 code = main(sys.argv[1:])
 used = resource.getrusage(resource.RUSAGE_SELF)
 print(used.ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6, used.ru_utime + used.ru_stime)

@@ -4,9 +4,9 @@ A batch is divided among the processes, row by row. A loss that means over its r
 rows with each other, has to know of all of them: it asks `batch_ratio`, `batch_mean`, `batch_moments`, `batch_sum` or
 `batch_rows`. In a training of one process, and outside of a training step, these are plain sums, means and rows.
 
-Every process computes the same loss from them. The trainer (`gesticulator.distributed`) begins each backward pass with
-1 / processes and adds the gradients up; what is summed here is summed again on the way back. So a part of a loss that
-all processes compute alike counts once, and one that each computes of its own rows counts as a mean.
+Every process computes the same loss from them. The trainer (`gesticulator.training.distributed`) begins each backward
+pass with 1 / processes and adds the gradients up; what is summed here is summed again on the way back. So a part
+of a loss that all processes compute alike counts once, and one that each computes of its own rows counts as a mean.
 """
 
 from __future__ import annotations

@@ -239,7 +239,7 @@ def run(arguments: argparse.Namespace) -> int:
     at_once: AtOnce | None = None
     if arguments.ray:
         from eval import sweep
-        from gesticulator.ray_pool import check_ray, done_on_ray
+        from gesticulator.batch.ray_pool import check_ray, done_on_ray
 
         check_ray(arguments.ray)
         own = partial(context_of, argparse.Namespace(**{**vars(arguments), "quiet": True, "workers": 1}))
@@ -257,9 +257,9 @@ def context_of(arguments: argparse.Namespace) -> AblationContext:
     from data_module.store import Store
     from eval.metrics import gesture_features
     from eval.row_context import AblationContext
-    from gesticulator import bundle as bundles
-    from gesticulator import config as configs
-    from gesticulator.stages import Run
+    from gesticulator.bundle import bundle as bundles
+    from gesticulator.bundle import config as configs
+    from gesticulator.training.stages import Run
 
     torch.set_num_threads(1)
     store, work, out = Store.open(arguments.data), Path(arguments.work), Path(arguments.out)

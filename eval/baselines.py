@@ -41,9 +41,9 @@ from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
-    from gesticulator.bundle import Bundle
-    from gesticulator.features import SpeechFeatures
-    from gesticulator.stages import Corpus
+    from gesticulator.bundle.bundle import Bundle
+    from gesticulator.bundle.features import SpeechFeatures
+    from gesticulator.training.stages import Corpus
     from interpreters.base import BlockFeatures
 
 JITTER = 0.02

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.store import Recording, Store
 from eval.judges import with_judges
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages.corpus import Corpus, prepare
-from gesticulator.stages.lexicon import token_labels
+from gesticulator.training.stages.corpus import Corpus, prepare
+from gesticulator.training.stages.lexicon import token_labels
 from lexicon.inventory import nearest_silent
 
 Lexemes = NDArray[np.int64]

@@ -16,11 +16,11 @@ from torch import Tensor
 from data_module import blocks as block_module
 from data_module.motion.movement import Pasts, pasts_of
 from data_module.types import Array, Blocks, Motion, Speech
-from gesticulator.bundle import Bundle
-from gesticulator.config import Config
-from gesticulator.cutter import encode_speech
-from gesticulator.features import Statistics, front_end_for, representation_of
-from gesticulator.stages.lexicon import BlockLexicon
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Statistics, front_end_for, representation_of
+from gesticulator.drawing.cutter import encode_speech
+from gesticulator.training.stages.lexicon import BlockLexicon
 from lexicon.movement import MovementLexicon
 
 

@@ -25,9 +25,9 @@ from eval.encode import labels_of, read_motion
 from eval.metrics import fgd, gesture_features, pmb
 from eval.metrics.diversity import diversity, motion_variance
 from eval.rows.row import COLUMNS, PAPERS_DELTA
-from gesticulator.config import Config
-from gesticulator.features import Statistics
-from gesticulator.stages.lexicon import BlockLexicon
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Statistics
+from gesticulator.training.stages.lexicon import BlockLexicon
 
 Lexemes = NDArray[np.int64]
 Values = dict[str, float]

@@ -15,10 +15,10 @@ from safetensors.torch import load_file
 
 from data_module.layers import freeze
 from data_module.store import Store
-from gesticulator.bundle import JUDGES, Bundle
-from gesticulator.config import RewardConfig
-from gesticulator.stages import STAGES, Run
-from gesticulator.stages.base import WEIGHTS, finished
+from gesticulator.bundle.bundle import JUDGES, Bundle
+from gesticulator.bundle.config import RewardConfig
+from gesticulator.training.stages import STAGES, Run
+from gesticulator.training.stages.base import WEIGHTS, finished
 from interpreters.reward import RewardEnsemble
 
 

@@ -11,7 +11,7 @@ from data_module.motion.skeletons import to_character
 from data_module.store import Store
 from data_module.types import Speech
 from eval.foreign import Clip
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from interpreters import INTERPRETERS
 

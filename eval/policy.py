@@ -27,12 +27,12 @@ from eval.baselines import ReplayInterpreter
 from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.rows.row import EPISODE
-from gesticulator import bundle as bundles
-from gesticulator.features import SpeechFeatures
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages import Corpus
-from gesticulator.stages.interpreter import teacher_logits
-from gesticulator.stages.q_network import features_of, takes_of
+from gesticulator.training.stages import Corpus
+from gesticulator.training.stages.interpreter import teacher_logits
+from gesticulator.training.stages.q_network import features_of, takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmInterpreter

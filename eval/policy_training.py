@@ -32,17 +32,17 @@ from eval.judges import with_judges
 from eval.metrics import gesture_features, pmb
 from eval.policy import Decisions, Policy, PolicyJudge, Rewards, entropy_of, matched_temperature, perform, walk
 from eval.rows.racer import ROWS, SUPERVISED
-from gesticulator import bundle as bundles
-from gesticulator import config as configs
-from gesticulator import fit as fitting
-from gesticulator.config import Config
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import config as configs
+from gesticulator.bundle.config import Config
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages import CORPUS, ENCODER, Corpus, Run
-from gesticulator.stages import base as stages
-from gesticulator.stages.caches import weights_hash
-from gesticulator.stages.interpreter import teacher_logits
-from gesticulator.stages.q_network import features_of, new_q_network, q_batch, takes_of
-from gesticulator.stages.reward import reward_table, taught_reward
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages import CORPUS, ENCODER, Corpus, Run
+from gesticulator.training.stages import base as stages
+from gesticulator.training.stages.caches import weights_hash
+from gesticulator.training.stages.interpreter import teacher_logits
+from gesticulator.training.stages.q_network import features_of, new_q_network, q_batch, takes_of
+from gesticulator.training.stages.reward import reward_table, taught_reward
 from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.base import LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout

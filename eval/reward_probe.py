@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.types import Array
-from gesticulator.bundle import Bundle
-from gesticulator.stages.corpus import Corpus
-from gesticulator.stages.lexicon import decoded_blocks
-from gesticulator.stages.reward import block_audio, reward_table
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.training.stages.corpus import Corpus
+from gesticulator.training.stages.lexicon import decoded_blocks
+from gesticulator.training.stages.reward import block_audio, reward_table
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardEnsemble, RewardModel
 from interpreters.reward_table import EnsembleReward

@@ -33,13 +33,13 @@ from eval.judge import ClipSpeech, Judge, JudgedClip, features_of
 from eval.metrics import gesture_features
 from eval.policy_training import RacerContext
 from eval.rows import ROWS, racer
-from gesticulator import bundle as bundles
-from gesticulator import config as configs
-from gesticulator.config import Config
-from gesticulator.features import SpeechFeatures
-from gesticulator.fit import late_gain
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import config as configs
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages import (
+from gesticulator.training.fit import late_gain
+from gesticulator.training.stages import (
     BLOCKS,
     CORPUS,
     ENCODER,
@@ -52,7 +52,7 @@ from gesticulator.stages import (
     assemble,
     wanted,
 )
-from gesticulator.stages.caches import weights_hash
+from gesticulator.training.stages.caches import weights_hash
 
 VERSION = 2
 """Raised when the same settings would no longer give the same figures."""

@@ -32,14 +32,14 @@ from eval.metrics import fgd
 from eval.policy import Decisions, accuracy
 from eval.row_context import SHOWN_SEED, AblationContext, PlayedStore
 from eval.rows import CONTROLS, FLOOR, REAL_TAKE, REFERENCES, ROWS, STILL, racer
-from gesticulator import bundle as bundles
-from gesticulator import config as configs
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import config as configs
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.stages import (
+from gesticulator.training.stages import (
     LABELS,
     LEXICON,
 )
-from gesticulator.stages.q_network import takes_of
+from gesticulator.training.stages.q_network import takes_of
 
 FLOOR_DRAWS = 20
 """Ways to halve the performer's clips."""

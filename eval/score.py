@@ -451,7 +451,7 @@ def scored(arguments: argparse.Namespace) -> Scores:
                    for name, value in (("--rate", arguments.rate), ("--piece", arguments.piece)))
     bundle = None
     if arguments.bundle:
-        from gesticulator import bundle as bundles
+        from gesticulator.bundle import bundle as bundles
 
         bundle = with_judges(bundles.load(bundles.SHIPPED if arguments.bundle == "shipped" else arguments.bundle),
                              arguments.work)

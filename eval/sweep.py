@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from data_module.errors import InputError, complain
-from gesticulator.batch import Doing, TaskOutcome
+from gesticulator.batch.run import Doing, TaskOutcome
 from gesticulator.cli import PROGRAM
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from gesticulator import Gesticulator
-from gesticulator.plans.plan import GESTURES, GestureCue
+from gesticulator.plan.plan import GESTURES, GestureCue
 
 
 def main(sound: str, said: str, wanted: str, output: str) -> None:

@@ -1,8 +1,8 @@
 """`gesticulator infer speech.wav -o gesture.bvh --preview gesture.html`: the main job, as a command.
 
-Everything that can be checked before the work is (`gesticulator.jobs`). A fault of the command is an `InputError`; a
-fault of one recording is kept in its `Job`, so that the others are still done. Only what is needed is imported, and
-only after the command line is understood.
+Everything that can be checked before the work is (`gesticulator.batch.jobs`). A fault of the command is an
+`InputError`; a fault of one recording is kept in its `Job`, so that the others are still done. Only what is
+needed is imported, and only after the command line is understood.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator import __version__
+from gesticulator.batch.jobs import Job, is_folder, plan
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import Job, is_folder, plan
 from gesticulator.performance import ENERGIES, FPS, HANDS, RANGES, UNITS, WRITERS, check_output, suffix_of
 from interpreters import INTERPRETERS
 
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from data_module.controls import Controls
     from data_module.speech.audio import SpeechPieces
     from data_module.types import Speech
+    from gesticulator.characters.retarget import Retargeter
     from gesticulator.performance import InferenceArguments, Performance
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.plans.plan import GestureCue, GesturePlan
-    from gesticulator.retarget import Retargeter
+    from gesticulator.plan.plan import GestureCue, GesturePlan
 
 EXIT_PART_FAILED = 1
 _OUTPUTS = {"preview": ".html", "plan_out": ".json"}
 """Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
 STREAMED = (".bvh", ".glb")
-"""Endings of what can be written in pieces (`gesticulator.long_recordings`), in bounded memory."""
+"""Endings of what can be written in pieces (`gesticulator.batch.long`), in bounded memory."""
 _LONG = 300.0
 """Seconds from which on a recording is done in pieces; below, all of it takes less memory than the models do."""
 FORMAT = "bvh"
@@ -65,7 +65,7 @@ def _seconds(text: str) -> tuple[float, float]:
 
 def _cue(text: str) -> GestureCue:
     """A cue such as hello=wave, hello:2=wave or 2.5=shrug."""
-    from gesticulator.plans.plan import GestureCue
+    from gesticulator.plan.plan import GestureCue
 
     at, mark, gesture = text.rpartition("=")
     if not mark or not at or not gesture:
@@ -195,7 +195,7 @@ def run(asked: argparse.Namespace) -> int:
 
 def _run_batch(jobs: list[Job], asked: argparse.Namespace) -> int:
     """Do every recording that is not done yet, and note it in a manifest; the exit code of `run`."""
-    from gesticulator.batch_command import run_jobs
+    from gesticulator.batch.infer_batch import run_jobs
 
     with our_warnings():
         total, done = run_jobs(jobs, asked, partial(_worker, jobs, asked))
@@ -310,7 +310,7 @@ def _retargeter(asked: argparse.Namespace) -> Retargeter | None:
                 raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
         return None
     from gesticulator.characters.choice import choose
-    from gesticulator.retarget import Retargeter
+    from gesticulator.characters.retarget import Retargeter
 
     character, mapping = choose(asked.character, asked.mapping, asked.save_mapping)
     legs = False if asked.seated else True if asked.legs else None
@@ -362,7 +362,7 @@ def _say_done(job: Job, asked: argparse.Namespace, done: _Done, written: Sequenc
 def _in_pieces(job: Job, asked: argparse.Namespace, system: Gesticulator) -> bool:
     """Whether so little is asked that a recording may be done in pieces: no character, words or plan, which need the
     whole, and files that can be written so."""
-    from gesticulator.long_recordings import can_be_done
+    from gesticulator.batch.long import can_be_done
 
     whole = asked.character, asked.plan, asked.text, asked.cue or None
     return (whole == (None,) * len(whole) and all(target.suffix.lower() in STREAMED for target in job.targets)
@@ -374,7 +374,7 @@ def _perform_long(job: Job, sound: SpeechPieces, system: Gesticulator, asked: ar
     """Do a recording of some minutes or more in pieces, in bounded memory; its seconds."""
     from tqdm import tqdm
 
-    from gesticulator.long_recordings import perform_long
+    from gesticulator.batch.long import perform_long
 
     begin = time.perf_counter()
     with closing(tqdm(desc=job.name, unit=" s", leave=False, total=round(sound.seconds) or None,
@@ -443,7 +443,7 @@ def _asked_plan(asked: argparse.Namespace) -> GesturePlan | None:
     """The plan to render, if any."""
     if asked.plan is None:
         return None
-    from gesticulator.export.bml import read_any_plan
+    from gesticulator.plan.bml import read_any_plan
 
     return read_any_plan(asked.plan)
 

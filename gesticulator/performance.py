@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
+    from gesticulator.characters.retarget import CharacterMotion
     from gesticulator.characters.rig import Character
-    from gesticulator.plans.plan import GestureCue, GesturePlan, LexemeName
-    from gesticulator.retarget import CharacterMotion
+    from gesticulator.plan.plan import GestureCue, GesturePlan, LexemeName
     from interpreters.base import LexemeInterpreter
 
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
@@ -45,7 +45,7 @@ BEST = 5
 _END_TOLERANCE = 0.05
 
 WRITERS = {
-    ".bml": "gesticulator.export.bml:write_bml",
+    ".bml": "gesticulator.plan.bml:write_bml",
     ".bvh": "gesticulator.performance:write_bvh_file",
     ".csv": "gesticulator.export.table:write_csv",
     ".fbx": "gesticulator.export.fbx:write_fbx",
@@ -53,7 +53,7 @@ WRITERS = {
     ".gif": "gesticulator.export.film:write_gif",
     ".glb": "gesticulator.export.glb:write_glb",
     ".html": "gesticulator.export.html:write_preview",
-    ".json": "gesticulator.export.plan:write_plan",
+    ".json": "gesticulator.directing.record:write_plan",
     ".mp4": "gesticulator.export.film:write_film",
     ".npz": "gesticulator.export.smplx:write_smplx",
     ".parquet": "gesticulator.export.table:write_parquet",
@@ -163,7 +163,7 @@ class InferenceOptions:
     """The three hand controls in one object, instead of them."""
     intensity: float = 1.0
     """How large gestures are, 0 (the hands hang) to 2; 1 as they are drawn
-    (`gesticulator.plans.shaping`)."""
+    (`gesticulator.directing.shaping`)."""
     mirror: bool = False
     """Exchange left and right."""
     energy: str = "neutral"
@@ -178,7 +178,7 @@ class InferenceOptions:
     """Render this plan: what was drawn is replayed, what was edited is drawn anew. Seed, variation, speaker,
     interpreter and controls are the plan's."""
     legs: bool = False
-    """Give her legs to stand on (54 joints): the weight shifts, the feet are planted (`gesticulator.stance`)."""
+    """Give her legs to stand on (54 joints): the weight shifts, the feet are planted (`gesticulator.body.stance`)."""
     seated: bool = False
     """Let her sit: with legs, they and the hips quite still."""
 
@@ -369,19 +369,20 @@ class Performance:
 
     def on(self, character: Character | str | os.PathLike[str],
            mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True) -> Performance:
-        """The performance with its motion on a character as well (`gesticulator.retarget`), which `save` then writes.
+        """The performance with its motion on a character as well (`gesticulator.characters.retarget`), which `save`
+        then writes.
 
         character: a file (.bvh, .glb, .gltf, .vrm, .fbx), or what `read_character` gives. mapping: a file as
         `save_mapping` writes it, where her joints are not found. contacts: keep hands out of her trunk.
         `InputError` where she cannot be read, or her joints can only be guessed.
         """
-        from gesticulator.retarget import retarget
+        from gesticulator.characters.retarget import retarget
 
         return replace(self, character=retarget(self, character, mapping, contacts=contacts))
 
     def plan(self) -> GesturePlan:
         """What was decided, as a plan that can be edited and rendered again (`InferenceOptions.plan`)."""
-        made: GesturePlan = import_module("gesticulator.export.plan").plan_of(self)
+        made: GesturePlan = import_module("gesticulator.directing.record").plan_of(self)
         return made
 
     def explain(self) -> dict[str, Any]:
@@ -415,7 +416,7 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
     if module and find_spec(module) is None:
         raise InputError(target, f"needs {package}, which is not installed", f'pip install "gesticulator[{extra}]"')
     if suffix == ".fbx":
-        from gesticulator.export.blender import check_blender
+        from gesticulator.characters.blender import check_blender
 
         check_blender(target)
 

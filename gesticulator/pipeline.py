@@ -19,21 +19,21 @@ from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator import __version__
-from gesticulator.bundle import SHIPPED, Bundle, lexicon_hash
-from gesticulator.bundle import load as load_bundle
-from gesticulator.cutter import BlockCutter, encode_speech
-from gesticulator.drawing import Direction
-from gesticulator.features import SpeechFeatures, front_end_for
-from gesticulator.motion_path import MotionPath
+from gesticulator.body.motion_path import MotionPath
+from gesticulator.bundle.bundle import SHIPPED, Bundle, lexicon_hash
+from gesticulator.bundle.bundle import load as load_bundle
+from gesticulator.bundle.features import SpeechFeatures, front_end_for
+from gesticulator.drawing.cutter import BlockCutter, encode_speech
+from gesticulator.drawing.drawer import Direction
+from gesticulator.drawing.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_rows
 from gesticulator.performance import FPS as FPS
 from gesticulator.performance import HandControl, InferenceArguments, InferenceOptions, Performance
-from gesticulator.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_rows
 
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
-    from gesticulator.plans.editing import PlanRenderer
-    from gesticulator.plans.plan import LexemeName
+    from gesticulator.directing.editing import PlanRenderer
+    from gesticulator.plan.plan import LexemeName
     from gesticulator.stream import Stream
     from interpreters.base import LexemeInterpreter
 
@@ -160,7 +160,7 @@ class Gesticulator:
         encoded = self.encode_speech(speech) if encoded is None else encoded
         rows, said = self._control_rows(cast.controls, encoded), None
         if options.directed:
-            from gesticulator.plans import directing
+            from gesticulator.directing import directions as directing
 
             said = directing.directions(self.bundle, options, speech, encoded.blocks)
         made = cast.rollout(self.bundle).run(encoded, rows, on_block, said)
@@ -209,7 +209,7 @@ class Gesticulator:
 
         renderer: what `plan_renderer` gave for this drawing, so that only edited blocks are drawn.
         """
-        from gesticulator.plans import directing
+        from gesticulator.directing import directions as directing
 
         assert options.plan is not None
         directing.check_plan_of(self.bundle, options.plan, speech)
@@ -222,8 +222,8 @@ class Gesticulator:
 
         options: with a plan of that drawing, as `directing.planned` gives them.
         """
-        from gesticulator.plans import directing
-        from gesticulator.plans.editing import PlanRenderer, Redrawer
+        from gesticulator.directing import directions as directing
+        from gesticulator.directing.editing import PlanRenderer, Redrawer
 
         plan = options.plan
         assert plan is not None
@@ -240,7 +240,7 @@ class Gesticulator:
                      made: RolloutResult) -> Performance:
         shaping = None
         if options.shaped:
-            from gesticulator.plans import directing
+            from gesticulator.directing import directions as directing
 
             shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (),
                                         encoded.blocks.edges)
@@ -259,7 +259,7 @@ class Gesticulator:
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
         if options.plan is not None:
-            from gesticulator.plans import directing
+            from gesticulator.directing import directions as directing
 
             options = directing.planned(options)
         spoken = _prepared(as_speech(speech, sample_rate), options)
@@ -355,7 +355,7 @@ class Gesticulator:
 
 
 def _names(bundle: Bundle) -> tuple[LexemeName, ...]:
-    from gesticulator.plans.lexeme_names import lexeme_names
+    from gesticulator.directing.lexeme_names import lexeme_names
 
     return lexeme_names(bundle)
 

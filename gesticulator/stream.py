@@ -26,18 +26,18 @@ from data_module.errors import InputError
 from data_module.speech import onsets, silence
 from data_module.speech.audio import SAMPLE_RATE, SampleFeed
 from data_module.types import Array, Blocks, Motion, Samples, Skeleton, Word
-from gesticulator.bundle import Bundle
-from gesticulator.cutter import TICK, BlockCutter
-from gesticulator.drawing import FREE
-from gesticulator.features import SpeechBlock
-from gesticulator.head_turns import HeadTurns
-from gesticulator.motion_path import HISTORY, LONGEST_HISTORY, MotionPath
+from gesticulator.body.head_turns import HeadTurns
+from gesticulator.body.motion_path import HISTORY, LONGEST_HISTORY, MotionPath
+from gesticulator.body.rest import RestKnots
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import SpeechBlock
+from gesticulator.drawing.cutter import TICK, BlockCutter
+from gesticulator.drawing.drawer import FREE
+from gesticulator.drawing.rollout import Cast, asked_rows
 from gesticulator.performance import InferenceOptions
-from gesticulator.rest import RestKnots
-from gesticulator.rollout import Cast, asked_rows
 
 if TYPE_CHECKING:
-    from gesticulator.plans.directing import Director
+    from gesticulator.directing.directions import Director
 
 _KNOT = 0.04
 """Seconds between the poses of idling."""
@@ -127,7 +127,7 @@ class Stream:
         self._director: Director | None = None
         shaping = None
         if options.shaped or options.directed:
-            from gesticulator.plans import directing
+            from gesticulator.directing import directions as directing
 
             self._director = directing.Director(bundle, options, (), math.inf)
             shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))

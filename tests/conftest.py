@@ -55,7 +55,7 @@ def tiny_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def tiny_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The `tiny` preset, trained once by the real command."""
-    from gesticulator.train import main
+    from gesticulator.training.command import main
 
     out = tmp_path_factory.mktemp("trained") / "bundle"
     assert main(["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet"]) == 0
@@ -65,7 +65,7 @@ def tiny_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 @pytest.fixture(scope="session")
 def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The `default` preset (movements, flow head, 46 joints) at toy size, trained once by the real command."""
-    from gesticulator.train import main
+    from gesticulator.training.command import main
 
     out = tmp_path_factory.mktemp("moving") / "bundle"
     short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "reward": 10, "cql": 10,

@@ -14,7 +14,7 @@ from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
-from gesticulator.motion_path import HISTORY
+from gesticulator.body.motion_path import HISTORY
 from gesticulator.serve.protocol import StreamRequest
 from gesticulator.serve.server import LiveServer, Page, ServerAddress
 from gesticulator.serve.session import Session, SessionFacts

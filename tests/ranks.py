@@ -15,13 +15,14 @@ from torch import nn
 
 from data_module.parallel import own_rows
 from data_module.store import Store
-from gesticulator import bundle as bundles
-from gesticulator import distributed, train
-from gesticulator import fit as fitting
-from gesticulator.config import FitSettings
-from gesticulator.stages import Run, Stage, closure, wanted
-from gesticulator.stages.base import Figures
-from gesticulator.stages.caches import weights_hash
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.config import FitSettings
+from gesticulator.training import command as train
+from gesticulator.training import distributed
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages import Run, Stage, closure, wanted
+from gesticulator.training.stages.base import Figures
+from gesticulator.training.stages.caches import weights_hash
 from lexicon.autoencoder import Lexicon
 from lexicon.racer import RacerCodec
 from lexicon.settings import LexiconConfig, RacerConfig

@@ -25,9 +25,9 @@ from eval.rows.row import COLUMNS
 from eval.stats import Interval
 from eval.table import load, loads
 from generator import losses
-from gesticulator import config as configs
+from gesticulator.bundle import config as configs
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages import LABELS, Run
+from gesticulator.training.stages import LABELS, Run
 from lexicon.movement import MovementLexicon
 
 SHORT = ("schedules.speech.steps=1", "schedules.contrast.steps=1", "schedules.lexicon.steps=20",

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gesticulator.stages.advantage import CounterfactualRewards, discounted, gains
+from gesticulator.training.stages.advantage import CounterfactualRewards, discounted, gains
 from interpreters.advantage import AdvantageInterpreter, Critics, CriticValues, advantages
 from interpreters.base import BlockFeatures, Scores, select
 from interpreters.reward import RewardConfig, RewardModel

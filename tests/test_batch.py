@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from data_module.errors import InputError
-from gesticulator.jobs import TRANSCRIPTS, plan
+from gesticulator.batch.jobs import TRANSCRIPTS, plan
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from small_characters import HUMANOID, MIXAMO, VROID, write_character
 from data_module.errors import InputError
 from data_module.types import Array
 from gesticulator import Gesticulator
-from gesticulator.export.blender import check_blender, run_in_blender
+from gesticulator.characters.blender import check_blender, run_in_blender
 from gesticulator.performance import Performance
 
 HERE = Path(__file__).resolve().parent

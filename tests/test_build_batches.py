@@ -18,8 +18,8 @@ from data_module.errors import InputError
 from data_module.files import lock
 from data_module.motion import skeletons
 from data_module.motion.bvh import write_bvh
-from gesticulator.build_command import COMMAND
-from gesticulator.manifest import DONE, FAILED, merged, read_manifest
+from gesticulator.batch.build import COMMAND
+from gesticulator.batch.manifest import DONE, FAILED, merged, read_manifest
 
 ROOT = Path(__file__).resolve().parent.parent
 SPEECH = ROOT / "examples" / "speech.flac"
@@ -107,7 +107,7 @@ def test_a_recording_that_does_not_fit_is_a_row_and_the_others_are_made(source: 
                                                                          tmp_path: Path) -> None:
     sizes = sorted(len(data) for name, data in plain.items() if name.startswith("recordings/") and ".npz" in name)
     limit = (sizes[-1] + sizes[-2]) // 2
-    code = ("import resource, sys; from gesticulator.build_command import COMMAND\n"
+    code = ("import resource, sys; from gesticulator.batch.build import COMMAND\n"
             f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
             "sys.exit(COMMAND.main('gesticulator build', sys.argv[1:]))")
     out, notes = tmp_path / "store", tmp_path / "m.jsonl"
@@ -165,7 +165,7 @@ def test_a_worker_with_other_files_is_told(source: Path, tmp_path: Path) -> None
     from data_module.build import Workshop
     from data_module.corpora import Options, open_corpus
     from data_module.store import StoreWriter
-    from gesticulator.build_command import _worker
+    from gesticulator.batch.build import _worker
 
     reader = open_corpus("folder", source, Options())
     writer = StoreWriter(tmp_path / "s", "folder", {**reader.settings(), "unit": 0.5}, 1, reader.licence)

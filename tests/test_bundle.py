@@ -19,10 +19,10 @@ from untrained import MOVING, PLAIN, SILENT, untrained
 
 from data_module.errors import InputError
 from data_module.types import Speech
-from gesticulator import bundle as bundles
-from gesticulator import models
-from gesticulator import upgrade as upgrades
-from gesticulator.models import Sizes
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import models
+from gesticulator.bundle import upgrade as upgrades
+from gesticulator.bundle.models import Sizes
 from gesticulator.pipeline import Gesticulator
 
 PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text",
@@ -372,7 +372,7 @@ def test_sizes_that_the_weights_do_not_have_are_refused_before_memory_is_taken(s
     code = """
 import json, pathlib, resource, sys
 from data_module.errors import InputError
-from gesticulator.bundle import load
+from gesticulator.bundle.bundle import load
 folder = pathlib.Path(sys.argv[1])
 text = (folder / "bundle.json").read_text()
 loaded = load(folder)

@@ -10,10 +10,10 @@ import pytest
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
 from eval import baselines
-from gesticulator.bundle import Bundle
-from gesticulator.candidates import FASTEST, CandidateChooser, in_time, not_thrown
-from gesticulator.cutter import encode_speech
-from gesticulator.features import SpeechBlock, control_rows, representation_of
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
+from gesticulator.drawing.candidates import FASTEST, CandidateChooser, in_time, not_thrown
+from gesticulator.drawing.cutter import encode_speech
 from gesticulator.pipeline import Gesticulator
 from tests.untrained import MOVING, PLAIN, untrained
 

@@ -16,17 +16,17 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
-from gesticulator.character import COMMAND
 from gesticulator.characters import read_character
+from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
+from gesticulator.characters.command import COMMAND
 from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
 from gesticulator.characters.names import label
+from gesticulator.characters.retarget import Retargeter, retarget
 from gesticulator.characters.rig import Character
 from gesticulator.export import fbx_child as blender_child
-from gesticulator.export.blender import blender, run_in_blender
-from gesticulator.retarget import Retargeter, retarget
 from tests.performances import perform
 from tests.rigs import Rig, as_glb, draw
 
@@ -204,7 +204,7 @@ def test_an_fbx_file_is_read_through_blender(tmp_path: Path) -> None:
 
 
 def test_an_fbx_without_blender_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.export.blender.blender", lambda: None)
+    monkeypatch.setattr("gesticulator.characters.blender.blender", lambda: None)
     (tmp_path / "rig.fbx").write_bytes(b"FBX")
     with pytest.raises(InputError, match="Blender"):
         read_character(tmp_path / "rig.fbx")

@@ -9,8 +9,8 @@ import torch
 
 from data_module.errors import InputError
 from generator.model import Generator, GeneratorWidths
-from gesticulator.config import Config, digest, from_dict, to_dict, with_settings
-from gesticulator.presets import PRESETS, preset
+from gesticulator.bundle.config import Config, digest, from_dict, to_dict, with_settings
+from gesticulator.training.presets import PRESETS, preset
 from lexicon.autoencoder import Lexicon
 
 

@@ -435,7 +435,7 @@ def test_the_target_is_copied_when_its_time_has_come() -> None:
 
 
 def test_a_run_that_was_stopped_goes_on_as_one_that_was_not(tmp_path: Path) -> None:
-    from gesticulator.fit import FitOptions, FitSettings, Task, fit
+    from gesticulator.training.fit import FitOptions, FitSettings, Task, fit
 
     settings = FitSettings(steps=8, batch=4, rate=1e-2, betas=(0.5, 0.999))
     results = []

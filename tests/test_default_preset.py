@@ -22,13 +22,13 @@ from eval.draw import lexicon_map
 from eval.encode import encode_motion, latents_of, normalised_blocks
 from eval.table import load
 from generator.flow import FlowGenerator
-from gesticulator import bundle as bundles
-from gesticulator.drawing import Direction
+from gesticulator.bundle import bundle as bundles
+from gesticulator.drawing.drawer import Direction
+from gesticulator.drawing.rollout import Rollout, Sampling
 from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
-from gesticulator.rollout import Rollout, Sampling
-from gesticulator.stages.lexicon import token_labels
+from gesticulator.training.stages.lexicon import token_labels
 from lexicon.movement import MovementLexicon
 
 AHEAD = 1.5

@@ -23,8 +23,8 @@ from torch.nn import functional
 from data_module.errors import InputError
 from data_module.layers import BatchNorm
 from data_module.parallel import batch_mean, batch_moments, batch_ratio, draws_along, own_rows, sharing
-from gesticulator import train
-from gesticulator.distributed import BatchDraws, joined, lead, lead_first
+from gesticulator.training import command as train
+from gesticulator.training.distributed import BatchDraws, joined, lead, lead_first
 from tests import ranks
 
 STEPS = 4

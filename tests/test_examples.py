@@ -21,9 +21,9 @@ from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.kinematics import positions_of
 from eval.table import load
 from gesticulator import Gesticulator
-from gesticulator.config import Schedules
-from gesticulator.export.blender import check_blender, run_in_blender
-from gesticulator.plans.plan import edited_blocks, read_plan
+from gesticulator.bundle.config import Schedules
+from gesticulator.characters.blender import check_blender, run_in_blender
+from gesticulator.plan.plan import edited_blocks, read_plan
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0

@@ -19,10 +19,10 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import FINGERED, WHOLE_BODY
 from data_module.types import Array
+from gesticulator.characters.retarget import CharacterMotion, retarget
 from gesticulator.export.glb import character_glb
 from gesticulator.export.nodes import of_performance
 from gesticulator.performance import Performance, write
-from gesticulator.retarget import CharacterMotion, retarget
 
 
 def on(character: Path) -> Performance:

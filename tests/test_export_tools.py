@@ -24,12 +24,12 @@ from data_module.errors import InputError
 from data_module.motion.kinematics import global_rotations
 from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY, standing
 from data_module.types import Array
-from gesticulator.export.blender import check_blender, run_in_blender
+from gesticulator.characters.blender import check_blender, run_in_blender
+from gesticulator.characters.retarget import retarget
 from gesticulator.export.nodes import of_performance
 from gesticulator.export.own_fbx import SCRIPT
 from gesticulator.export.vrma import BONES, humanoid
 from gesticulator.performance import Performance, write
-from gesticulator.retarget import retarget
 
 HERE = Path(__file__).resolve().parent
 JS = HERE / "js"

@@ -24,7 +24,7 @@ from eval.metrics import EYE_METRICS
 from eval.metrics.eye import ReferenceSpace, figures, frechet, hear
 from eval.probes import eye as probe
 from eval.table import Table, load
-from gesticulator.features import SpeechFeatures
+from gesticulator.bundle.features import SpeechFeatures
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from data_module.speech.front_ends import FRONT_ENDS, AudioFeatures, FrontEnd, M
 from data_module.speech.silence import TYPICAL_LEVEL, reference_level
 from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
 from data_module.types import Array, Samples
-from gesticulator.features import Normaliser
+from gesticulator.bundle.features import Normaliser
 
 RATE = 16000
 MEL = MelFrontEnd()

@@ -25,7 +25,7 @@ from eval.metrics import fgd
 from eval.metrics import gesture_features as networks
 from eval.metrics.fgd import Gaussian, distance, frechet_distance, gaussian
 from eval.metrics.gesture_features import AutoencoderConfig, RawFeatures
-from gesticulator.fit import FitSettings
+from gesticulator.training.fit import FitSettings
 
 QUICK = FitSettings(steps=25, batch=16, rate=2e-3, betas=(0.5, 0.999))
 

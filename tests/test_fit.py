@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from gesticulator.fit import Batch, Checkpoint, FitOptions, FitSettings, Task, fit, late_gain, rate_factor
+from gesticulator.training.fit import Batch, Checkpoint, FitOptions, FitSettings, Task, fit, late_gain, rate_factor
 
 
 class Model(nn.Module):

@@ -357,7 +357,7 @@ def _bundle(mutated: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         from untrained import PLAIN, untrained
 
-        from gesticulator import bundle
+        from gesticulator.bundle import bundle
 
         bundle.save(untrained(*PLAIN), folder / "bundle", "")
         return folder / "bundle" / mutated
@@ -366,7 +366,7 @@ def _bundle(mutated: str) -> Callable[[Path], Path]:
 
 
 def _read_bundle(file: Path) -> object:
-    from gesticulator import bundle
+    from gesticulator.bundle import bundle
 
     return bundle.load(file.parent)
 

@@ -21,7 +21,7 @@ from eval.probes import gate as figures
 from eval.probes.gate import GatedMotion, GateScores, knowledge, row
 from eval.stats import Interval, of_groups
 from eval.table import load
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from interpreters.gate import ActivityGate, GateConfig
 

@@ -9,10 +9,10 @@ import pytest
 from untrained import SILENT, untrained
 
 from data_module.types import Speech
-from gesticulator.bundle import Bundle
-from gesticulator.config import with_settings
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.config import with_settings
+from gesticulator.drawing.rollout import RolloutResult, Sampling, rollout
 from gesticulator.pipeline import Gesticulator
-from gesticulator.rollout import RolloutResult, Sampling, rollout
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,8 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
 from data_module.speech import audio
 from data_module.types import Speech
-from gesticulator import bundle as bundles
 from gesticulator import infer
+from gesticulator.bundle import bundle as bundles
 from gesticulator.performance import write
 from gesticulator.pipeline import Gesticulator
 
@@ -110,7 +110,8 @@ def test_many_recordings_go_to_a_folder(recording: Path, tiny_bundle: Path, tmp_
 
 
 def test_an_hour_streams_through_the_front_end_in_bounded_memory() -> None:
-    from gesticulator import features, presets
+    from gesticulator.bundle import features
+    from gesticulator.training import presets
 
     limit = features._CHUNK * 3 * presets.preset("default").rhythm.frames * 800 * 4
     assert limit < 100e6, "bytes of windows in flight, whatever the length"

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gesticulator.bundle import FILES
+from gesticulator.bundle.bundle import FILES
 from interpreters import INTERPRETERS
 from interpreters.advantage import AdvantageInterpreter, Critics
 from interpreters.base import BlockFeatures, LexemeInterpreter, select

@@ -19,7 +19,7 @@ from data_module.types import Array, Speech
 from eval.clip import measure
 from generator.model import BlockInputs, Generator, GeneratorConfig, GeneratorWidths, GumbelCodes, positional_block
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages.windows import Sequence, Windows, with_silence
+from gesticulator.training.stages.windows import Sequence, Windows, with_silence
 from interpreters.base import BlockFeatures
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
 from lexicon.autoencoder import Lexicon, LexiconConfig

@@ -28,9 +28,9 @@ from eval.draw import embedding
 from eval.draw import lexicon_map as maps
 from eval.draw.lexicon_sheet import in_words
 from eval.encode import EncodedMotion, encode_motion
-from gesticulator import bundle as bundles
-from gesticulator.bundle import Bundle
-from gesticulator.commands import BUNDLE
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.command import BUNDLE
 
 # ------------------------------------------------------------------------------------------ what goes with a lexeme
 

@@ -12,7 +12,7 @@ from data_module.motion.rotation import from_exponential_map
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
 from eval.metrics.eye.trunk import longest, smoothed_speed
-from gesticulator.life import Idle, Shifts, ShiftStyle, noise, normal, uniform
+from gesticulator.body.life import Idle, Shifts, ShiftStyle, noise, normal, uniform
 
 HANGING = np.zeros((len(CHARACTER), 3))
 HANGING[CHARACTER.index("RightArm"), 2] = math.radians(75)

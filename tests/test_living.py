@@ -10,10 +10,10 @@ from data_module.motion.rotation import angle_between
 from data_module.types import Array, Speech
 from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import longest, smoothed_speed
-from gesticulator.config import with_settings
+from gesticulator.bundle.config import with_settings
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
-from gesticulator.presets import PRESETS, preset
+from gesticulator.training.presets import PRESETS, preset
 from tests.untrained import PLAIN, SILENT, untrained
 
 RATE = 16000

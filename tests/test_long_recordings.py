@@ -22,10 +22,10 @@ from data_module.speech.audio import LevelMeter, load_speech, speech_pieces
 from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, noise_floor
 from data_module.types import Motion, Samples
 from gesticulator import infer
+from gesticulator.batch.long import WRITERS
 from gesticulator.export.glb import skeleton_glb
 from gesticulator.export.glb_pieces import GlbFile
 from gesticulator.export.nodes import of_motion
-from gesticulator.long_recordings import WRITERS
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 

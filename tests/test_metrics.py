@@ -19,7 +19,7 @@ from eval.clip_set import common_clips
 from eval.foreign import Clip
 from eval.metrics import EYE_METRICS, METRICS, SET_METRICS
 from eval.metrics.gesture_features import RawFeatures
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from interpreters.reward import RewardEnsemble
 
 SECONDS, FPS, RATE = 12.0, 20.0, 16000

@@ -37,7 +37,7 @@ from eval.probes.motion.renderings import TAKE, TEST, AcceptanceVoice, FiledSyst
 from eval.probes.motion.rest import Rested
 from eval.stats import Interval
 from eval.table import load
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from lexicon.movement import MovementLexicon
 from lexicon.settings import LexiconConfig
 

@@ -20,7 +20,7 @@ from data_module.errors import InputError
 from data_module.motion import kinematics
 from data_module.motion.skeletons import standing
 from gesticulator.export import html
-from gesticulator.page_server import MOST_BYTES, MOST_CONNECTIONS, TOKEN_HEADER, PageServer
+from gesticulator.serve.page_server import MOST_BYTES, MOST_CONNECTIONS, TOKEN_HEADER, PageServer
 
 SECONDS = 3.0
 

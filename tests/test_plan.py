@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
-from gesticulator.export.bml import bml_of, parse_bml
-from gesticulator.plans.json_lines import parse
-from gesticulator.plans.plan import (
+from gesticulator.plan.bml import bml_of, parse_bml
+from gesticulator.plan.json_lines import parse
+from gesticulator.plan.plan import (
     FORMAT,
     GESTURES,
     BlockDraw,
@@ -199,6 +199,6 @@ def test_our_reader_of_json_refuses_what_pythons_does(text: str) -> None:
 
 
 def test_every_gesture_has_a_script() -> None:
-    from gesticulator.plans.named_gestures import SCRIPTS
+    from gesticulator.directing.named_gestures import SCRIPTS
 
     assert set(SCRIPTS) == set(GESTURES)

@@ -17,15 +17,12 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import resized
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
-from gesticulator.contacts import MARGIN, our_distances, pose_of
-from gesticulator.features import representation_of
-from gesticulator.performance import InferenceOptions, Performance
-from gesticulator.plans.directing import cues_at
-from gesticulator.plans.editing import BLEND
-from gesticulator.plans.live_plans import LivePlans
-from gesticulator.plans.named_gestures import laid_over, span_of_gesture
-from gesticulator.plans.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
-from gesticulator.plans.shaping import (
+from gesticulator.bundle.features import representation_of
+from gesticulator.characters.contacts import MARGIN, our_distances, pose_of
+from gesticulator.directing.directions import cues_at
+from gesticulator.directing.editing import BLEND
+from gesticulator.directing.named_gestures import laid_over, span_of_gesture
+from gesticulator.directing.shaping import (
     FADE,
     MIRROR_FADE,
     REST_FADE,
@@ -36,7 +33,10 @@ from gesticulator.plans.shaping import (
     levels_at,
     mirrored_motion,
 )
-from gesticulator.plans.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
+from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
+from gesticulator.performance import InferenceOptions, Performance
+from gesticulator.plan.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
+from gesticulator.serve.edits import LivePlans
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 7.0, 1

@@ -26,7 +26,7 @@ from eval.probes import policies
 from eval.rows.row import DECISIONS, VALUES
 from eval.stats import Interval
 from eval.table import Marked
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmConfig
 from interpreters.reward import RewardConfig, RewardModel

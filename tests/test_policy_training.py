@@ -16,7 +16,7 @@ from data_module.store import Store
 from eval import policy_training as training
 from eval.policy_training import RacerContext
 from eval.rows.racer import ROWS, twins
-from gesticulator.config import with_settings
+from gesticulator.bundle.config import with_settings
 from interpreters.actor_critic import ActorCritic
 from interpreters.cql import ConservativeQ, QNetwork
 from interpreters.episodes import BEHAVIOURS, Episode, Episodes

@@ -15,7 +15,7 @@ from eval.context import EvalContext
 from eval.probes import quality
 from eval.stats import Interval
 from eval.table import load
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 
 

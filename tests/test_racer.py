@@ -13,14 +13,16 @@ from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.store import Store
 from eval.judges import with_judges
-from gesticulator import bundle as bundles
-from gesticulator import config as configs
-from gesticulator import infer, presets, train
+from gesticulator import infer
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import config as configs
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages.corpus import Corpus, prepare
-from gesticulator.stages.lexicon import decoded_blocks, token_labels
-from gesticulator.stages.q_network import q_batch, takes_of
-from gesticulator.stages.reward import RewardWindows, block_audio, groups, reward_table
+from gesticulator.training import command as train
+from gesticulator.training import presets
+from gesticulator.training.stages.corpus import Corpus, prepare
+from gesticulator.training.stages.lexicon import decoded_blocks, token_labels
+from gesticulator.training.stages.q_network import q_batch, takes_of
+from gesticulator.training.stages.reward import RewardWindows, block_audio, groups, reward_table
 from interpreters.episodes import Episodes
 from interpreters.reward import RewardConfig
 from lexicon.racer import RacerCodec
@@ -168,7 +170,7 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
     frames = codec.decode(codec.vectors[codes])[0, 8:].numpy().astype(np.float64)
     poses = system.bundle.statistics.denormalise(frames, system.speaker_index(None))
     # The frames of the motion at 20 fps are the decoded ones, but for the smoothing.
-    from gesticulator.features import representation_of
+    from gesticulator.bundle.features import representation_of
 
     wanted = representation_of(system.bundle.config).motion(poses[:-16], 20.0)
     gap = np.abs(np.einsum("tjq,tjq->tj", made.motion.rotations[1:len(wanted) + 1], wanted.rotations))

@@ -11,8 +11,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import ROTATIONS
 from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.types import Array
-from gesticulator.features import Normaliser, Span, Statistics
-from gesticulator.rest import HOLD, LEAD, REAL, Pauses, Phrases, Rest
+from gesticulator.body.rest import HOLD, LEAD, REAL, Pauses, Phrases, Rest
+from gesticulator.bundle.features import Normaliser, Span, Statistics
 
 K, D = 10, 3 * len(CHARACTER)
 HANDS = [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]

@@ -20,10 +20,10 @@ from eval.metrics import ranking
 from eval.probes import rewards
 from eval.reward_probe import RewardProbe
 from eval.table import load
-from gesticulator import bundle as bundles
-from gesticulator.stages.corpus import Corpus, prepare
-from gesticulator.stages.lexicon import token_labels
-from gesticulator.stages.q_network import takes_of
+from gesticulator.bundle import bundle as bundles
+from gesticulator.training.stages.corpus import Corpus, prepare
+from gesticulator.training.stages.lexicon import token_labels
+from gesticulator.training.stages.q_network import takes_of
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
 

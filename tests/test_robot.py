@@ -24,11 +24,11 @@ from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Array, Motion
 from gesticulator import infer
 from gesticulator.export.g1 import COLUMNS, RobotWarning
+from gesticulator.export.robots import g1
+from gesticulator.export.robots.angles import RobotMotion, to_robot
+from gesticulator.export.robots.limits import SPEED_SHARE, slowed
+from gesticulator.export.robots.pan_tilt import pan_over_time, tilt_at
 from gesticulator.performance import Performance, suffix_of, write
-from gesticulator.robots import g1
-from gesticulator.robots.angles import RobotMotion, to_robot
-from gesticulator.robots.limits import SPEED_SHARE, slowed
-from gesticulator.robots.pan_tilt import pan_over_time, tilt_at
 
 MODEL = "asset_zoo/robots/unitree_g1/xmls/g1.xml"
 """Inside the package `mjlab`, which is not imported."""

@@ -22,9 +22,9 @@ from eval.rows.claims import CLAIMS, FAILS, HOLDS, UNDECIDED, Claim
 from eval.rows.row import COLUMNS, DECISIONS
 from eval.stats import Interval
 from eval.table import Column, Table, dumps, load, loads, save
-from gesticulator import config as configs
-from gesticulator import presets
-from gesticulator.stages import (
+from gesticulator.bundle import config as configs
+from gesticulator.training import presets
+from gesticulator.training.stages import (
     CONTRAST,
     GENERATOR,
     INTERPRETER,

@@ -40,10 +40,10 @@ from eval.score import flags, mean_of
 from eval.score_tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, load, save
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages.corpus import prepare
-from gesticulator.stages.lexicon import token_labels
+from gesticulator.training.stages.corpus import prepare
+from gesticulator.training.stages.lexicon import token_labels
 
 SECONDS, FPS, RATE = 4.0, 20.0, 16000
 NETWORKS = {"raw, 12 frames": RawFeatures(12), "raw, 20 frames": RawFeatures(20)}

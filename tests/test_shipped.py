@@ -10,7 +10,7 @@ import pytest
 from data_module.speech.audio import load_speech
 from eval.clip import measure
 from eval.table import load, markdown
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
-from gesticulator import bundle as bundles
-from gesticulator import silent
-from gesticulator.commands import BUNDLE
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import silent
+from gesticulator.bundle.command import BUNDLE
 
 SIZE = 9
 some = st.sets(st.integers(0, SIZE - 1))

@@ -14,13 +14,13 @@ from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder
 from data_module.types import Speech, Word
-from gesticulator import bundle as bundles
-from gesticulator import config as configs
-from gesticulator import features as hearing
-from gesticulator import presets
-from gesticulator.cutter import encode_speech
-from gesticulator.features import encode, front_end_for, tempo_column, three_blocks, word_table
-from gesticulator.stages.corpus import Corpus, prepare
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import config as configs
+from gesticulator.bundle import features as hearing
+from gesticulator.bundle.features import encode, front_end_for, tempo_column, three_blocks, word_table
+from gesticulator.drawing.cutter import encode_speech
+from gesticulator.training import presets
+from gesticulator.training.stages.corpus import Corpus, prepare
 
 WORDS = (Word("one", 0.5, 1.0), Word("two", 1.1, 1.5), Word("", 1.5, 2.2), Word("three", 2.2, 2.9))
 

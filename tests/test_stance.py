@@ -15,8 +15,8 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.life import noise, weight_shifts
-from gesticulator.stance import SIDES, Stance, seated, with_legs
+from gesticulator.body.life import noise, weight_shifts
+from gesticulator.body.stance import SIDES, Stance, seated, with_legs
 from tests.performances import perform
 
 SEEDS = range(4)

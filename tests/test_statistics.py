@@ -12,12 +12,12 @@ import torch
 
 from data_module.motion.skeletons import CHARACTERS
 from data_module.speech.audio import load_speech
-from gesticulator import bundle as bundles
-from gesticulator import rollout
-from gesticulator.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
+from gesticulator.drawing import rollout
 from gesticulator.pipeline import Gesticulator
-from gesticulator.presets import preset
-from gesticulator.stages.measured import measured, resting
+from gesticulator.training.presets import preset
+from gesticulator.training.stages.measured import measured, resting
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "speech.flac"
 FRAMES = 10

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.store import Store
-from gesticulator import presets, train
-from gesticulator.stages.corpus import Corpus, prepare
-from gesticulator.stages.rows import RowsWriter, StoredRows, evenly, stretches
+from gesticulator.training import command as train
+from gesticulator.training import presets
+from gesticulator.training.stages.corpus import Corpus, prepare
+from gesticulator.training.stages.rows import RowsWriter, StoredRows, evenly, stretches
 from tests import ranks
 
 VALUES = np.random.default_rng(0).normal(size=(23, 4, 3)).astype(np.float16)

@@ -23,11 +23,11 @@ from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from generator.flow_head import SamplingHead
 from gesticulator import stream as stream_module
-from gesticulator.candidates import CandidateChooser
-from gesticulator.cutter import BlockCutter
-from gesticulator.features import representation_of
+from gesticulator.body.rest import Rest
+from gesticulator.bundle.features import representation_of
+from gesticulator.drawing.candidates import CandidateChooser
+from gesticulator.drawing.cutter import BlockCutter
 from gesticulator.pipeline import Gesticulator
-from gesticulator.rest import Rest
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"

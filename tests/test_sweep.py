@@ -24,9 +24,9 @@ from eval.cells import PARTS, Cell, CellStore
 from eval.metrics.gesture_features import RawFeatures
 from eval.row_context import AblationContext
 from eval.rows import rg
-from gesticulator import config as configs
-from gesticulator.batch import TaskOutcome, done_here
-from gesticulator.stages import Run
+from gesticulator.batch.run import TaskOutcome, done_here
+from gesticulator.bundle import config as configs
+from gesticulator.training.stages import Run
 
 SHORT = ("schedules.speech.steps=1", "schedules.contrast.steps=1", "schedules.lexicon.steps=4",
          "schedules.generator.steps=2", "schedules.interpreter.steps=2", "schedules.style.steps=2")

@@ -21,15 +21,17 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import from_vector
 from data_module.store import Store
-from gesticulator import bundle as bundles
-from gesticulator import config as configs
-from gesticulator import fit as fitting
-from gesticulator import infer, presets, train
-from gesticulator.stages import BLOCKS, LABELS, STAGES, Run, Stage, closure, training
-from gesticulator.stages.corpus import prepare
-from gesticulator.stages.labels import lexeme_speeds
-from gesticulator.stages.training import TrainOptions
-from gesticulator.stages.windows import Windows, sequences, with_silence
+from gesticulator import infer
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import config as configs
+from gesticulator.training import command as train
+from gesticulator.training import fit as fitting
+from gesticulator.training import presets
+from gesticulator.training.stages import BLOCKS, LABELS, STAGES, Run, Stage, closure, training
+from gesticulator.training.stages.corpus import prepare
+from gesticulator.training.stages.labels import lexeme_speeds
+from gesticulator.training.stages.training import TrainOptions
+from gesticulator.training.stages.windows import Windows, sequences, with_silence
 
 SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter": 10, "interpreter_text": 10, "gate": 6,
          "reward": 6, "reward_judge": 6, "q_network": 14, "advantage": 8, "generator": 12, "style": 8, "style_text": 8}
@@ -271,7 +273,7 @@ def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, work: Path
 
 def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: Path, tmp_path: Path,
                                                        monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.stages.corpus.read_words", lambda *_, **__: {})
+    monkeypatch.setattr("gesticulator.training.stages.corpus.read_words", lambda *_, **__: {})
     own = with_caches(work, tmp_path / "work")
     with pytest.raises(InputError, match=r"no recording with words.*text\.encoder"):
         training.train(short(), Store.open(tiny_store), tmp_path / "b", own, QUIET)

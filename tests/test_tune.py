@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from data_module.errors import InputError
-from gesticulator.tune import COMMAND, SearchRange, SettingSearch, Value, report
+from gesticulator.training.tune import COMMAND, SearchRange, SettingSearch, Value, report
 
 RANGES = (SearchRange.parse("rate=1e-4..1e0:log"), SearchRange.parse("width=1..9"), SearchRange.parse("kind=a,b"))
 
@@ -66,7 +66,7 @@ import os, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
 from test_tune import RANGES, apart
-from gesticulator.tune import SettingSearch
+from gesticulator.training.tune import SettingSearch
 seen = []
 def killed(settings):
     seen.append(settings)

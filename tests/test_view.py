@@ -16,13 +16,13 @@ import pytest
 import soundfile
 from small_characters import write_character
 
-from gesticulator.page_server import TOKEN_HEADER
-from gesticulator.view import COMMAND
+from gesticulator.serve.page_server import TOKEN_HEADER
+from gesticulator.serve.view_command import COMMAND
 
 ROOT = Path(__file__).resolve().parents[1]
 # A shell that starts the tests in its background has its children ignore the interruption that ends the page.
-CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from gesticulator.view import "
-        "COMMAND; sys.exit(COMMAND.main('gesticulator view', sys.argv[1:]))")
+CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from "
+        "gesticulator.serve.view_command import COMMAND; sys.exit(COMMAND.main('gesticulator view', sys.argv[1:]))")
 
 
 @pytest.fixture(scope="module")

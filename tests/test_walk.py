@@ -27,8 +27,8 @@ IMPORTED = 53
 PACKAGES = ("data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval")
 NEVER = ("sklearn", "transformers", "matplotlib", "av", "tqdm.notebook")
 NOT_ASKED = ("interpreters.cql", "interpreters.reward", "interpreters.episodes", "interpreters.gate", "lexicon.racer",
-             "lexicon.autoencoder", "gesticulator.fit", "gesticulator.stages", "gesticulator.upgrade",
-             "data_module.store", "data_module.text.transcript", "eval")
+             "lexicon.autoencoder", "gesticulator.training.fit", "gesticulator.training.stages",
+             "gesticulator.bundle.upgrade", "data_module.store", "data_module.text.transcript", "eval")
 
 WALK = """
 import json, os, runpy, sys, threading

@@ -13,15 +13,15 @@ from data_module.layers import freeze
 from data_module.motion.movement import pasts_of
 from data_module.speech.speech_encoder import SpeechEncoder
 from data_module.store import Store
-from gesticulator import models
-from gesticulator.bundle import Bundle, TextSource, rest_distances
-from gesticulator.config import with_settings
-from gesticulator.features import Normaliser, Statistics, front_end_for, representation_of
-from gesticulator.models import Sizes
-from gesticulator.presets import preset
-from gesticulator.stages import wanted
-from gesticulator.stages.corpus import prepare
-from gesticulator.stages.reward import block_audio
+from gesticulator.bundle import models
+from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
+from gesticulator.bundle.config import with_settings
+from gesticulator.bundle.features import Normaliser, Statistics, front_end_for, representation_of
+from gesticulator.bundle.models import Sizes
+from gesticulator.training.presets import preset
+from gesticulator.training.stages import wanted
+from gesticulator.training.stages.corpus import prepare
+from gesticulator.training.stages.reward import block_audio
 from interpreters.cql import QNetwork
 from interpreters.reward import RewardModel
 from interpreters.settings import QConfig, RewardConfig

@@ -28,7 +28,7 @@ from data_module.speech.audio import load_speech, resample
 from data_module.speech.onsets import detect_onsets, onset_strength
 from data_module.types import Array, BeatFlag, Motion, Samples, Speech
 from gesticulator import Gesticulator, Performance
-from gesticulator.features import representation_of
+from gesticulator.bundle.features import representation_of
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SAMPLE_RATE = 16000

@@ -21,7 +21,7 @@ from eval.metrics.eye import RANGES
 from eval.stats import Interval
 from eval.table import load
 from gesticulator import Gesticulator
-from gesticulator.plans.plan import GESTURES, GestureCue
+from gesticulator.plan.plan import GESTURES, GestureCue
 
 HERE = Path(__file__).resolve().parent
 SOUND = HERE.parent.parent / "examples" / "speech.flac"

@@ -28,7 +28,7 @@ from doll import write_doll
 from data_module.files import write_bytes
 from data_module.types import Array
 from gesticulator import Gesticulator, Performance
-from gesticulator.export.blender import run_in_blender
+from gesticulator.characters.blender import run_in_blender
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent

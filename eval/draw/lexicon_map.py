@@ -43,9 +43,9 @@ from eval.draw.lexicon_sheet import MOST, in_words, sheet
 from eval.draw.strips import save_strip
 from eval.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
-from gesticulator import bundle as bundles
-from gesticulator.bundle import Bundle
-from gesticulator.features import representation_of
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import representation_of
 from lexicon.movement import MovementLexicon
 
 LEAST, SURE, PRIOR = 5, 3.0, 500.0

@@ -39,9 +39,9 @@ from eval.rows import OURS, PERFORMER, REAL_TAKE, TABLES
 from eval.rows.rg import SIZES
 from eval.rows.row import COLUMNS, PAPERS_DELTA
 from eval.table import dumps, loads
-from gesticulator import config as configs
+from gesticulator.bundle import config as configs
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages import LABELS
+from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture

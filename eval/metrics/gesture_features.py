@@ -37,7 +37,7 @@ from data_module.layers import SLOPE, freeze
 from data_module.motion.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
 from data_module.store import Store
 from data_module.types import Array, Motion
-from gesticulator.fit import FitOptions, FitSettings, Task, fit
+from gesticulator.training.fit import FitOptions, FitSettings, Task, fit
 
 DIRECTIONS = 3 * len(TED_BONES)
 """27 numbers a frame."""

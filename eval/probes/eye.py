@@ -40,7 +40,7 @@ from eval.metrics.eye.frechet import REFERENCE
 from eval.score import UNITS
 from eval.table import Table
 from eval.unit_selection import UnitDatabase, UnitSelection
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 
 TAKE, OURS = "real take", "ours"

@@ -44,8 +44,8 @@ from eval.probes.motion.renderings import (
 from eval.probes.motion.seen import POOLED, TO_CORPUS, measured, own_motion, sample_of
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
-from gesticulator import bundle as bundles
-from gesticulator.config import with_settings
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.config import with_settings
 
 AUDIO = (0.0, 1.0, 2.0, 3.0)
 LEXEME = (-1.0, 0.0, 0.4, 1.0)

@@ -30,7 +30,7 @@ from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
-from gesticulator.plans.live_plans import LivePlans
+from gesticulator.serve.edits import LivePlans
 
 NEUTRAL = "neutral"
 FAR = np.radians(5.0)

@@ -26,9 +26,9 @@ from eval.metrics import fgd, gesture_features
 from eval.policy import RARE, SEED, Choices, Decisions, Policy, PolicyJudge, Rewards, greedy, perform, walk
 from eval.rows.row import COLUMNS, DECISIONS, EPISODE, PLAYED, VALUES, RowColumn
 from eval.table import Cell, Column, Marked, Table
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
-from gesticulator.stages.reward import reward_table, taught_reward
+from gesticulator.training.stages.reward import reward_table, taught_reward
 from interpreters.base import LexemeInterpreter
 
 PAIRS = (("cql", "lstm"), ("cql", "statistical"))

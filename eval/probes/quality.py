@@ -28,9 +28,9 @@ from eval.context import EvalContext
 from eval.encode import normalised_blocks
 from eval.policy import Decisions, accuracy
 from eval.table import Cell, Column, Table
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import FPS, Gesticulator
-from gesticulator.stages.lexicon import BlockLexicon, lexicon_figures, movement_figures
+from gesticulator.training.stages.lexicon import BlockLexicon, lexicon_figures, movement_figures
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter
 from lexicon.movement import MovementLexicon

@@ -35,8 +35,8 @@ from eval.metrics.ranking import agreement, retrieval, share_of_range, spreads, 
 from eval.reward_probe import DURATIONS, RewardProbe
 from eval.stats import Interval, mean_interval, paired
 from eval.table import Column, Table
-from gesticulator.stages.lexicon import token_labels
-from gesticulator.stages.q_network import takes_of
+from gesticulator.training.stages.lexicon import token_labels
+from gesticulator.training.stages.q_network import takes_of
 from interpreters.episodes import Demonstration
 
 Integers = NDArray[np.int64]

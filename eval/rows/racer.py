@@ -24,8 +24,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from eval.rows.row import DECISIONS, PaperTable, Row, TableLine
-from gesticulator import config as configs
-from gesticulator.config import Config
+from gesticulator.bundle import config as configs
+from gesticulator.bundle.config import Config
 
 PREFIX = "racer-"
 OURS, SUPERVISED = f"{PREFIX}cql", f"{PREFIX}supervised"

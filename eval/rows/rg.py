@@ -20,9 +20,9 @@ from __future__ import annotations
 import dataclasses
 
 from eval.rows.row import COLUMNS, PaperTable, Row, RowColumn, line
-from gesticulator import config as configs
-from gesticulator import presets
-from gesticulator.config import Config, FitSettings
+from gesticulator.bundle import config as configs
+from gesticulator.bundle.config import Config, FitSettings
+from gesticulator.training import presets
 
 OURS = "ours"
 PERFORMER, REAL_TAKE = "performer", "real-take"

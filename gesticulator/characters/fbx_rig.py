@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.rig import Character
-from gesticulator.export.blender import run_in_blender
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 

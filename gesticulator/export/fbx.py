@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from data_module.files import write_bytes
 from data_module.motion.kinematics import resample
-from gesticulator.export.blender import run_in_blender
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.export.glb import write_glb
 from gesticulator.export.own_fbx import SCRIPT, own_character, write_animated
 

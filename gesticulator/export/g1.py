@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_module.files import write_text
-from gesticulator.robots.angles import to_robot
-from gesticulator.robots.g1 import NAMES
+from gesticulator.export.robots.angles import to_robot
+from gesticulator.export.robots.g1 import NAMES
 
 if TYPE_CHECKING:
     from gesticulator.performance import Performance

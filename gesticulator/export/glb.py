@@ -14,8 +14,8 @@ from gesticulator.export.own_fbx import own_character, write_animated
 from gesticulator.export.stick_figure import figure
 
 if TYPE_CHECKING:
+    from gesticulator.characters.retarget import CharacterMotion
     from gesticulator.performance import Performance
-    from gesticulator.retarget import CharacterMotion
 
 ANIMATION = "gesture"
 """Name of the one animation that is added."""

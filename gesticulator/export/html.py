@@ -27,8 +27,8 @@ from gesticulator.export import sound
 from gesticulator.export.gltf import open_gltf
 
 if TYPE_CHECKING:
+    from gesticulator.characters.retarget import CharacterMotion
     from gesticulator.performance import Performance
-    from gesticulator.retarget import CharacterMotion
 
 LONG = 600.0
 """Seconds of sound above which the page holds `LONG_FPS` frames of motion a second, so that it still opens well: an

@@ -13,9 +13,9 @@ from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
+    from gesticulator.characters.retarget import CharacterMotion
     from gesticulator.characters.rig import Character
     from gesticulator.performance import Performance
-    from gesticulator.retarget import CharacterMotion
 
 
 _CHUNK = 1024

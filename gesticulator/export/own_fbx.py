@@ -10,11 +10,11 @@ import numpy as np
 
 from data_module.files import write_bytes
 from data_module.motion import rotation
-from gesticulator.export.blender import run_in_blender
+from gesticulator.characters.blender import run_in_blender
 
 if TYPE_CHECKING:
+    from gesticulator.characters.retarget import CharacterMotion
     from gesticulator.performance import Performance
-    from gesticulator.retarget import CharacterMotion
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 

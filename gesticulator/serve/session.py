@@ -12,7 +12,7 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Word
-from gesticulator.motion_path import HISTORY, LONGEST_HISTORY
+from gesticulator.body.motion_path import HISTORY, LONGEST_HISTORY
 from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import VERSION, CloseCode, RefusedError, StreamRequest, joints, pack
 

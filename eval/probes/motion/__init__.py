@@ -56,7 +56,7 @@ from eval.probes.motion.renderings import (
 from eval.probes.motion.seen import OURS, REAL
 from eval.score import UNITS
 from eval.table import Cell, Column, Table, dumps, loads
-from gesticulator import bundle as bundles
+from gesticulator.bundle import bundle as bundles
 
 TITLES = {"motion": "What the eye sees", "lexicon": "Lexemes name movements and are obeyed",
           "rest": "Rest and life", "controls": "Controls, words, interpreters, cost"}

@@ -39,8 +39,8 @@ from eval.probes.motion.clauses import ANY, Clause, at_least, at_most
 from eval.probes.motion.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 from eval.table import Table
-from gesticulator.bundle import Bundle
-from gesticulator.features import representation_of
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import representation_of
 from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon
 

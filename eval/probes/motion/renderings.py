@@ -38,9 +38,9 @@ from eval.metrics.eye.body import HZ
 from eval.probes.eye import edges_of_plan
 from eval.probes.style_editing import excerpt
 from eval.unit_selection import UnitDatabase, UnitSelection
-from gesticulator import bundle as bundles
-from gesticulator.config import with_settings
-from gesticulator.features import SpeechFeatures
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.config import with_settings
+from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 

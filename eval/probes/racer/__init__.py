@@ -49,9 +49,9 @@ from eval.probes.racer.playing import (
 )
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
-from gesticulator import bundle as bundles
-from gesticulator.stages.q_network import takes_of
-from gesticulator.stages.reward import context_of, reward_table
+from gesticulator.bundle import bundle as bundles
+from gesticulator.training.stages.q_network import takes_of
+from gesticulator.training.stages.reward import context_of, reward_table
 
 BETAS = (0.0, 0.5, 1.0, 2.0)
 """Of the knob; 0 is the lstm."""

@@ -16,9 +16,9 @@ from eval.context import EvalContext
 from eval.policy import Decisions, Policy, every_reward, taken, walk
 from eval.probes.motion.clauses import Clause
 from eval.probes.racer.playing import MATCHED, PlayedPolicy
-from gesticulator.config import Config
-from gesticulator.stages import ADVANTAGE, Run
-from gesticulator.stages.advantage import exchanged_stage
+from gesticulator.bundle.config import Config
+from gesticulator.training.stages import ADVANTAGE, Run
+from gesticulator.training.stages.advantage import exchanged_stage
 from interpreters.advantage import AdvantageInterpreter
 from interpreters.reward_table import EnsembleReward
 

@@ -29,10 +29,10 @@ from eval.baselines import ROLLED
 from eval.context import EvalContext
 from eval.metrics.ranking import agreement
 from eval.probes.motion.clauses import Clause, at_least
-from gesticulator import fit as fitting
-from gesticulator.config import FitSettings
-from gesticulator.stages.advantage import gains
-from gesticulator.stages.reward import RewardWindows, added_by, block_audio
+from gesticulator.bundle.config import FitSettings
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages.advantage import gains
+from gesticulator.training.stages.reward import RewardWindows, added_by, block_audio
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardEnsemble
 from interpreters.reward_table import EnsembleReward

@@ -43,8 +43,8 @@ from eval.probes.motion.renderings import (
     program_key,
 )
 from eval.probes.style_editing import excerpt
-from gesticulator import bundle as bundles
-from gesticulator.stages.interpreter import teacher_logits
+from gesticulator.bundle import bundle as bundles
+from gesticulator.training.stages.interpreter import teacher_logits
 from interpreters.base import LexemeInterpreter
 from interpreters.reward import RewardEnsemble
 

@@ -20,8 +20,8 @@ from eval.context import EvalContext
 from eval.policy import Decisions, Policy, PolicyJudge, rank_correlation, return_to_go, taken, walk
 from eval.probes.motion.clauses import ANY, Clause, ClauseBound, at_least, at_most
 from eval.probes.racer.playing import PERFORMER, PlayedPolicy, teacher_inputs
-from gesticulator.stages.interpreter import teacher_logits
-from gesticulator.stages.reward import taught_reward
+from gesticulator.training.stages.interpreter import teacher_logits
+from gesticulator.training.stages.reward import taught_reward
 from interpreters.advantage import AdvantageInterpreter
 from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.reward_table import EnsembleReward

@@ -1,0 +1,1 @@
+"""Many recordings: jobs, pieces of long ones, shards, Ray, manifests."""

@@ -1,0 +1,158 @@
+"""`gesticulator build`: a corpus in processes of this machine, in shards, or on a Ray cluster, noted in a manifest.
+
+Whoever makes a recording writes it into the store that is under way, with what became of it; the store is finished when
+all are there, with the same bytes whoever made them and in whichever order.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data_module import build
+from data_module.errors import InputError, complain
+from gesticulator.batch.manifest import DONE, FAILED, Manifest, ManifestRow, check_manifest, default_name, table
+from gesticulator.cli import PROGRAM, Command
+
+if TYPE_CHECKING:
+    from data_module.build_report import Outcome
+    from data_module.corpora import Item
+    from data_module.store import StoreWriter
+    from gesticulator.batch.run import BatchTask
+
+
+def _arguments(p: argparse.ArgumentParser) -> None:
+    build.add_arguments(p)
+    many = p.add_argument_group("many machines")
+    many.add_argument("--ray", metavar="WHERE", help="make the recordings on a Ray cluster: auto, its address, or "
+                      "local:N for N workers here (needs Ray)")
+    many.add_argument("--shard", metavar="I/N", help="make the share I of N and stop; the same command without it "
+                      "makes what is missing and finishes the store")
+    many.add_argument("--manifest", metavar="FILE", help="note each recording here (.parquet or .jsonl); the default "
+                      "with --ray and --shard is STORE.manifest.parquet")
+
+
+def _run(asked: argparse.Namespace) -> int:
+    if not (asked.ray or asked.shard or asked.manifest):
+        return build.run(asked)
+    from gesticulator.batch import ray_pool
+    from gesticulator.batch.run import asked_shard
+
+    shard = asked_shard(asked.shard)
+    path = Path(asked.manifest or asked.out.with_name(f"{asked.out.name}.{default_name(*shard)}"))
+    check_manifest(path)
+    if asked.ray:
+        ray_pool.check_ray(asked.ray)
+    request = build.asked_for(asked)
+    from data_module.corpora import STROKE_SOURCES
+    from data_module.store import Store
+
+    if request.corpus in STROKE_SOURCES:
+        raise InputError(f"--ray, --shard and --manifest with {request.corpus}", "do not go together",
+                         "leave them out: it makes strokes, in one go")
+    with Manifest(path) as notes:
+        noted = _NotedBuild(notes, asked.ray, asked.workers, *shard)
+        if shard == (1, 1):
+            build.run(asked, noted.made)
+            noted.complete((info.name, info.seconds) for info in Store.open(asked.out).recordings)
+        else:
+            made = build.build_share(request, noted.made, noted.mine)
+            noted.complete((outcome.name, outcome.seconds) for outcome in made or ())
+            print(f"{asked.out}: " + ("is there already" if made is None else f"share {shard[0]} of {shard[1]}"))
+        rows = list(notes.rows.values())
+    print(f"{path}:\n{table(rows)}", flush=True)
+    return 0
+
+
+@dataclass
+class _NotedBuild:
+    """Makes recordings where it was asked, and notes them. ray: see `done_on_ray`; workers: processes without it;
+    index, count: of the shard."""
+
+    notes: Manifest
+    ray: str | None
+    workers: int
+    index: int
+    count: int
+    _writer: StoreWriter | None = None
+
+    def mine(self, items: Sequence[Item]) -> list[Item]:
+        """Those of the shard, the largest first."""
+        from gesticulator.batch.run import sharded
+
+        return [items[task.number] for task in sharded(_tasks(items), self.index, self.count)]
+
+    def made(self, workshop: build.Workshop, items: Sequence[Item]) -> Iterator[Outcome]:
+        """See `build.Making`."""
+        from gesticulator.batch.ray_pool import done_on_ray
+        from gesticulator.batch.run import done_in_processes, sharded
+
+        self._writer = workshop.writer
+        settings = self._row("").settings
+        for name in [row.input for row in self.notes.rows.values() if row.settings != settings]:
+            del self.notes.rows[name]  # of a store of that name that is there no more
+        make = partial(_worker, workshop, tuple(items))
+        order = [task.number for task in sharded(_tasks(items), 1, 1)]
+        if not order:
+            return
+        for one in done_on_ray(self.ray, make, order) if self.ray else done_in_processes(self.workers, make, order):
+            item = items[one.number]
+            outcome = None if one.error else workshop.outcome(item)
+            wrong = one.error or (outcome.dropped if outcome is not None else "is not there")
+            self.notes.add(replace(self._row(item.info.name, one.seconds), status=FAILED if wrong else DONE,
+                                   error=wrong, time=one.time, worker=one.worker))
+            if outcome is not None:
+                yield outcome
+            else:
+                complain(f"{PROGRAM}: {item.info.name}: {wrong}")
+
+    def complete(self, made: Iterable[tuple[str, float]]) -> None:
+        """Note what was made, with its seconds, by a run that was killed before it could."""
+        for name, seconds in made if self._writer is not None else ():
+            if name not in self.notes.rows:
+                self.notes.add(self._row(name, seconds))
+
+    def _row(self, name: str, seconds: float = 0.0) -> ManifestRow:
+        """Of a recording that was made."""
+        from gesticulator import __version__
+
+        assert self._writer is not None
+        made_with = hashlib.sha256(json.dumps(self._writer.head, sort_keys=True).encode()).hexdigest()
+        files = tuple(str(self._writer.path / "recordings" / f"{name}.{kind}") for kind in ("flac", "npz"))
+        return ManifestRow(name, seconds=seconds, output=files, program=__version__, settings=made_with)
+
+
+def _tasks(items: Sequence[Item]) -> list[BatchTask]:
+    from gesticulator.batch.run import BatchTask
+
+    return [BatchTask(number, Path(item.info.name), (), ("", "", ""), seconds=item.size)
+            for number, item in enumerate(items)]
+
+
+def _worker(workshop: build.Workshop, items: Sequence[Item]) -> Callable[[int], float]:
+    """Opens the corpus, and gives what makes the recording of a number and tells its seconds of sound."""
+    from data_module.corpora import open_corpus
+
+    workshop.reader = open_corpus(workshop.corpus, workshop.source, workshop.options)
+    found = json.loads(json.dumps(dict(workshop.reader.settings())))
+    if found != workshop.writer.head["settings"]:
+        raise InputError(workshop.source or workshop.corpus, "is not the same on all machines",
+                         "give them the same files and programs")
+
+    def make(number: int) -> float:
+        return workshop.make(items[number]).seconds
+
+    return make
+
+
+COMMAND = Command(
+    "turn recordings of speech and motion into a store to train on", _arguments, _run,
+    examples=("build performer --preset tiny --out store", "build folder --source DIR --out store",
+              "build beat --source DIR --out store --workers 4", "build beat --source DIR --out store --ray auto",
+              "build beat --source DIR --out store --shard 2/8"))

@@ -1,0 +1,142 @@
+"""A recording of any length to motion files in bounded memory: sound is read in pieces, fed to a stream, and frames are
+written as they come. The bytes are those of the recording done at once.
+
+What grows with the recording is a lexeme for each block: some 70 KB an hour.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Collection, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from data_module.files import new_file
+from data_module.motion.bvh import BvhWriter
+from data_module.motion.skeletons import standing
+from data_module.speech.audio import SAMPLE_RATE, LevelMeter, SpeechPieces
+from data_module.types import Motion, Skeleton
+from gesticulator.performance import UNITS, InferenceArguments
+
+if TYPE_CHECKING:
+    from gesticulator.bundle.bundle import Bundle
+    from gesticulator.pipeline import Gesticulator
+
+_COPIED = 1 << 20
+"""Bytes that are copied at a time."""
+
+
+class FrameWriter(Protocol):
+    """Writes a motion whose frames come in pieces."""
+
+    def expect(self, frames: int) -> None:
+        """`InputError` where so many frames are more than the file can hold."""
+
+    def add(self, motion: Motion) -> None:
+        """Some more frames."""
+
+    def finish(self) -> None:
+        """Give the file its name; nothing follows."""
+
+    def close(self) -> None:
+        """Let go of temporary files; whatever is not finished is gone."""
+
+
+class BvhFile:
+    """A .bvh file. Its header tells how many frames there are, so they wait in a file without a name until then."""
+
+    def __init__(self, path: Path, skeleton: Skeleton, fps: float, unit: str = "cm") -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._path, self._text = path, BvhWriter(skeleton, fps, UNITS[unit])
+        self._rows: IO[bytes] = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - closed by `close`
+
+    def expect(self, frames: int) -> None:
+        """A BVH file holds any number of frames."""
+
+    def add(self, motion: Motion) -> None:
+        """Some more frames."""
+        self._rows.write(self._text.rows(standing(motion)).encode("ascii"))
+
+    def finish(self) -> None:
+        """Give the file its name; nothing follows."""
+        self._rows.seek(0)
+        with new_file(self._path) as out:
+            out.write(self._text.head().encode("utf-8"))
+            shutil.copyfileobj(self._rows, out, _COPIED)
+
+    def close(self) -> None:
+        """Let go of the temporary file."""
+        self._rows.close()
+
+
+@dataclass(frozen=True)
+class LongPerformance:
+    """What is kept of a long recording. seconds: of sound; lexemes: [N] of its blocks; frames: of its motion; note:
+    what to tell of its level."""
+
+    seconds: float
+    lexemes: tuple[int, ...]
+    frames: int
+    note: str | None
+
+
+def _glb(path: Path, skeleton: Skeleton, fps: float, unit: str) -> FrameWriter:
+    from gesticulator.export.glb_pieces import GlbFile
+
+    return GlbFile(path, skeleton, fps)
+
+
+WRITERS: dict[str, Callable[[Path, Skeleton, float, str], FrameWriter]] = {".bvh": BvhFile, ".glb": _glb}
+"""Suffix -> what writes it in pieces: (path, skeleton, frames per second, unit of a BVH file)."""
+
+
+def can_be_written(targets: Collection[Path]) -> bool:
+    """Whether all of these files can be written in pieces."""
+    return all(target.suffix.lower() in WRITERS for target in targets)
+
+
+def can_be_done(bundle: Bundle) -> bool:
+    """Whether the bundle's motion can be made in pieces: its phrases rest, and its joints turn."""
+    config = bundle.config
+    return config.tokens != "racer" and config.silence.rest == "life" and config.motion.representation == "rotations"
+
+
+def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Path], options: InferenceArguments,
+                 unit: str = "cm", on_sound: Callable[[float], None] | None = None) -> LongPerformance:
+    """Write the gestures for a recording, whole or not at all.
+
+    targets: files that `can_be_written`. unit: of a BVH file. on_sound(seconds) is called as sound was taken in.
+    `InputError` for what the recording cannot be used for, or for more frames than a file can hold; OSError where the
+    disk refuses.
+    """
+    stream = system.stream(SAMPLE_RATE, **options)
+    lexemes: list[int] = []
+    meter, gain = LevelMeter(), 10.0 ** (options.get("gain", 0.0) / 20)
+    with ExitStack() as open_files:
+        writers = [WRITERS[target.suffix.lower()](target, stream.skeleton, stream.fps, unit) for target in targets]
+        for writer in writers:
+            open_files.callback(writer.close)
+        for writer in writers:
+            writer.expect(math.ceil(sound.seconds * stream.fps))
+        for piece in sound.pieces:
+            meter.add(np.clip(piece * gain, -1.0, 1.0).astype(np.float32))
+            given = stream.feed(piece)
+            lexemes += [block.lexeme for block in given.blocks]
+            if len(given):
+                for writer in writers:
+                    writer.add(given.motion())
+            if on_sound is not None:
+                on_sound(stream.time)
+        seconds, rest = stream.time, stream.finish()
+        lexemes += [block.lexeme for block in rest.blocks]
+        for writer in writers:
+            if len(rest):
+                writer.add(rest.motion())
+            writer.finish()
+    return LongPerformance(seconds, tuple(lexemes), stream.made, meter.finish())

@@ -1,0 +1,352 @@
+"""Idle life: what a body does that does nothing. It breathes, shifts its weight, looks about; no hand is quite still.
+
+A layer over the finished poses, in radians on the exponential maps, that depends on the seed and the second alone: a
+stream and a file get the same, whatever draws the gestures, and a block that is drawn twice breathes alike. What draws
+the next block is shown the poses without it, so it never learns to add life to life.
+
+Four kinds of movement, all smooth and none periodic:
+
+- noise: sum over n of g_n B((t - t_n) / step), B the cubic B-spline and g_n a normal number, a low-pass of white noise
+  with nothing above about 0.5 / step hertz: sway and the drift of the arms.
+- breathing: a sine of about 0.25 Hz whose phase wanders with noise.
+- shifts: from one posture to the next, at irregular times, along 1 - (1 + a + a^2 / 2) exp(-a), a = (t - t_n) / tau:
+  a quick start and a slow settling, as the eye leads the head. Small ones of the head and upper back follow each other
+  within a second, so that the head never stands; gaze and weight shift every few seconds.
+- hands that open and close a little along their own bend, where there are fingers.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.motion.kinematics import positions_of
+from data_module.motion.representation import Representation
+from data_module.types import Array
+from gesticulator.bundle.features import Flags, Span, Statistics
+
+HEAD = ("Neck", "Neck1", "Head")
+"""The joints that turn the face without moving a hand."""
+SIDES = ("Right", "Left")
+
+_BREATHS = 0.25
+"""Hertz: 15 a minute, a standing adult's."""
+_BREATH_WANDERS, _BREATH_STEP = 0.1, 5.0
+"""Of a breath, each 5 s: no two last alike."""
+_SPLINE_SPREAD = math.sqrt(151.0 / 315.0)
+"""Standard deviation, over time, of B-spline noise made of standard normal numbers."""
+_SETTLED = 16.0
+"""Time constants after which a shift is over: exp(-16) of it is a hundred thousandth of a degree."""
+_TRIES = 8
+_REMEMBERED = 128
+"""Postures before the one that is asked for that are kept, so that hours take no more memory than minutes."""
+
+_FAINT = 0.25
+"""Share of the idle life that is left in speech, where the generator moves the body."""
+_HEAD_STANDS, _HEAD_MOVES = 0.025, 0.06
+"""m/s of the generated head up to which there is all of the life, and from which on the faint share alone."""
+_GAIN_TAU = 0.25
+"""Seconds in which life grows and fades."""
+
+_ALL_BITS = 0xFFFFFFFFFFFFFFFF
+_STEP_OF_BITS = np.uint64(0x9E3779B97F4A7C15)
+
+
+Channel = int | NDArray[np.int64]
+
+
+def mixed(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """64 well mixed bits for each number [...] of a channel (splitmix64, Steele et al. 2014): the same everywhere.
+
+    channel: one, or an array that broadcasts with the numbers.
+    """
+    with np.errstate(over="ignore"):
+        key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * (np.asarray(channel) + 1).astype(np.uint64))
+        return _scrambled(key + _STEP_OF_BITS * np.asarray(numbers).astype(np.uint64))
+
+
+def _scrambled(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    with np.errstate(over="ignore"):
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        return z ^ (z >> np.uint64(31))
+
+
+def uniform(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
+    """Numbers in (0, 1) for each of `numbers` [...]."""
+    return ((mixed(seed, channel, numbers) >> np.uint64(11)).astype(np.float64) + 0.5) / 2.0**53
+
+
+def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
+    """Standard normal numbers for each of `numbers` [...] (Box and Muller)."""
+    doubled = 2 * np.asarray(numbers, dtype=np.int64)
+    one, two = uniform(seed, channel, doubled), uniform(seed, channel, doubled + 1)
+    drawn: Array = np.sqrt(-2.0 * np.log(one)) * np.cos(2.0 * np.pi * two)
+    return drawn
+
+
+def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) -> Array:
+    """Smooth noise of standard deviation 1 at `times` [T] seconds, one for each of the channels [C], with a normal
+    number every `steps` [C] seconds: [T, C]."""
+    where = np.asarray(times, dtype=np.float64)[:, None] / steps
+    first = np.floor(where).astype(np.int64)
+    u = where - first
+    weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6.0
+    values = normal(seed, channels, first + np.arange(-1, 3)[:, None, None])
+    return (weights * values).sum(axis=0) / _SPLINE_SPREAD
+
+
+@dataclass(frozen=True)
+class ShiftStyle:
+    """How something shifts. every: seconds between shifts; jitter: the share of it by which they come early or late, up
+    to 0.5; tau: the time constant, seconds; spread: [D] standard deviation of the postures in each dimension; least,
+    most: how far two in a row lie apart, in these spreads."""
+
+    every: float
+    jitter: float
+    tau: float
+    spread: tuple[float, ...]
+    least: float
+    most: float
+
+
+@dataclass
+class Shifts:
+    """Postures [D] one after the other from the zero at time 0; at any time, in any order of asking."""
+
+    seed: int
+    channel: int
+    style: ShiftStyle
+    _postures: list[Array] = field(default_factory=list)
+    _first: int = 0
+    """The number of the first posture that is remembered."""
+
+    def at(self, times: Array) -> Array:
+        """[T, D] for times [T] in seconds, which may not be negative."""
+        s = self.style
+        times = np.asarray(times, dtype=np.float64)
+        last = max(0, math.floor(times.max() / s.every + s.jitter)) + 1
+        reach = math.ceil(_SETTLED * s.tau / s.every + 1)
+        first = max(0, math.floor(times.min() / s.every) - reach)
+        self._extend(max(first - 1, 0), last)
+        a = np.maximum(times[:, None] - self.begins(np.arange(first, last + 1)), 0.0) / s.tau
+        done = 1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a)
+        postures = np.array(self._postures[first - self._first:last + 1 - self._first])
+        before = self._postures[first - 1 - self._first] if first > 0 else np.zeros(len(s.spread))
+        steps = np.diff(postures, axis=0, prepend=before[None])
+        moved: Array = before + done @ steps
+        return moved
+
+    def begins(self, numbers: NDArray[np.int64]) -> Array:
+        """Seconds at which these shifts [...] begin."""
+        s = self.style
+        early_or_late: Array = s.jitter * (2.0 * uniform(self.seed, self.channel, numbers) - 1.0)
+        return (numbers + early_or_late) * s.every
+
+    def posture(self, number: int) -> Array:
+        """[D] where shift `number` ends."""
+        self._extend(number, number)
+        return self._postures[number - self._first]
+
+    def _extend(self, first: int, last: int) -> None:
+        """The chain of postures, from number `first` to number `last`: each is drawn from the same spread, neither too
+        near the one before nor too far."""
+        s, width = self.style, len(self.style.spread)
+        if first < self._first:  # long ago: the chain is made once more
+            self._postures, self._first = [], 0
+        old = min(first, last) - _REMEMBERED - self._first
+        if old > _REMEMBERED:
+            del self._postures[:old]
+            self._first += old
+        while self._first + len(self._postures) <= last:
+            n = self._first + len(self._postures)
+            before = self._postures[-1] if n else np.zeros(width)
+            tries = normal(self.seed, self.channel + 1, (n * _TRIES + np.arange(_TRIES))[:, None] * width
+                           + np.arange(width)) * s.spread
+            tries[-1] = -before  # far from most places
+            apart = np.linalg.norm((tries - before) / s.spread, axis=1)
+            fits = np.flatnonzero((apart >= s.least) & (apart <= s.most))
+            chosen = tries[fits[0] if len(fits) else int(np.argmin(np.abs(apart - s.least)))]
+            length = max(float(np.linalg.norm((chosen - before) / s.spread)), 1e-9)
+            self._postures.append(before + (chosen - before) * min(max(1.0, s.least / length), s.most / length))
+
+
+_HEAD_SHIFT = ShiftStyle(every=0.62, jitter=0.14, tau=0.085, spread=(1.5, 1.5), least=1.4, most=2.2)
+"""Of a unit of pitch and of roll, see `_SHIFTED`: a head that is not looked at moves so about once a second."""
+_GAZE = ShiftStyle(every=2.9, jitter=0.35, tau=0.09, spread=(6.0, 2.5), least=0.8, most=2.5)
+"""Degrees of yaw and of pitch."""
+_WEIGHT = ShiftStyle(every=6.5, jitter=0.35, tau=0.45, spread=(1.0, 0.7, 1.0), least=1.0, most=2.5)
+"""Degrees of the hips' roll, pitch and yaw, from one leg to the other."""
+
+_SHIFTED = {"Neck": 1.3, "Neck1": 0.6, "Spine3": 0.2, "Spine2": 0.25, "Spine1": 0.25}
+"""Degrees of a unit of the head's small shifts: the upper back goes with it."""
+LOOKED = {"Neck": 0.35, "Neck1": 0.2, "Head": 0.45}
+"""Shares of a gaze shift."""
+_INHALED = {("Spine1", 0): -0.2, ("Spine2", 0): -0.4, ("Neck", 0): 0.35, ("LeftShoulder", 2): 1.0,
+            ("RightShoulder", 2): -1.0}
+"""Degrees at the height of a breath, by joint and axis: the chest opens, the shoulders rise, the face stays."""
+_SWAYED = {("Hips", 2): (1.0, 0), ("Spine", 2): (-0.5, 0), ("Hips", 0): (1.0, 1), ("Spine", 0): (-0.5, 1),
+           ("Spine1", 1): (0.8, 2)}
+"""By joint and axis: the share of a weight shift (and of the sway), and which of its dimensions."""
+_SWAY, _SWAY_STEP = 0.35, 1.5
+"""Degrees and seconds of the noise that is added to the weight shifts."""
+_DRIFT = {"Arm": (1.1, 1.2), "ForeArm": (1.6, 1.0), "Hand": (1.8, 0.9)}
+"""Degrees and seconds of the noise on each axis of the arms' joints."""
+_CURL, _CURL_STEP = 2.0, 1.6
+"""Degrees and seconds of the noise by which a hand opens and closes."""
+_SHIFT_CHANNEL, _GAZE_CHANNEL, _WEIGHT_CHANNEL, _BREATH_CHANNEL, _NOISE_CHANNEL = 0, 2, 4, 6, 8
+_DRIFTS = [(side + part, axis, *_DRIFT[part]) for side in SIDES for part in _DRIFT for axis in range(3)]
+_SWAYS, _CURLS = 3, len(SIDES)
+_CHANNELS = np.append(_NOISE_CHANNEL + np.arange(_SWAYS + len(_DRIFTS) + _CURLS), _BREATH_CHANNEL)
+_STEPS = np.array([_SWAY_STEP] * _SWAYS + [step for *_, step in _DRIFTS] + [_CURL_STEP] * _CURLS + [_BREATH_STEP])
+
+
+def weight_shifts(seed: int) -> Shifts:
+    """The weight from one leg to the other: [3] degrees of the hips' roll (above 0 on the left leg), pitch and yaw."""
+    return Shifts(seed, _WEIGHT_CHANNEL, _WEIGHT)
+
+
+def breath(seed: int, times: Array) -> Array:
+    """-1 (out) to 1 (in), [T], at `times` [T] seconds."""
+    return _breathed(seed, times, noise(seed, np.array([_BREATH_CHANNEL]), times, np.array([_BREATH_STEP]))[:, 0])
+
+
+def _breathed(seed: int, times: Array, wander: Array) -> Array:
+    """`breath` with the noise of its phase; breathing out takes longer than breathing in."""
+    begins = float(uniform(seed, _BREATH_CHANNEL + 1, np.zeros(1, np.int64))[0])
+    phase = 2.0 * np.pi * (_BREATHS * times + _BREATH_WANDERS * wander + begins)
+    return np.sin(phase + 0.4 * np.sin(phase))
+
+
+class Idle:
+    """Idle life of a body with these joints, as a function of time: drivers (shifts, gaze, breath, sway, drifts and
+    curls), mixed into the axes of the joints."""
+
+    def __init__(self, seed: int, joints: Sequence[str], rest: Array) -> None:
+        """seed: any whole number; joints: names; rest: [J, 3] the resting pose, exponential maps (which way fingers
+        bend)."""
+        self.seed = seed
+        self._shifts = Shifts(seed, _SHIFT_CHANNEL, _HEAD_SHIFT)
+        self._gaze = Shifts(seed, _GAZE_CHANNEL, _GAZE)
+        self._weight = weight_shifts(seed)
+        self._mixing = np.radians(_mixing(list(joints), rest)).reshape(-1, 3 * len(joints))
+
+    def __call__(self, times: Array) -> Array:
+        """[T, J, 3] radians to add to the exponential maps at `times` [T], seconds from 0."""
+        times = np.asarray(times, dtype=np.float64)
+        smooth = noise(self.seed, _CHANNELS, times, _STEPS)
+        sway = self._weight.at(times) + _SWAY * smooth[:, :_SWAYS]
+        breathed = _breathed(self.seed, times, smooth[:, -1])
+        drivers = np.concatenate([self._shifts.at(times), self._gaze.at(times), breathed[:, None], sway,
+                                  smooth[:, _SWAYS:-1]], axis=1)
+        life: Array = (drivers @ self._mixing).reshape(len(times), -1, 3)
+        return life
+
+
+def _mixing(joints: list[str], rest: Array) -> Array:
+    """[M, J, 3] degrees that each driver turns each axis by."""
+    gaze, breath, sway, drift = 2, 4, 5, 5 + _SWAYS
+    curl = drift + len(_DRIFTS)
+    rows = [(dimension, name, axis, degrees) for name, degrees in _SHIFTED.items()
+            for dimension, axis in ((0, 0), (1, 2))]
+    rows += [(gaze + dimension, name, axis, share) for name, share in LOOKED.items()
+             for dimension, axis in ((0, 1), (1, 0))]
+    rows += [(breath, name, axis, degrees) for (name, axis), degrees in _INHALED.items()]
+    rows += [(sway + dimension, name, axis, share) for (name, axis), (share, dimension) in _SWAYED.items()]
+    rows += [(drift + number, name, axis, degrees) for number, (name, axis, degrees, _) in enumerate(_DRIFTS)]
+    out = np.zeros((curl + _CURLS, len(joints), 3))
+    for driver, name, axis, degrees in rows:
+        if name in joints:
+            out[driver, joints.index(name), axis] += degrees
+    for index, name in enumerate(joints):
+        length = float(np.linalg.norm(rest[index]))
+        for number, side in enumerate(SIDES):
+            if name.startswith(side + "Hand") and name != side + "Hand" and length > 1e-6:
+                out[curl + number, index] = _CURL * rest[index] / length  # along its own bend
+    return out
+
+
+# ---------------------------------------------------------------------------------------------------- over the poses
+
+@dataclass
+class _Gain:
+    """A number that follows 0 to 1 without a jump in itself or its slope (critically damped)."""
+
+    value: float = 0.0
+    slope: float = 0.0
+
+    def follow(self, target: float, seconds: float) -> float:
+        away = self.value - target
+        push = self.slope + away / _GAIN_TAU
+        fade = math.exp(-seconds / _GAIN_TAU)
+        self.value = target + (away + push * seconds) * fade
+        self.slope = (push - (away + push * seconds) / _GAIN_TAU) * fade
+        return self.value
+
+
+class LifeLayer:
+    """Idle life over the poses of one performance, frame by frame: wholly where the body rests or its head would stand,
+    else faintly. Head and body fade apart."""
+
+    def __init__(self, seed: int, statistics: Statistics, representation: Representation, speaker: int,
+                 parts: Sequence[NDArray[np.int64]]) -> None:
+        """seed: of `Idle`; representation: of exponential maps; parts: which dimensions are of the head, and which of
+        the body."""
+        pose = statistics.rest_pose[speaker]
+        names = representation.motion(pose[None], 1.0).skeleton.names
+        self._idle, self._parts = Idle(seed, names, pose.reshape(-1, 3)), parts
+        self._scale = statistics.present.numpy() / statistics.deviation
+        self._head_moves = _head_moves(statistics, representation, speaker)
+        self._shown = statistics.normalise(pose, speaker)
+        self._gains = [_Gain() for _ in parts]
+        self.gains = np.zeros((0, len(parts), 2))
+        """[K, parts, 2] how much of the life there was in each frame of the last block, and its slope."""
+
+    def fork(self) -> LifeLayer:
+        """A twin that goes on from here by itself."""
+        twin = copy.copy(self)
+        twin._gains = [copy.copy(gain) for gain in self._gains]
+        return twin
+
+    def stand_as(self, other: LifeLayer) -> None:
+        """Take over the pose and how much life there is from another of the same speaker."""
+        self._gains, self._shown = other.fork()._gains, other._shown
+
+    def go_back(self, gains: Array, pose: Array) -> None:
+        """To what was shown: `gains` [parts, 2] of that frame, and its pose [D_m]."""
+        self._gains = [_Gain(*gain) for gain in gains.tolist()]
+        self._shown = pose.astype(np.float64)
+
+    def __call__(self, block: Array, span: Span, rests: Sequence[Flags]) -> Array:
+        """[K, D_m] a block of normalised poses with the life on it; rests: [K] for each part, whether it rests."""
+        times = span.times
+        life = self._idle(times).reshape(block.shape) * self._scale
+        seconds = span.duration / len(times)
+        steps = np.diff(block, axis=0, prepend=self._shown[None])
+        speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
+        stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
+        self.gains = np.empty((len(times), len(self._parts), 2))
+        for part, (columns, flags, gain) in enumerate(zip(self._parts, rests, self._gains, strict=True)):
+            wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, flags)
+            for k, one in enumerate(wanted):
+                gain.follow(float(one), seconds)
+                self.gains[k, part] = gain.value, gain.slope
+            life[:, columns] *= self.gains[:, part, :1]
+        self._shown = block[-1].astype(np.float64)
+        return block + life
+
+
+def _head_moves(statistics: Statistics, representation: Representation, speaker: int) -> Array:
+    """[D_m, 3] metres that the head moves by for a unit of each feature, at the resting pose."""
+    tiny = 1e-3
+    rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
+    turned = np.concatenate([rest[None], rest + tiny * np.eye(len(rest))])
+    motion = representation.motion(statistics.denormalise(turned, speaker), 1.0)
+    at = positions_of(motion)[:, motion.skeleton.index("Head")]
+    moves: Array = (at[1:] - at[:1]) / tiny
+    return moves

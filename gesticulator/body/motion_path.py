@@ -1,0 +1,135 @@
+"""Drawn blocks to frames on the clock, as they come: knots, smoothing, joints, and legs where they are asked for.
+
+A file and a stream go through `MotionPath` block by block, so that both get the same numbers.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.blocks import KnotPath
+from data_module.types import Array, Motion
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import representation_of
+from gesticulator.performance import InferenceOptions
+
+if TYPE_CHECKING:
+    from gesticulator.body.stance import Stance
+
+HISTORY, LONGEST_HISTORY = 60.0, 600.0
+"""Seconds of what was made that can be taken back, unless more is asked for, and at most: an answer that was delivered
+at once and is played for minutes. A second takes 25 kB."""
+
+
+class MotionPath:
+    """Normalised blocks of one performer, one after the other, to motion (RG 4.2.2, 7.1.2)."""
+
+    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, prompt: bool = False,
+                 shaping: Callable[[Array, Array], Array] | None = None) -> None:
+        """options: of which fps, legs, seated, seed and mirror are taken; prompt: see `KnotPath`; shaping: poses
+        [K, D_m] at seconds [K] -> poses, what knobs make of them."""
+        self._shaping = shaping
+        self._statistics, self._speaker, self._options = bundle.statistics, speaker, options
+        self._representation = representation_of(bundle.config)
+        first: Array = bundle.statistics.rest_pose[speaker]
+        self._knots = KnotPath(first, float(options.fps), bundle.config.motion.smoothing, prompt)
+        self._whole: list[Array] | None = None if bundle.config.motion.representation == "rotations" else []
+        self._last: Array | None = None
+        self._stance: Stance | None = None
+        self.skeleton = self._representation.motion(first[None], float(options.fps)).skeleton
+        if options.legs or options.seated:
+            from gesticulator.body.stance import WHOLE_BODY, Stance
+
+            self.skeleton = WHOLE_BODY
+            self._stance = None if options.seated else Stance(int(options.seed), float(options.fps))
+        self._stances: deque[tuple[int, Stance]] = deque()
+        self.history = HISTORY
+        """Seconds that can be taken back."""
+
+    @property
+    def next(self) -> int:
+        """The number of the next frame."""
+        return self._knots.next
+
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+        return self._knots.fps
+
+    @property
+    def prompt(self) -> bool:
+        """See `KnotPath`."""
+        return self._knots.prompt
+
+    @property
+    def reach(self) -> float:
+        """Seconds after a frame in which other frames smooth it."""
+        return self._knots.reach
+
+    def push(self, times: Array, features: NDArray[np.floating], until: int | None = None) -> Motion | None:
+        """The frames that are certain by more knots: features [K, D_m] at rising times [K] seconds; None for none.
+        Those from number `until` on are kept back for later.
+
+        Positions of joints make rotations only together, so there all frames come at the end.
+        """
+        frames = self._knots.push(times, self._poses(times, features), until)
+        if self._whole is None:
+            return self._motion(frames)
+        self._whole.append(frames)
+        return None
+
+    def finish(self, duration: float) -> Motion | None:
+        """The frames that are left of so many seconds."""
+        return self._motion(np.concatenate([*(self._whole or ()), self._knots.finish(duration)]))
+
+    def rewind(self, times: Array, features: NDArray[np.floating], first: int) -> None:
+        """Go back to frame `first`, see `KnotPath.rewind`; features [M, D_m] at times [M] of all that is remembered."""
+        self._knots.rewind(times, self._poses(times, features), first)
+        self._last = None
+        if self._stance is not None:
+            while len(self._stances) > 1 and self._stances[-1][0] > first:
+                self._stances.pop()
+            number, self._stance = self._stances[-1]
+            self._stances[-1] = number, copy.deepcopy(self._stance)
+            if number < first:
+                self._stance.step(self._representation.motion(self._knots.frames(number, first), self._knots.fps))
+
+    def _poses(self, times: Array, features: NDArray[np.floating]) -> Array:
+        poses = self._statistics.denormalise(features.astype(np.float64), self._speaker)
+        return poses if self._shaping is None or not len(poses) else self._shaping(poses, times)
+
+    def _motion(self, frames: Array) -> Motion | None:
+        if len(frames) == 0:
+            return None
+        motion = self._moved(frames)
+        if not self._options.mirrored:
+            return motion
+        from gesticulator.directing.shaping import mirrored_motion
+
+        return mirrored_motion(motion)
+
+    def _moved(self, frames: Array) -> Motion:
+        body = self._representation.motion(frames, self._knots.fps)
+        if self._stance is not None:
+            first = self._knots.next - len(frames)
+            self._stances.append((first, copy.deepcopy(self._stance)))
+            while (first - self._stances[0][0]) / self._knots.fps > self.history and len(self._stances) > 1:
+                self._stances.popleft()
+            return self._stance.step(body)
+        if self._options.seated:
+            from gesticulator.body.stance import seated
+
+            body = seated(body)
+        # A quaternion and its negative are one rotation; frame after frame the nearer is taken.
+        if self._last is not None:
+            turned = np.where(np.sum(body.rotations[0] * self._last, axis=-1) < 0, -1.0, 1.0)
+            body = replace(body, rotations=body.rotations * turned[:, None])
+        self._last = body.rotations[-1]
+        return body

@@ -1,0 +1,1 @@
+"""A bundle: the folder of weights, settings and statistics that inference needs."""

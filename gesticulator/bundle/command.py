@@ -1,0 +1,85 @@
+"""The verbs `build`, `train` and `bundle` of the command line; what is heavy is imported when a verb is run."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from gesticulator.batch.build import COMMAND as BUILD
+from gesticulator.bundle import silent
+from gesticulator.cli import Command
+from gesticulator.training.command import COMMAND as TRAIN
+
+__all__ = ["BUILD", "BUNDLE", "TRAIN"]
+
+
+def _arguments(p: argparse.ArgumentParser) -> None:
+    verbs = p.add_subparsers(dest="what", required=True, metavar="inspect|silent|upgrade")
+    inspect = verbs.add_parser("inspect", help="what a bundle holds, its sizes and hashes, what it was trained on")
+    inspect.add_argument("bundle", nargs="?", metavar="BUNDLE", help="its folder (the shipped one)")
+    inspect.add_argument("--settings", action="store_true", help="show every setting too")
+    silent.arguments(verbs.add_parser("silent", help="list or edit the silent lexemes (RG 6.4.1)"))
+    upgrade = verbs.add_parser("upgrade", help="write a bundle of an older format as one of today's")
+    upgrade.add_argument("bundle", type=Path, metavar="OLD")
+    upgrade.add_argument("out", type=Path, metavar="NEW")
+
+
+def _run(asked: argparse.Namespace) -> int:
+    if asked.what == "silent":
+        return silent.run(asked)
+    if asked.what == "upgrade":
+        from gesticulator.bundle.upgrade import upgrade
+
+        upgrade(asked.bundle, asked.out)
+        print(f"{asked.out}: written from {asked.bundle}; its weights and the motion that they make are the same")
+        return 0
+    print(_inspected(asked.bundle, asked.settings))
+    return 0
+
+
+def _inspected(given: str | None, settings: bool) -> str:
+    """What `bundle inspect` prints. Every part is opened, so what is broken is found here."""
+    from data_module.layers import parameter_count
+    from gesticulator.bundle.bundle import FILES, SHIPPED, load, read_index
+
+    folder = Path(given) if given else SHIPPED
+    index, bundle = read_index(folder), load(folder)
+    sizes = {name: parameter_count(bundle.parts[name]) for name in bundle.parts}
+    lines = [f"{folder}: format {index['format']}, preset {bundle.config.name}, made by "
+             + ", ".join(f"{name} {version}" for name, version in index.get("made_by", {}).items()),
+             f"speakers: {', '.join(bundle.speakers)}; interpreters: {', '.join(bundle.interpreters)}",
+             f"lexemes: {len(bundle.vectors)}; {silent.line(bundle.silent.tolist(), len(bundle.vectors))}",
+             f"words: {bundle.text.encoder if bundle.text else 'not read'}", "", "trained on"]
+    lines += [f"  {name}: {_short(value)}" for name, value in bundle.provenance.items()]
+    lines += ["", f"{'file':<36}{'bytes':>12}{'weights':>12}  sha256"]
+    parts = {f"{file}.safetensors": part for part, file in FILES.items()}
+    for name, digest in sorted(index["files"].items()):
+        count = f"{sizes[parts[name]]:,}" if parts.get(name) in sizes else ""
+        lines.append(f"{name:<36}{(folder / name).stat().st_size:>12,}{count:>12}  {digest}")
+    lines += ["", "figures on the validation split"]
+    lines += [f"  {stage}: " + ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
+              for stage, figures in bundle.figures.items()]
+    if settings:
+        lines += ["", "settings", *_settings(index["config"])]
+    return "\n".join(lines)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_short(own)}" for name, own in value.items())
+    return ", ".join(map(str, value)) or "none" if isinstance(value, list) else str(value)
+
+
+def _settings(tree: dict[str, Any], path: str = "") -> list[str]:
+    """Each setting as one would write it after --set."""
+    out = []
+    for name, value in tree.items():
+        out += _settings(value, f"{path}{name}.") if isinstance(value, dict) else [f"  {path}{name}={value}"]
+    return out
+
+
+BUNDLE = Command(
+    "look into a bundle, edit its silent lexemes, or upgrade an old one", _arguments, _run,
+    examples=("bundle inspect", "bundle inspect bundle --settings", "bundle silent bundle --set 3,7,9",
+              "bundle silent --add 12 --out mine", "bundle upgrade old new"))

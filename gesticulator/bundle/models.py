@@ -1,0 +1,242 @@
+"""Every model of a bundle, constructed here and nowhere else: by training, and by whoever opens a bundle.
+
+What a model is shaped by besides the settings is measured on the data, and travels as `Sizes`. A model's module is
+imported by the function that builds it, so whoever opens one part of a bundle imports that part alone.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+
+from data_module.errors import InputError
+from gesticulator.bundle.config import Config, RewardConfig
+from gesticulator.bundle.features import CONTROL_WIDTH, representation_of
+
+if TYPE_CHECKING:
+    from data_module.speech.speech_encoder import SpeechEncoder
+    from generator.flow import FlowGenerator
+    from generator.model import Generator
+    from interpreters.advantage import Critics
+    from interpreters.cql import QNetwork
+    from interpreters.gate import ActivityGate
+    from interpreters.lstm import LstmInterpreter, StyleInterpreter
+    from interpreters.reward import RewardEnsemble
+    from lexicon.autoencoder import Lexicon
+    from lexicon.movement import MovementLexicon
+    from lexicon.racer import RacerCodec
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What shapes the models besides their settings.
+
+    motion: D_m; low, high: widths d + 1 of the two levels of audio, the log duration included; two_levels: they are
+    not one and the same; speakers: P; text: d_t + 1, 0 without words; present: [D_m] 1 where the training motion ever
+    moved; vectors: [S, D_s] the codebook, where there is one already; silent: the silent lexemes; training_blocks:
+    how many style codes are learned, 0 at inference, where the generator has no table of them.
+    """
+
+    config: Config
+    motion: int
+    low: int
+    high: int
+    two_levels: bool
+    speakers: int
+    text: int
+    present: Tensor
+    vectors: Tensor | None = None
+    silent: tuple[int, ...] = ()
+    training_blocks: int = 0
+
+    @property
+    def frames(self) -> int:
+        """K, frames per block."""
+        return self.config.rhythm.frames
+
+    @property
+    def lexemes(self) -> Tensor:
+        """[S, D_s] the codebook; ValueError before there is one."""
+        if self.vectors is None:
+            raise ValueError("this model is built over a codebook, and there is none yet")
+        return self.vectors
+
+    @property
+    def block_audio(self) -> int:
+        """Width of what the reward models hear: both levels where there are two, the log duration once."""
+        return self.low + self.high - 1 if self.two_levels else self.low
+
+
+def encoder(sizes: Sizes) -> SpeechEncoder:
+    """The speech levels (RG 4.1.3)."""
+    from data_module.speech.speech_encoder import SpeechEncoder
+
+    return SpeechEncoder(sizes.config.encoder)
+
+
+def parts_of_body(config: Config) -> dict[str, tuple[int, ...]]:
+    """Part of the body -> its numbers of D_m under these settings."""
+    from data_module.motion.movement import body_parts
+    from data_module.motion.skeletons import CHARACTERS
+
+    representation = representation_of(config)
+    if representation.name != "rotations":
+        return {"body": tuple(range(representation.width))}
+    return body_parts(CHARACTERS[config.motion.joints].names)
+
+
+def lexicon(sizes: Sizes) -> Lexicon | MovementLexicon:
+    """The VQ-VAE over blocks (RG 5.1), or the lexicon of movements."""
+    if sizes.config.lexicon.kind == "movement":
+        from lexicon.movement import MovementLexicon
+
+        return MovementLexicon(sizes.config.lexicon, sizes.frames, parts_of_body(sizes.config))
+    from lexicon.autoencoder import Lexicon
+
+    return Lexicon(sizes.config.lexicon, sizes.frames, sizes.motion, sizes.present)
+
+
+def codec(sizes: Sizes) -> RacerCodec:
+    """RACER's own codec (RACER 4.1)."""
+    from lexicon.racer import RacerCodec
+
+    return RacerCodec(sizes.config.racer, sizes.motion, sizes.present)
+
+
+def tokens(sizes: Sizes) -> Lexicon | MovementLexicon | RacerCodec:
+    """What names gestures under these settings."""
+    return codec(sizes) if sizes.config.tokens == "racer" else lexicon(sizes)
+
+
+def generator(sizes: Sizes) -> Generator | FlowGenerator:
+    """G, E_M, E_A and, while it is trained, the style codes (RG 5.2); or its form with a sampling head."""
+    from generator.model import Generator, GeneratorWidths
+
+    config = sizes.config
+    widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,
+                             config.lexicon.size, sizes.speakers)
+    if config.generator.head == "flow":
+        from generator.flow import FlowGenerator
+        from lexicon.movement import basis_for
+
+        return FlowGenerator(config.generator, widths, basis_for(config.lexicon, sizes.frames, parts_of_body(config)),
+                             sizes.present)
+    return Generator(config.generator, widths, sizes.training_blocks, sizes.present)
+
+
+def interpreter(sizes: Sizes) -> LstmInterpreter:
+    """The lexeme interpreter that hears alone (RG 6.3)."""
+    return _lexeme_interpreter(sizes, False)
+
+
+def interpreter_text(sizes: Sizes) -> LstmInterpreter:
+    """The lexeme interpreter that reads the words too (RG 6.1)."""
+    return _lexeme_interpreter(sizes, True)
+
+
+def _lexeme_interpreter(sizes: Sizes, reads: bool) -> LstmInterpreter:
+    from interpreters.lstm import InterpreterWidths, LstmInterpreter
+
+    config = sizes.config.interpreter
+    return LstmInterpreter(config if reads else config.without_text(), sizes.lexemes, InterpreterWidths(
+        sizes.frames, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH, sizes.motion))
+
+
+def style(sizes: Sizes) -> StyleInterpreter:
+    """The style interpreter that hears alone (RG 6.2, 6.3)."""
+    return _style_interpreter(sizes, False)
+
+
+def style_text(sizes: Sizes) -> StyleInterpreter:
+    """The style interpreter that reads the words too (RG 6.2)."""
+    return _style_interpreter(sizes, True)
+
+
+def _style_interpreter(sizes: Sizes, reads: bool) -> StyleInterpreter:
+    from interpreters.lstm import StyleInterpreter
+
+    config = sizes.config.style
+    return StyleInterpreter(config if reads else config.without_text(), sizes.frames, sizes.low, sizes.lexemes,
+                            sizes.config.generator.style_width, sizes.speakers, sizes.text)
+
+
+def gate(sizes: Sizes) -> ActivityGate:
+    """Whether to gesture at all on a block."""
+    from interpreters.gate import ActivityGate
+
+    return ActivityGate(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers)
+
+
+def q_network(sizes: Sizes) -> QNetwork:
+    """Q(s, a) over the codebook (RACER 4.3)."""
+    from interpreters.cql import QNetwork
+
+    return QNetwork(sizes.config.cql, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, sizes.silent)
+
+
+def advantage(sizes: Sizes) -> Critics:
+    """What lexemes are worth beyond the behaviour policy's own."""
+    from interpreters.advantage import Critics
+
+    return Critics(sizes.config.advantage, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers)
+
+
+def reward(sizes: Sizes) -> RewardEnsemble:
+    """E_m and E_u of several models (RACER 4.2): what teaches a policy."""
+    return _reward(sizes, sizes.config.reward)
+
+
+def reward_judge(sizes: Sizes) -> RewardEnsemble:
+    """The same of other sizes: what judges a policy."""
+    return _reward(sizes, sizes.config.judge)
+
+
+def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
+    from interpreters.reward import RewardEnsemble
+
+    if sizes.config.tokens != "lexicon" or sizes.config.lexicon.kind != "movement":
+        config = replace(config, choice=0.0)  # only movements are decoded in context, lexeme by lexeme
+    return RewardEnsemble(config, sizes.frames, sizes.motion, sizes.block_audio)
+
+
+BUILDERS: dict[str, Callable[[Sizes], nn.Module]] = {
+    "encoder": encoder, "lexicon": tokens, "generator": generator, "interpreter": interpreter,
+    "interpreter_text": interpreter_text, "style": style, "style_text": style_text, "gate": gate,
+    "q_network": q_network, "advantage": advantage}
+"""Part of a bundle -> what builds it."""
+
+
+def codebook_shape(config: Config) -> tuple[int, int]:
+    """(S, D_s) of the codebook under these settings."""
+    if config.tokens == "racer":
+        return config.racer.size, config.racer.width
+    if config.lexicon.kind == "movement":
+        from lexicon.movement import basis_for
+
+        with torch.device("meta"):
+            return config.lexicon.size, basis_for(config.lexicon, config.rhythm.frames, parts_of_body(config)).width
+    return config.lexicon.size, config.lexicon.code_width
+
+
+def codebook_name(config: Config) -> str:
+    """The tensor of the codebook in the lexicon's file."""
+    movement = config.tokens == "lexicon" and config.lexicon.kind == "movement"
+    return "vectors" if movement else "quantizer.vectors"
+
+
+def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
+    """The shape of every tensor of a part, found without taking memory for one; InputError where the settings do not
+    go together."""
+    on_meta = replace(sizes, present=sizes.present.to("meta"),
+                      vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
+    try:
+        with torch.device("meta"), warnings.catch_warnings(action="ignore", category=UserWarning):
+            return {key: tuple(value.shape) for key, value in BUILDERS[name](on_meta).state_dict().items()}
+    except (ValueError, RuntimeError, IndexError, OverflowError, ZeroDivisionError) as error:
+        raise InputError("settings", f"no {name} can be built of them ({str(error).splitlines()[0][:200]})",
+                         "change them") from None

@@ -1,0 +1,255 @@
+"""Hands kept out of a trunk that is wider than ours.
+
+The same directions of bones bring hands to other places on other bodies: what passes a slim waist by a hand's breadth
+ends inside a stout one, and a child's short arms fold into her chest. Where one of her hands would be nearer to the
+trunk than ours is, or inside it, the arm is bent until it is as far outside as ours (and no farther than `MARGIN`).
+How near is measured by the same function on both, and it changes without jumps, so the repair does, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_module.types import Array, Motion, Skeleton
+from gesticulator.characters.frames import Body
+from gesticulator.characters.inverse_kinematics import Limbs, bend
+from gesticulator.characters.mapping import SIDES
+
+MARGIN = 0.03
+"""Metres from the trunk beyond which a hand of an adult is left alone, in the scale of her arms."""
+OURS = (0.145, 0.115)
+"""Metres, half the width and half the depth of our own trunk: a slim adult's."""
+_HEIGHTS = 12
+"""Slices of the trunk that are measured on the skin."""
+_OUTER = 98.0
+"""Percentile of the skin's points of a slice that counts as its surface: a belt's buckle is no belly."""
+_STEPS = 5
+"""Times that a hand is pushed outwards: the first push goes along the shortest way, which the next one corrects."""
+_ARM_LENGTH = 0.53
+"""Metres of our upper arm and forearm."""
+
+
+@dataclass(frozen=True)
+class Trunk:
+    """An elliptic column from the hips to the neck.
+
+    steps: [H] heights along it, 0 at the hips and 1 at the neck; width, depth: [H] metres, half the width and half the
+    depth there; ahead: [H] metres by which the middle of the flesh lies before the line of the bones.
+    """
+
+    steps: Array
+    width: Array
+    depth: Array
+    ahead: Array
+
+    def distance(self, points: Array, hips: Array, neck: Array, chest: Array) -> tuple[Array, Array]:
+        """[T] metres from the surface (negative inside) and [T, 3] the way out, for points [T, 3].
+
+        hips, neck: [T, 3] the ends of the column; chest: [T, 3, 3] her axes there (columns left, up, ahead). Above and
+        below the column its ends are rounded off.
+        """
+        axis = neck - hips
+        length = np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
+        up = axis / length
+        left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
+        left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
+        fore = np.cross(left, up)
+        own = points - hips
+        along = np.sum(own * up, axis=-1)
+        share = np.clip(along / length[:, 0], 0.0, 1.0)
+        width, depth, ahead = (np.interp(share, self.steps, column) for column in (self.width, self.depth, self.ahead))
+        x, z = np.sum(own * left, axis=-1), np.sum(own * fore, axis=-1) - ahead
+        y = along - share * length[:, 0]  # beyond the ends
+        radius = np.hypot(x, z)
+        # The ellipse's radius in the direction of the point.
+        angle = np.arctan2(z, x)
+        surface = width * depth / np.hypot(depth * np.cos(angle), width * np.sin(angle))
+        out = np.cos(angle)[:, None] * left + np.sin(angle)[:, None] * fore
+        beyond = np.abs(y)
+        return np.where(beyond > 0.0, np.hypot(np.maximum(radius - surface, 0.0), beyond), radius - surface), out
+
+
+def plain_trunk(width: float, depth: float) -> Trunk:
+    """A column of one width and depth (halves, metres)."""
+    return Trunk(np.array([0.0, 1.0]), np.full(2, width), np.full(2, depth), np.zeros(2))
+
+
+def her_trunk(body: Body) -> Trunk:
+    """A character's: as the user tells it, else measured on her skin, else ours in the scale of her skeleton."""
+    if body.mapping.torso is not None:
+        return plain_trunk(*body.mapping.torso)
+    measured = _measured(body)
+    return measured if measured is not None else _scaled(body)
+
+
+def _scaled(body: Body) -> Trunk:
+    """By the width of the shoulders and the length of the trunk: all that a skeleton tells."""
+    joints, places = body.mapping.joints, body.rest_places
+    shoulders = float(np.linalg.norm(places[joints["LeftArm"]] - places[joints["RightArm"]]))
+    trunk = float(np.linalg.norm(places[joints["Head"]] - places[joints["Hips"]]))
+    scale = float(np.sqrt(shoulders / _SHOULDERS * trunk / _TRUNK))
+    return plain_trunk(OURS[0] * scale, OURS[1] * scale)
+
+
+_SHOULDERS, _TRUNK = 0.36, 0.62
+"""Metres from shoulder to shoulder, and from hips to head, of our character."""
+
+
+def _measured(body: Body) -> Trunk | None:
+    """The column around the skin that hips, spine and chest move; None where there is too little of it."""
+    character, mapping = body.character, body.mapping
+    if not len(character.flesh):
+        return None
+    own = np.zeros(len(character), dtype=bool)
+    own[[mapping.joints["Hips"], *mapping.spine]] = True
+    limbs = np.zeros(len(character), dtype=bool)
+    limbs[[node for name, node in mapping.joints.items() if name not in ("Hips",)]] = True
+    limbs[list(mapping.neck)] = True
+    for node, parent in enumerate(character.parents):  # what hangs on the trunk and is no limb moves with it
+        own[node] |= parent >= 0 and own[parent] and not limbs[node]
+    points = character.flesh[own[character.flesh_nodes]] @ body.axes.T * body.unit
+    if len(points) < 30:
+        return None
+    hips, neck = (places @ body.axes.T * body.unit for places in _bind_ends(body))
+    axis = neck - hips
+    length = float(np.linalg.norm(axis))
+    up = axis / length
+    left = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    left = left / np.linalg.norm(left)
+    fore = np.cross(left, up)
+    share, x, z = (points - hips) @ up / length, (points - hips) @ left, (points - hips) @ fore
+    steps, rows = [], []
+    for step in (np.arange(_HEIGHTS) + 0.5) / _HEIGHTS:
+        near = np.abs(share - step) < 1.0 / _HEIGHTS
+        if near.sum() < 8:
+            continue
+        back, front = np.percentile(z[near], [100.0 - _OUTER, _OUTER])
+        steps.append(step)
+        rows.append((float(np.percentile(np.abs(x[near]), _OUTER)), (front - back) / 2.0, (front + back) / 2.0))
+    if not rows:
+        return None
+    width, depth, ahead = np.array(rows).T
+    return Trunk(np.array(steps), np.maximum(width, 0.02), np.maximum(depth, 0.02), ahead)
+
+
+def _bind_ends(body: Body) -> tuple[Array, Array]:
+    """[3] hips and neck in the bind pose, in the file's units and axes."""
+    from gesticulator.characters.shape import bind_matrices
+
+    places = bind_matrices(body.character)[:, :3, 3]
+    top = body.mapping.neck[0] if body.mapping.neck else body.mapping.joints["Head"]
+    return places[body.mapping.joints["Hips"]], places[top]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Our own joints over T frames: joint -> [T, 3, 3] world rotations and [T, 3] places, metres."""
+
+    turns: Mapping[str, Array]
+    places: Mapping[str, Array]
+
+
+def pose_of(motion: Motion) -> Pose:
+    """Where a motion's joints are and how they are turned."""
+    skeleton = motion.skeleton
+    flat = Rotation.from_quat(motion.rotations.reshape(-1, 4), scalar_first=True).as_matrix()
+    local = flat.reshape(*motion.rotations.shape[:2], 3, 3)
+    turns, places = {}, {}
+    for joint, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents, strict=True)):
+        if parent < 0:
+            turns[name], places[name] = local[:, joint], motion.root_positions
+        else:
+            above = skeleton.names[parent]
+            turns[name] = turns[above] @ local[:, joint]
+            places[name] = places[above] + turns[above] @ skeleton.offsets[joint]
+    return Pose(turns, places)
+
+
+def our_distances(ours: Pose) -> dict[str, Array]:
+    """Side -> [T] metres that our wrist and knuckles, whichever is nearer, are from our trunk; negative inside."""
+    trunk = plain_trunk(*OURS)
+    column = ours.places["Hips"], ours.places["Neck"], ours.turns["Spine3"]
+    return {side: np.min([trunk.distance(ours.places[side + name], *column)[0] for name in ("Hand", "HandMiddle1")
+                          if side + name in ours.places], axis=0) for side in SIDES}
+
+
+def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
+    """Bend the arms in `turns` where a hand would be nearer to her trunk than ours is to ours.
+
+    A hand that is inside our own trunk is left as deep: what the source does wrong is not put right here.
+    """
+    joints = body.mapping.joints
+    trunk, near = her_trunk(body), our_distances(ours)
+    chest = ours.turns["Spine3"]
+    neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
+    hips = np.zeros_like(neck)
+    for side in SIDES:
+        chain = (joints[side + "Arm"], joints[side + "ForeArm"], joints[side + "Hand"])
+        points = [node for node in (chain[2], joints.get(side + "HandMiddle1")) if node is not None]
+        arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))
+                        for above, below in zip(chain, chain[1:], strict=False)))
+        margin = MARGIN * arm / _ARM_LENGTH
+        wanted = np.minimum(near[side] * arm / _ARM_LENGTH, margin)
+        push_out(turns, body, chain, points, wanted, (trunk, hips, neck, chest))
+
+
+def push_out(turns: dict[int, Array], limbs: Limbs, chain: tuple[int, int, int], points: Sequence[int], wanted: Array,
+             column: tuple[Trunk, Array, Array, Array]) -> None:
+    """Bend an arm in `turns` where one of its points is nearer to the trunk than `wanted` [T] metres.
+
+    chain: shoulder, elbow, wrist; column: the trunk with the arguments of `Trunk.distance`.
+    """
+    trunk, *place = column
+    for _ in range(_STEPS):
+        push = np.zeros_like(place[0])
+        most = np.zeros(len(wanted))
+        for node in points:
+            gap, out = trunk.distance(limbs.place(turns, node), *place)
+            depth = np.maximum(wanted - gap, 0.0)
+            push = np.where((depth > most)[:, None], depth[:, None] * out, push)
+            most = np.maximum(most, depth)
+        if most.max() < 1e-5:
+            break
+        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, np.array([0.0, -1.0, -0.5]), most > 1e-5)
+
+
+class OurLimbs:
+    """Our own skeleton as `bend` wants it: nodes are its joints."""
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        self.skeleton = skeleton
+
+    def place(self, turns: Mapping[int, Array], node: int) -> Array:
+        """[T, 3] where a joint is, from the hips; turns: joint -> [T, 3, 3] its world rotation."""
+        above = self.skeleton.parents[node]
+        if above < 0:
+            return np.zeros((1, 3))
+        return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
+
+
+def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
+    """A motion on our own skeleton, the root at the origin, with hands kept as far from the trunk as `near` says.
+
+    near: side -> [T] metres, as of `our_distances`; beyond `MARGIN` a hand is free. Frames without need stay as they
+    are, bit for bit.
+    """
+    names, pose = motion.skeleton.index, pose_of(motion)
+    turns = {joint: pose.turns[name] for joint, name in enumerate(motion.skeleton.names)}
+    column = plain_trunk(*OURS), pose.places["Hips"], pose.places["Neck"], pose.turns["Spine3"]
+    limbs, rotations, now = OurLimbs(motion.skeleton), motion.rotations.copy(), our_distances(pose)
+    for side in SIDES:
+        wanted = np.minimum(near[side], MARGIN)
+        touched = now[side] < wanted - 1e-5
+        if not touched.any():
+            continue
+        chain = (names(side + "Arm"), names(side + "ForeArm"), names(side + "Hand"))
+        points = [chain[2], *([names(side + "HandMiddle1")] if side + "HandMiddle1" in motion.skeleton.names else [])]
+        push_out(turns, limbs, chain, points, np.where(touched, wanted, -np.inf), column)
+        for joint in chain:
+            local = np.swapaxes(turns[motion.skeleton.parents[joint]], -1, -2) @ turns[joint]
+            rotations[touched, joint] = Rotation.from_matrix(local[touched]).as_quat(scalar_first=True)
+    return replace(motion, rotations=rotations)

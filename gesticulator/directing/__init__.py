@@ -1,0 +1,1 @@
+"""From a plan and wishes to what is drawn: knobs, cues, gestures by name, edits."""

@@ -1,0 +1,356 @@
+"""Block by block from encoded speech to motion features: the loop of inference (RG 6, Eq. 15; RACER 4.3)."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.controls import Controls, Levels
+from data_module.errors import InputError
+from data_module.layers import without_after
+from gesticulator.body.rest import Rest, RestKnots
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
+from gesticulator.drawing.drawer import FREE, Direction, Keys, drawer_for
+from gesticulator.performance import BEST, LexemeWorth
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
+
+if TYPE_CHECKING:
+    from lexicon.racer import RacerCodec
+
+OnBlock = Callable[[int, int], None]
+"""Called after each block with how many are done, and how many there are."""
+
+_BLOCKS_BEFORE_REST = 2
+"""Quiet blocks that are played as they are generated: the arms come down in them."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a lexeme is chosen from scores: see `interpreters.select`. top: 0 for all; seed: of the random numbers;
+    variation: another manner of drawing the same lexemes."""
+
+    temperature: float
+    top: int
+    seed: int
+    variation: int = 0
+
+    @property
+    def keys(self) -> Keys:
+        """Of the noise that blocks are drawn from."""
+        return Keys(self.seed, self.variation)
+
+
+@dataclass(frozen=True)
+class DrawnBlock:
+    """One block of a rollout. motion: [K, D_m] features as the audience is shown them; lexeme: what was played; best:
+    [M] the best lexemes and their scores [M], falling; code: [d_z]; gate: its probability, NaN where it was not asked;
+    prior, advantage: [M + 1] of the best lexemes and, last, the one that was played, NaN where nobody weighed them."""
+
+    motion: NDArray[np.float32]
+    lexeme: int
+    best: NDArray[np.int64]
+    scores: NDArray[np.float64]
+    code: NDArray[np.float32]
+    gate: float
+    prior: NDArray[np.float64]
+    advantage: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, motion: NDArray[np.float32], lexeme: int, scores: NDArray[np.float64], state: object,
+           code: NDArray[np.float32], gate: float = math.nan) -> DrawnBlock:
+        """With the best of all scores [S], of equals the lower number first; state: the interpreter's, which may say
+        what these lexemes are worth."""
+        best = np.argsort(-scores, kind="stable")[:BEST]
+        log_prior, advantage = getattr(state, "log_prior", None), getattr(state, "advantage", None)
+        weighed = [np.full(len(best) + 1, np.nan)] * 2
+        if log_prior is not None and advantage is not None:
+            at = [*best, lexeme]
+            weighed = [np.exp(log_prior[at]), advantage[at]]
+        return cls(motion, lexeme, best, scores[best], code, gate, *weighed)
+
+
+@dataclass(frozen=True)
+class RolloutResult:
+    """What a rollout gives: motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M],
+    style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked. prior, advantage: [N, M + 1] of
+    the best lexemes and, last, the one that was played (`performance.LexemeWorth`), NaN where nobody weighed them."""
+
+    motion: NDArray[np.float32]
+    lexemes: NDArray[np.int64]
+    best: NDArray[np.int64]
+    scores: NDArray[np.float64]
+    codes: NDArray[np.float32]
+    gate: NDArray[np.float64]
+    prior: NDArray[np.float64]
+    advantage: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, drawn: Sequence[DrawnBlock], motion: NDArray[np.float32] | None = None) -> RolloutResult:
+        """Of N blocks one after the other; motion: [N, K, D_m] instead of their own."""
+        own = np.stack([block.motion for block in drawn]) if motion is None else motion
+        return cls(own, np.array([block.lexeme for block in drawn], np.int64),
+                   np.stack([block.best for block in drawn]), np.stack([block.scores for block in drawn]),
+                   np.stack([block.code for block in drawn]), np.array([block.gate for block in drawn]),
+                   np.stack([block.prior for block in drawn]), np.stack([block.advantage for block in drawn]))
+
+    @property
+    def worth(self) -> LexemeWorth | None:
+        """What was weighed; None where nothing was."""
+        return None if np.isnan(self.prior).any() else LexemeWorth(self.prior, self.advantage)
+
+
+def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling, activity: float
+            ) -> Rollout | CodecRollout:
+    """The loop that the bundle's lexicon needs. speaker: its index; activity: how readily to gesture, 0 to 1."""
+    kind = CodecRollout if bundle.config.tokens == "racer" else Rollout
+    return kind(bundle, interpreter, speaker, sampling, activity)
+
+
+@dataclass(frozen=True)
+class Cast:
+    """Who gestures, and how: an interpreter, a speaker's index, how lexemes are chosen, how readily to gesture (0 to
+    1), what is asked of the hands, which variation of the drawing; beta: the interpreter's, where it has one."""
+
+    interpreter: LexemeInterpreter
+    speaker: int
+    sampling: Sampling
+    activity: float
+    controls: Controls
+    variation: int
+    beta: float | None = None
+
+    @property
+    def by_value(self) -> bool:
+        """Scores are Q values."""
+        return bool(getattr(self.interpreter, "gives_values", False))
+
+    def rollout(self, bundle: Bundle) -> Rollout | CodecRollout:
+        """The loop that chooses lexemes and, without a variation, draws them."""
+        return rollout(bundle, self.interpreter, self.speaker, self.sampling, self.activity)
+
+    def varied(self, bundle: Bundle) -> Rollout | CodecRollout:
+        """The loop that draws the same lexemes in another manner."""
+        sampling = replace(self.sampling, variation=self.variation)
+        return rollout(bundle, self.interpreter, self.speaker, sampling, self.activity)
+
+
+def asked_rows(levels: Levels, controls: Controls, times: NDArray[np.float64]) -> NDArray[np.float32]:
+    """[K, 2 F] what is asked at `times` [K] seconds, and whether it is."""
+    values, given = controls.at(times)
+    return control_rows(levels, values, np.broadcast_to(given, values.shape))
+
+
+def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
+    """A block of rest [B, K, D_m]: evenly from the last pose [B, 1, D_m] a share of the way to the block's mean pose.
+
+    The distance to rest shrinks by `share` with each block, so a long rest becomes still.
+    """
+    frames = block.shape[1]
+    steps = torch.arange(1, frames + 1, dtype=block.dtype, device=block.device)[:, None] / frames
+    return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
+
+
+class Rollout:
+    """One performance over a lexicon of blocks: the states of interpreter, gate, style and generator.
+
+    It is stepped block by block, `step` after `begin`; a stream and a file go through it alike. It begins at rest.
+    """
+
+    def __init__(self, bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling,
+                 activity: float) -> None:
+        self.bundle, self.interpreter, self.speaker = bundle, interpreter, speaker
+        self.sampling, self.activity = sampling, activity
+
+    @torch.inference_mode()
+    def begin(self, text: bool = False) -> None:
+        """Go back to the start. text: the blocks that follow come with words."""
+        b, speaker = self.bundle, self.speaker
+        self.device = b.vectors.device
+        self.rng = np.random.default_rng(self.sampling.seed)
+        self._quiet_low = None if b.statistics.quiet_low is None else self._tensor(b.statistics.quiet_low)
+        self._low, self._high = self._tensor(b.statistics.bounds)
+        self._previous = b.rest_lexeme(speaker)
+        self._inner = self._free = self.interpreter.start(speaker, self._previous)
+        if b.config.tokens == "lexicon":
+            self._gate = b.gate if self.activity < 1 else None
+            self._past = b.rest_feature(speaker).expand(1, b.frames, -1)
+            self._drawer = drawer_for(b, speaker, self._previous, self.sampling.keys, text)
+            self._gate_state = None if self._gate is None else self._gate.start(speaker)
+            self.life = None if b.config.silence.rest == "decay" else Rest(
+                b.statistics, representation_of(b.config), speaker, self.activity, self.sampling.seed)
+            self._resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
+
+    @torch.inference_mode()
+    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
+             ) -> DrawnBlock:
+        """The next block. asked: [K, 2 F] rows of the control, or None; direction: what a director says of it."""
+        b = self.bundle
+        features = self._features(speech, asked, self._past[0])
+        closed, probability = self._closed(speech, features, direction.still)
+        scores = self._scores(features)
+        quiet = closed or (features.silent and b.config.silence.mask)
+        if direction.lexeme is None:
+            self._previous = self._select(direction.biased(scores), b.silent if quiet else None)
+        else:
+            self._previous = direction.lexeme
+        if closed and self.life is None and self._quiet_low is not None:
+            # A block on which nothing is to be done is one on which nothing is said.
+            features = replace(features, low=self._quiet_low, silent=True)
+        self._drawer.keys = direction.keys or self.sampling.keys
+        self._drawer.unseen = self.life is not None and self.life.rests_wholly
+        block, code = self._drawer.block(speech, features, self._previous, self._past)
+        self._resting = self._resting + 1 if quiet else 0
+        rest_decay = b.config.silence.rest_decay
+        if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
+            block = approach_rest(self._past[:, -1:], block, rest_decay)
+        shown = self._go_on(block)
+        return DrawnBlock.of(shown, self._previous, scores, self._inner, code[0].cpu().numpy(), probability)
+
+    @torch.inference_mode()
+    def idle(self, start: float, seconds: float, knots: int) -> NDArray[np.float32]:
+        """[k, D_m] so many frames of rest that follow each other by `seconds`, the first so long after `start`.
+
+        `InputError` where the bundle knows no rest by phrases (silence.rest=decay).
+        """
+        if self.life is None:
+            raise InputError("the bundle", "does not know how to rest without speech",
+                             "use one whose phrases rest (silence.rest=life)")
+        past = self._past
+        self.life.rest(Span(start, seconds * knots, np.ones(knots, bool)))
+        shown = self._go_on(past[:, -1:].expand(1, knots, -1))
+        self._past = torch.cat([past, self._past], 1)[:, -past.shape[1]:]
+        return shown
+
+    def hurry(self, on: bool) -> None:
+        """Draw blocks at less cost from now on, or as well as can be."""
+        self._drawer.hurried = on
+
+    def break_off(self, shown: RestKnots, word: float) -> None:
+        """Go back to what was shown last (K frames or more), and to rest from there at once; word: seconds at which she
+        was interrupted."""
+        assert self.life is not None
+        frames = self.bundle.frames
+        before = np.repeat(shown.poses[:1], max(frames - len(shown.poses), 0), axis=0)
+        self._past = self._tensor(np.concatenate([before, shown.poses[-frames:]]))[None]
+        self.life.break_off(shown, word)
+
+    @property
+    def past(self) -> NDArray[np.float32]:
+        """[K, D_m] the last frames that were drawn, without the life on them."""
+        return np.asarray(self._past[0].cpu().numpy())
+
+    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
+            directions: Sequence[Direction] | None = None) -> RolloutResult:
+        """Every block of a speech from the start. asked: [N, K, 2 F] rows of the control, or None; directions: [N], or
+        None where nothing is directed."""
+        self.begin(encoded.text is not None)
+        drawn, count = [], len(encoded)
+        for i in range(count):
+            drawn.append(self.step(encoded.block(i), None if asked is None else asked[i],
+                                   FREE if directions is None else directions[i]))
+            if on_block is not None:
+                on_block(i + 1, count)
+        return self.result(drawn)
+
+    def result(self, drawn: Sequence[DrawnBlock]) -> RolloutResult:
+        """All blocks of a performance together."""
+        return RolloutResult.of(drawn)
+
+    def fork(self) -> Rollout:
+        """A twin that goes on from here by itself: blocks can be drawn from one place in several ways."""
+        twin = copy.copy(self)
+        twin.rng, twin._inner, twin._free = (copy.deepcopy(own) for own in (self.rng, self._inner, self._free))
+        if self.bundle.config.tokens == "lexicon":
+            twin._gate_state, twin._drawer = copy.deepcopy(self._gate_state), self._drawer.fork()
+            twin.life = None if self.life is None else self.life.fork()
+        return twin
+
+    def stand_as(self, other: Rollout) -> None:
+        """Take over where the body is, and what it did last, from another rollout of the same bundle."""
+        self._past, self._previous, self._resting = other._past, other._previous, other._resting
+        if self.life is not None and other.life is not None:
+            self.life.stand_as(other.life)
+
+    def _closed(self, speech: SpeechBlock, features: BlockFeatures, still: NDArray[np.bool_] | None
+                ) -> tuple[bool, float]:
+        """Whether nothing is to be done on the block, and the gate's probability. still: [K] frames in which the hands
+        are told to rest."""
+        closed, probability = self.activity == 0, math.nan
+        if self._gate is not None and self._gate_state is not None:
+            probability, self._gate_state = self._gate.step(self._gate_state, features)
+            closed = not self._gate.opened(probability, self.activity)
+        if self.life is not None:
+            closed = self.life.hear(speech.span, probability, still)
+        elif still is not None:
+            closed = closed or bool(still.mean() >= 0.5)
+        return closed, probability
+
+    def _scores(self, features: BlockFeatures) -> NDArray[np.float64]:
+        """[S] of the interpreter, with style guidance: beyond what it does when asked, away from what it does
+        unasked."""
+        scores, self._inner = self.interpreter.step(self._inner, features, self._previous)
+        if features.control is None:
+            return scores
+        unasked, self._free = self.interpreter.step(self._free, replace(features, control=None), self._previous)
+        return unasked + self.bundle.config.selection.guidance * (scores - unasked)
+
+    def _go_on(self, block: Tensor) -> NDArray[np.float32]:
+        """[K, D_m] what is shown of a drawn block [1, K, D_m], which becomes the past of the next."""
+        # What it was never shown it must not feed itself: one odd pose would lead to the next.
+        self._past = torch.clamp(block, self._low, self._high)
+        if self.life is None:
+            return np.asarray(self._past[0].cpu().numpy())
+        self._past = self._tensor(self.life.step(self._past[0].cpu().numpy()))[None]
+        return self.life.alive(self._past[0].cpu().numpy()).astype(np.float32)
+
+    def _select(self, scores: NDArray[np.float64], allowed: NDArray[np.int64] | None = None) -> int:
+        return select(scores, allowed=allowed, temperature=self.sampling.temperature, top=self.sampling.top or None,
+                      rng=self.rng)
+
+    def _tensor(self, values: NDArray) -> Tensor:
+        return torch.as_tensor(values, dtype=torch.float32, device=self.device)
+
+    def _features(self, speech: SpeechBlock, asked: NDArray[np.float32] | None, past: Tensor | None = None
+                  ) -> BlockFeatures:
+        s, config = self.bundle.statistics, self.bundle.config
+        low, high = self._tensor(s.low.apply(speech.low)), self._tensor(s.high.apply(speech.high))
+        if speech.foreseen:  # whoever was taught to do without the block after is not shown a part of it
+            shut = torch.ones(1, dtype=torch.bool, device=self.device)
+            low = without_after(low[None], shut)[0] if config.generator.after_dropout else low
+            high = without_after(high[None], shut)[0] if config.interpreter.after_dropout else high
+        return BlockFeatures(low, high, speech.silent[1], None if speech.text is None else self._tensor(speech.text),
+                             None if asked is None else self._tensor(asked), past, speech.durations[:2])
+
+
+class CodecRollout(Rollout):
+    """A performance of RACER's own: codes are chosen one by one and decoded together, without a generator (RACER 5.2).
+
+    There is no style, no gate and no silence in it; `activity` 0 holds the resting code.
+    """
+
+    @torch.inference_mode()
+    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
+             ) -> DrawnBlock:
+        """The next code, without motion; see `Rollout.step`. Nothing can be asked of the style."""
+        scores, self._inner = self.interpreter.step(self._inner, self._features(speech, asked), self._previous)
+        chosen = self._select(direction.biased(scores)) if direction.lexeme is None else direction.lexeme
+        self._previous = self.bundle.rest_lexeme(self.speaker) if self.activity == 0 else chosen
+        return DrawnBlock.of(np.empty((0, 0), np.float32), self._previous, scores, self._inner, np.empty(0, np.float32))
+
+    @torch.inference_mode()
+    def result(self, drawn: Sequence[DrawnBlock]) -> RolloutResult:
+        """All codes decoded together, the resting code before the first: the codec then begins where the figure
+        stands."""
+        codes = [self.bundle.rest_lexeme(self.speaker), *(block.lexeme for block in drawn)]
+        codec = cast("RacerCodec", self.bundle.lexicon)
+        motion = codec.decode_tokens(torch.tensor(codes, device=self.device)[None])[0, 1:].cpu().numpy()
+        return RolloutResult.of(drawn, motion)

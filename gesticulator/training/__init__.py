@@ -1,0 +1,1 @@
+"""From a store to a bundle: presets, stages, the training loop."""

@@ -1,0 +1,325 @@
+"""The one training loop: every stage goes through `fit`.
+
+A model offers `losses(batch, progress) -> dict[str, Tensor]` and `weights`, keyed alike; it never knows the trainer.
+Every step is a function of (seed, step) alone: the batch, the dropout and the Gumbel noise are drawn from generators
+seeded with both. So a run that was stopped and resumed gives the same weights as one that was not, and one in several
+processes (`gesticulator.training.distributed`) the weights of one alone, but for rounding.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import os
+import pickle
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from data_module.errors import InputError
+from data_module.files import rename
+from gesticulator.bundle.config import FitSettings
+from gesticulator.training import distributed
+
+Batch = dict[str, Tensor]
+MakeBatch = Callable[[np.random.Generator], Batch]
+Losses = Callable[[Batch, float], dict[str, Tensor]]
+Validate = Callable[[], dict[str, float]]
+
+
+def rate_factor(settings: FitSettings, step: int) -> float:
+    """The learning rate at `step` as a share of `settings.rate`."""
+    if settings.schedule == "constant":
+        return 1.0
+    warm = max(1, round(0.02 * settings.steps))
+    if step < warm:
+        return (step + 1) / warm
+    share = (step - warm) / max(1, settings.steps - warm)
+    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share))
+
+
+def generator_for(seed: int, step: int) -> np.random.Generator:
+    """The random numbers of one step, the same whatever came before it."""
+    return np.random.default_rng([seed, step])
+
+
+def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.optim.Optimizer, float]]:
+    offered: Callable[[], Iterable[tuple[Tensor, float]]] | None = getattr(model, "sparse_parameters", None)
+    sparse = list(offered()) if offered is not None else []
+    apart = {id(parameter) for parameter, _ in sparse}
+    dense = [p for p in model.parameters() if p.requires_grad and id(p) not in apart]
+    adam = torch.optim.AdamW if settings.weight_decay else torch.optim.Adam
+    extra: dict[str, Any] = {"weight_decay": settings.weight_decay} if settings.weight_decay else {}
+    out: list[tuple[torch.optim.Optimizer, float]] = [
+        (adam(dense, lr=settings.rate, betas=settings.betas, **extra), settings.rate)]
+    for parameter, rate in sparse:
+        out.append((torch.optim.SparseAdam([parameter], lr=rate, betas=settings.betas), rate))
+    return out
+
+
+class Checkpoint:
+    """The state of a run in one file, replaced whole; only files that this class wrote are read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def save(self, step: int, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer],
+             best: BestWeights | None = None) -> None:
+        """Write everything that the next step depends on."""
+        temporary = self.path.with_suffix(".tmp")
+        with temporary.open("wb") as stream:
+            torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers],
+                        "best": None if best is None else best.state_dict()}, stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        rename(temporary, self.path)
+
+    def load(self, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer], best: BestWeights | None = None
+             ) -> int:
+        """Put the saved state back; the step to go on from. 0 when there is none, or one that a crash or a full disk
+        left damaged: the model and the optimisers are then as they were given."""
+        if not self.path.exists():
+            return 0
+        everything: list[Any] = [model, *optimisers, *([] if best is None else [best])]
+        before = [copy.deepcopy(part.state_dict()) for part in everything]
+        try:
+            state = torch.load(self.path, weights_only=True, map_location="cpu")
+            for part, saved in zip(everything, [
+                    state["model"], *state["optimisers"], *([] if best is None else [state["best"]])], strict=True):
+                part.load_state_dict(saved)
+            return int(state["step"])
+        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError, EOFError, OSError,
+                pickle.UnpicklingError):
+            for part, was in zip(everything, before, strict=True):
+                part.load_state_dict(was)
+            return 0
+
+
+class BestWeights:
+    """The weights of the best validation figure so far. figures: all of that validation, with the step it was at;
+    stale: validations since."""
+
+    def __init__(self, watch: str) -> None:
+        self.watch, self.stale = watch, 0
+        self.figures: dict[str, float] = {}
+        self.weights: dict[str, Tensor] = {}
+
+    def note(self, step: int, figures: dict[str, float], model: nn.Module) -> None:
+        """Keep the weights where the figure that is watched is less than ever before; of equals the first."""
+        if not self.figures or figures[self.watch] < self.figures[self.watch]:
+            self.figures, self.stale = {**figures, "best_step": float(step)}, 0
+            self.weights = {key: value.detach().cpu().clone() for key, value in model.state_dict().items()}
+        else:
+            self.stale += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"figures": self.figures, "stale": self.stale, "weights": self.weights}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """The inverse of `state_dict`."""
+        self.figures, self.stale, self.weights = dict(state["figures"]), int(state["stale"]), dict(state["weights"])
+
+
+class StepLog:
+    """One JSON line a step; lines past the step that a run resumes from are dropped. Of several processes the first
+    writes it."""
+
+    def __init__(self, path: Path, from_step: int) -> None:
+        if not distributed.leads():
+            path = Path(os.devnull)
+        kept = []
+        if path.is_file():
+            kept = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
+        path.write_text("".join(line + "\n" for line in kept))
+        self._stream = path.open("a", buffering=1)
+
+    def write(self, row: dict[str, Any]) -> None:
+        """Add a row."""
+        self._stream.write(json.dumps(row) + "\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+def _step_of(line: str) -> int:
+    try:
+        return int(json.loads(line)["step"])
+    except (ValueError, KeyError):
+        return 2**62  # a line cut short by a kill
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a stage is taught: batches, their losses, and what is done beside them.
+
+    make_batch(rng): a batch from random numbers alone; where several processes share it, this one's rows
+    (`data_module.parallel.own_rows`), with the same numbers drawn whatever the rows. losses(batch, progress): the
+    terms, keyed like the model's `weights`; the model's own where None. validate(): figures on the validation split.
+    before_step(step): what must happen at a certain step; it must depend on the step alone. watch: the figure of
+    `validate` that tells when to stop (less is better), where the settings have patience; empty for none.
+    """
+
+    make_batch: MakeBatch
+    losses: Losses | None = None
+    validate: Validate | None = None
+    before_step: Callable[[int], None] | None = None
+    watch: str = ""
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How the loop runs. stop_after ends it early, as a kill would."""
+
+    seed: int
+    device: str = "cpu"
+    checkpoint_seconds: float = 60.0
+    """Between two checkpoints: a minute is what a kill may cost."""
+    progress: bool = True
+    stop_after: int | None = None
+    precision: str = "float32"
+    """"bfloat16" computes the losses under autocast; weights, gradients and sums stay as they are."""
+
+
+def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder: Path, options: FitOptions
+        ) -> dict[str, float]:
+    """Train `model` for `settings.steps` steps and give the last validation figures; with patience, until the figure
+    that the task watches has not become better for so many validations: the weights and figures are then the best ones.
+
+    folder receives `STAGE.ckpt` (resumed from when it is there and whole) and `STAGE.jsonl` (a line a step).
+    Of several processes the first one validates and writes the files. FloatingPointError when the loss is no longer a
+    number.
+    """
+    model.to(options.device).train()
+    learner = _Learner(model, task, settings, options)
+    plain = [optimiser for optimiser, _ in learner.optimisers]
+    checkpoint = Checkpoint(folder / f"{stage}.ckpt")
+    best = BestWeights(task.watch) if settings.patience and task.watch and task.validate is not None else None
+    first = checkpoint.load(model, plain, best)
+    if distributed.lead(lambda: first) != first:
+        raise InputError(folder, "holds another checkpoint for other processes", "put --work where all machines see it")
+    distributed.spread(model)
+    log = StepLog(folder / f"{stage}.jsonl", first)
+    every = max(1, settings.steps // settings.validations)
+    figures: dict[str, float] = {}
+    saved_at = time.monotonic()
+    bar = tqdm(total=settings.steps, initial=first, desc=stage, leave=True,
+               disable=not (options.progress and distributed.leads()),
+               mininterval=1.0)
+    try:
+        for step in range(first, settings.steps):
+            if options.stop_after is not None and step >= options.stop_after:
+                return figures
+            if best is not None and best.stale >= settings.patience:
+                break
+            row, done = learner.step(step), step + 1
+            if task.validate is not None and (done % every == 0 or done == settings.steps):
+                figures = _validated(model, task.validate)
+                if best is not None:
+                    best.note(done, figures, model)
+                row.update({f"val_{key}": value for key, value in figures.items()})
+                bar.set_postfix({key: f"{value:.3g}" for key, value in list(figures.items())[:4]}, refresh=False)
+            log.write(row)
+            bar.update()
+            if time.monotonic() - saved_at > options.checkpoint_seconds or done == settings.steps:
+                if distributed.leads():
+                    checkpoint.save(done, model, plain, best)
+                saved_at = time.monotonic()
+    finally:
+        bar.close()
+        log.close()
+    model.eval()
+    if best is not None and best.weights:
+        model.load_state_dict(best.weights)
+        figures = best.figures
+    if task.validate is not None and not figures:
+        figures = distributed.lead(task.validate)
+    return figures
+
+
+def late_gain(log: Path) -> float:
+    """How much less the first validation figure became in the last quarter of a run, as a share of what it was, by its
+    log `STAGE.jsonl`: (b(3/4) - b(1)) / |b(3/4)|, b the least so far (the weights of which a run with patience keeps).
+    0 where it went up; NaN where it was not validated before the last quarter."""
+    seen: list[tuple[int, float]] = []
+    steps = 0
+    for line in log.read_text().splitlines():
+        row = json.loads(line)
+        steps = int(row["step"]) + 1
+        figure = next((value for key, value in row.items() if key.startswith("val_")), None)
+        if figure is not None:
+            seen.append((steps, float(figure)))
+    before = [value for step, value in seen if step <= 0.75 * steps]
+    if not before:
+        return math.nan
+    least = min(before)
+    return (least - min(value for _, value in seen)) / abs(least) if least else 0.0
+
+
+def _validated(model: nn.Module, validate: Validate) -> dict[str, float]:
+    model.eval()
+    figures = distributed.lead(validate)
+    model.train()
+    return figures
+
+
+class _Learner:
+    """A model with its optimisers; `step` makes one update."""
+
+    def __init__(self, model: nn.Module, task: Task, settings: FitSettings, options: FitOptions) -> None:
+        self.task, self.settings, self.options = task, settings, options
+        self.weights: dict[str, float] = model.weights  # type: ignore[assignment]
+        self.losses: Losses = task.losses or model.losses  # type: ignore[assignment]
+        self.optimisers = _optimisers(model, settings)
+
+    def step(self, step: int) -> dict[str, Any]:
+        """The update of a step, a function of (seed, step) alone; its row of the log."""
+        if self.task.before_step is not None:
+            self.task.before_step(step)
+        rng = generator_for(self.options.seed, step)
+        factor = rate_factor(self.settings, step)
+        for optimiser, rate in self.optimisers:
+            for group in optimiser.param_groups:
+                group["lr"] = rate * factor
+            optimiser.zero_grad(set_to_none=True)
+        with distributed.dividing():
+            batch = {key: value.to(self.options.device) for key, value in self.task.make_batch(rng).items()}
+            torch.manual_seed(int(rng.integers(2**62)))
+            terms = self._terms(batch, step / max(1, self.settings.steps))
+            total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
+                        start=torch.zeros((), device=self.options.device))
+            distributed.backward(total, [p for optimiser, _ in self.optimisers for group in optimiser.param_groups
+                                         for p in group["params"]])
+        norm = self._clipped()
+        figures = distributed.mean({"loss": float(total.detach()),
+                                    **{key: float(term.detach()) for key, term in terms.items()}})
+        loss = figures.pop("loss")
+        if not math.isfinite(loss) or not math.isfinite(norm):
+            raise FloatingPointError(f"the loss is no longer a number at step {step}: {figures}")
+        for optimiser, _ in self.optimisers:
+            optimiser.step()
+        return {"step": step, "loss": round(loss, 6), "rate": self.settings.rate * factor,
+                "gradient": round(norm, 5), **{key: round(value, 6) for key, value in figures.items()}}
+
+    def _terms(self, batch: Batch, progress: float) -> dict[str, Tensor]:
+        if self.options.precision == "float32":
+            with distributed.batch_draws():
+                return self.losses(batch, progress)
+        with distributed.batch_draws(), torch.autocast(torch.device(self.options.device).type, torch.bfloat16):
+            return {key: term.float() for key, term in self.losses(batch, progress).items()}
+
+    def _clipped(self) -> float:
+        """The gradient's norm before it was cut to `clip`; 0 where it is left alone."""
+        if not self.settings.clip:
+            return 0.0
+        dense = [p for group in self.optimisers[0][0].param_groups for p in group["params"] if p.grad is not None]
+        return float(nn.utils.clip_grad_norm_(dense, self.settings.clip))

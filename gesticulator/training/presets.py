@@ -1,0 +1,270 @@
+"""The presets: settings that belong together, each with the reason where it differs from what is published.
+
+A value without a comment is the paper's, or is said on its field (`gesticulator.bundle.config` and the `settings` of
+the models).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+from data_module.errors import InputError
+from gesticulator.bundle.config import (
+    NOT_TRAINED,
+    BeatSettings,
+    BlockSettings,
+    Config,
+    ControlConfig,
+    CriticConfig,
+    EncoderConfig,
+    EpisodeConfig,
+    FitSettings,
+    FrontEndConfig,
+    GateConfig,
+    GeneratorConfig,
+    LexiconConfig,
+    LstmConfig,
+    MotionConfig,
+    QConfig,
+    RacerConfig,
+    RewardConfig,
+    Schedules,
+    SelectionConfig,
+    SilenceConfig,
+    StyleConfig,
+    TextConfig,
+)
+
+LITERAL = EpisodeConfig(truth=1.0, sampled=0.0, statistical=0.0, perturbed=0.0, baseline=0)
+"""RACER's own data set: what was really done, and nothing else."""
+
+
+def paper_trinity() -> Config:
+    """Rhythmic Gesticulator's numbers for Trinity (RG 7.1.2), for a GPU; the gate is ours."""
+    return Config(
+        name="paper-trinity",
+        schedules=Schedules(
+            lexicon=FitSettings(steps=12_000, batch=3000),
+            # 600 epochs of 4,700 windows, 3.7 TFLOP a step forward and backward: 26 PFLOP, a quarter of an hour at
+            # 30 TFLOP/s, days on two CPU cores.
+            generator=FitSettings(steps=7_000, batch=400),
+            interpreter=FitSettings(steps=7_000, batch=500), style=FitSettings(steps=7_000, batch=500),
+            # 12 GFLOP a window of 1.5 s forward and backward, 15 PFLOP in all.
+            speech=FitSettings(steps=20_000, batch=64), contrast=FitSettings(steps=10_000, batch=64),
+            gate=FitSettings(steps=2_000, batch=500)),
+        rhythm=BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.5), fps=20.0),
+        front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=512),
+        text=TextConfig(encoder="bert-base-uncased"),
+        interpreter=LstmConfig(text_features=128), style=StyleConfig(text_features=128),
+    )
+
+
+def paper_chinese() -> Config:
+    """As `paper_trinity`, with the intervals of the Chinese data set: [0.3, 0.6] s, K = 12, and a Chinese BERT."""
+    return dataclasses.replace(paper_trinity(), name="paper-chinese", text=TextConfig(encoder="bert-base-chinese"),
+                               rhythm=BlockSettings(beats=BeatSettings(d_min=0.3, d_max=0.6), fps=20.0))
+
+
+def paper_ted() -> Config:
+    """As `paper_trinity`, in TED's representation: positions of ten joints, 15 fps, K = 8, 100 lexemes (RG 7.1)."""
+    trinity = paper_trinity()
+    return dataclasses.replace(
+        trinity, name="paper-ted", motion=MotionConfig(representation="positions", least_deviation=0.01),
+        lexicon=dataclasses.replace(trinity.lexicon, size=100),
+        rhythm=BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.5), fps=15.0))
+
+
+def regression() -> Config:
+    """The paper's lexicon and generator for two CPU cores: as `paper_trinity` but narrower, with fewer steps."""
+    return Config(
+        name="regression", default_speaker="conversation",
+        schedules=Schedules(  # higher rates that fall, since there are few epochs
+            lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
+            generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
+            interpreter=FitSettings(steps=500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            # It starts from the audio-only one, with a head beside it that reads the words: four hours hold too few
+            # words to learn hearing and reading at once.
+            interpreter_text=FitSettings(steps=2_000, batch=64, rate=2e-3, schedule="cosine", weight_decay=0.1),
+            style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            speech=FitSettings(steps=1_000, batch=8, rate=1e-3, schedule="cosine"),
+            contrast=FitSettings(steps=500, batch=16, rate=3e-4, schedule="cosine"),
+            gate=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
+            reward=FitSettings(steps=1_000, batch=128, rate=1e-3, schedule="cosine", weight_decay=0.05),
+            cql=FitSettings(steps=800, batch=64, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
+                            weight_decay=0.01)),
+        front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=128),
+        text=TextConfig(encoder="minilm"),  # 384-d word vectors for BERT's 768
+        # The trunk's small turns count less (0.1 radians for 0.05), so that lexemes tell arms apart.
+        motion=MotionConfig(least_deviation=0.1, joints=46),
+        lexicon=LexiconConfig(size=100, widths=(32, 64, 96, 128)),  # 100 lexemes, as TED has
+        # The best lexeme of each block, from sound alone, is always one of a few: a rule that gestures by chance cannot
+        # be predicted block by block, only its manner can.
+        selection=SelectionConfig(temperature=0.7),
+        silence=SilenceConfig(rest="life"),
+        generator=GeneratorConfig(
+            motion_features=48, audio_features=32, audio_bottleneck=48, hidden=192, groups=16, classes=32,
+            lstm_width=192,
+            own_past_until=0.4,  # scheduled sampling complete after 40 % of the run
+            swap_share=0.25,  # a quarter of the blocks in the lexeme loss, which costs as much again as the rest
+            style_rate=5e-2,  # five times the paper's, for a tenth of the epochs
+            use_control=True, velocity=10.0,
+            style_dropout=0.3),  # the codes of unheard speech are guesses
+        interpreter=LstmConfig(audio_features=32, audio_bottleneck=48, text_head=256, text_bottleneck=64,
+                               use_control=True, width=192, dropout=0.2),
+        style=StyleConfig(audio_features=32, audio_bottleneck=48, width=128),  # it reads no words: Table 3 finds little
+        gate=GateConfig(audio_features=16, audio_bottleneck=32, width=64),
+        # Ten blocks of foresight, a little further than a reward looks back: 800 steps would not bring values of a
+        # hundred blocks (gamma 0.99) to rest. For half of them it learns what people do, before it learns what that is
+        # worth. Of the alphas tried on the validation split (0.1 to 10) those below 1 left the data for lexemes that
+        # the judging reward thinks little of.
+        cql=QConfig(conservative=1.0, gamma=0.9, copy_every=25, warm_up=0.5),
+    )
+
+
+def default() -> Config:
+    """The shipped bundle, for two CPU cores: movements instead of poses, drawn by a flow head, 46 joints.
+
+    What differs from `regression`, and why, stands in docs/train.md; interpreters, gate and Q-network are RG's and
+    RACER's, and see the body where they say so.
+    """
+    paper = regression()
+    return dataclasses.replace(
+        # Real motion: the performers of placed strokes stand still for ten seconds at a time.
+        paper, name="default", default_speaker="conversation",
+        schedules=dataclasses.replace(
+            paper.schedules, style=NOT_TRAINED, speech=NOT_TRAINED, contrast=NOT_TRAINED,
+            lexicon=FitSettings(steps=0, batch=1),  # fitted in closed form
+            generator=FitSettings(steps=5_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
+            # Trained apart and stopped early: beyond a few epochs it knows the corpus by heart.
+            interpreter=FitSettings(steps=1_000, batch=64, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
+                                    validations=20, patience=5),
+            interpreter_text=dataclasses.replace(paper.schedules.interpreter_text, validations=20, patience=5),
+            reward=FitSettings(steps=2_400, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
+            advantage=FitSettings(steps=1_000, batch=32, rate=1e-3, schedule="cosine", weight_decay=0.01)),
+        front_end=FrontEndConfig(name="mel", bands=40),
+        # One degree, so that the trunk counts; the smoothing takes away no speed (it did at 0.05).
+        motion=MotionConfig(joints=46, least_deviation=0.0175, smoothing=0.02),
+        lexicon=LexiconConfig(kind="movement", size=200),
+        generator=GeneratorConfig(
+            head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=0, position_width=8,
+            hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True, bend=4.0, dropout=0.1,
+            history_dropout=0.2,
+            after_dropout=0.15,  # a live stream may ask for a block before the next one is heard
+            # More noise teaches corrections that no past asks for: hands that should be held then drift.
+            past_noise=0.06, velocity_noise=0.05),
+        control=ControlConfig(free=0.7),
+        # Block by block, the lexemes by vectors of its own. Its past is spoiled at random instead of being its own
+        # (scheduled sampling): what it would have drawn is not known here.
+        interpreter=dataclasses.replace(
+            paper.interpreter, audio_features=8, dropout=0.3, own_past_most=0.0, pose_features=96, pose_noise=0.1,
+            memory=8, reads_by="block", lexeme_features=48, history_dropout=0.2, audio_dropout=0.15,
+            after_dropout=0.15),
+        # Four models a fold: of single lexemes one model's opinion is half noise. The judge is of other sizes.
+        reward=RewardConfig(width=64, projection=48, rivals=0, choice=1.0, members=4, caution=0.5, centred=True),
+        judge=RewardConfig(width=80, projection=32, kernel=2, dilations=(1, 2, 3), rivals=0, choice=1.0, members=4,
+                           centred=True),
+        silence=SilenceConfig(rest="life", augmentation=0.0, mask=False, hint=False),
+        # Chosen on the validation split, with the speaker: nearest to the corpus by the distance of its windows and by
+        # the speeds of the hands, then in time and without seams.
+        selection=SelectionConfig(temperature=1.3, guidance=4.0, audio_guidance=1.0, lexeme_guidance=0.4, noise=1.0,
+                                  trunk_guidance=0.3, trunk_noise=0.72, interpreter_guidance=1.0, candidates=5,
+                                  timing=1.5, seam=0.25, as_asked=2.0))
+
+
+def tiny() -> Config:
+    """Everything at toy width, for tests and a first look: a minute on one core."""
+    return Config(
+        name="tiny",
+        schedules=Schedules(
+            lexicon=FitSettings(steps=200, batch=64, rate=2e-3, schedule="cosine"),
+            generator=FitSettings(steps=120, batch=8, rate=3e-3, schedule="cosine"),
+            interpreter=FitSettings(steps=80, batch=8, rate=3e-3, schedule="cosine"),
+            style=FitSettings(steps=60, batch=8, rate=3e-3, schedule="cosine"),
+            speech=FitSettings(steps=20, batch=4, rate=1e-3), contrast=FitSettings(steps=20, batch=8, rate=1e-3),
+            gate=FitSettings(steps=40, batch=8, rate=3e-3), reward=FitSettings(steps=40, batch=16, rate=3e-3),
+            cql=FitSettings(steps=30, batch=8, rate=3e-3, betas=(0.5, 0.999)),
+            advantage=FitSettings(steps=30, batch=8, rate=3e-3)),
+        front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=16), text=TextConfig(encoder="minilm"),
+        lexicon=LexiconConfig(size=12, code_width=32, widths=(16, 24, 32, 32), revive_below=0.2),
+        generator=GeneratorConfig(motion_features=16, audio_features=8, audio_bottleneck=8, style_width=8,
+                                  position_width=8, hidden=48, groups=4, classes=8, lstm_width=48, lstm_layers=1,
+                                  style_rate=5e-2, swap_share=0.25, use_control=True),
+        interpreter=LstmConfig(audio_features=8, audio_bottleneck=8, text_features=8, text_bottleneck=8,
+                               use_control=True, width=48, pose_features=8, memory=4, reads_by="block",
+                               lexeme_features=8, history_dropout=0.1),
+        style=StyleConfig(audio_features=8, audio_bottleneck=8, text_features=4, text_bottleneck=8, width=32),
+        gate=GateConfig(audio_features=4, audio_bottleneck=8, width=16),
+        reward=RewardConfig(width=16, projection=8, window=4, longest=6, members=2, caution=0.5,
+                            centred=True),
+        judge=RewardConfig(width=12, projection=8, window=4, longest=6, members=2, centred=True),
+        episodes=EpisodeConfig(prefix=2),
+        advantage=CriticConfig(width=16, heads=2, layers=1, decisions=5, audio_features=4, audio_bottleneck=8,
+                               states=300, swaps=4),
+        cql=QConfig(width=16, heads=2, layers=2, decisions=6, audio_features=4, audio_bottleneck=8, copy_every=10),
+    )
+
+
+_FIXED_RATE = BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.4, rule="even"), fps=20.0)
+"""Eight frames at 20 fps, whatever is heard: RACER cuts speech at no beats."""
+
+
+def racer_trinity() -> Config:
+    """RACER as published (RACER 5.1, 5.2), for a GPU: its own codec, no lexicon of beats, no generator."""
+    # The codec: 500 epochs of 221 minutes in 6 s windows of 15 codes, 0.5 TFLOP a step.
+    learn = FitSettings(steps=17_000, batch=64, rate=3e-5)
+    return Config(
+        name="racer-trinity", tokens="racer", rhythm=_FIXED_RATE,
+        schedules=Schedules(
+            lexicon=learn, generator=NOT_TRAINED, interpreter=NOT_TRAINED, style=NOT_TRAINED, reward=learn,
+            # 1,500 epochs. A pass over 256 windows of 30 tokens costs 1.3 TFLOP, a step about seven of them (forward
+            # and backward, two target windows, two for the double choice): 120 PFLOP, an hour at 30 TFLOP/s, weeks on
+            # two CPU cores.
+            cql=FitSettings(steps=13_000, batch=256, rate=1e-4, betas=(0.5, 0.999), schedule="cosine")),
+        front_end=FrontEndConfig(name="mel", bands=128), episodes=LITERAL,
+        reward=RewardConfig(width=256, projection=128, window=15, longest=15),
+        judge=RewardConfig(width=256, projection=128, window=15, longest=15),
+        # The paper does not say how many layers; 12 make 86 M weights.
+        cql=QConfig(width=768, heads=12, layers=12, audio_blocks=1, audio_bottleneck=0, audio_features=128,
+                    use_speaker=False))
+
+
+def racer_chinese() -> Config:
+    """As `racer_trinity`, for an hour of speech: 400 epochs of the codec, 1,200 of the Q-network (RACER 5.2)."""
+    trinity = racer_trinity()
+    learn = dataclasses.replace(trinity.schedules.lexicon, steps=3_800)
+    return dataclasses.replace(trinity, name="racer-chinese", schedules=dataclasses.replace(
+        trinity.schedules, lexicon=learn, reward=learn, cql=dataclasses.replace(trinity.schedules.cql, steps=2_800)))
+
+
+def racer_native() -> Config:
+    """RACER's own form a quarter as wide, for two CPU cores, with far fewer steps at a higher rate."""
+    trinity = racer_trinity()
+    return dataclasses.replace(
+        trinity, name="racer-native", default_speaker="conversation", front_end=FrontEndConfig(name="mel", bands=32),
+        motion=MotionConfig(least_deviation=0.1),
+        schedules=dataclasses.replace(
+            trinity.schedules,
+            lexicon=FitSettings(steps=2_400, batch=32, rate=1e-3, schedule="cosine"),
+            reward=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
+            cql=FitSettings(steps=1_000, batch=32, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
+                            weight_decay=0.01)),
+        selection=SelectionConfig(q_temperature=1.0),  # the best code of so short a training is one resting code
+        # A mixture, as in `default`, but without the supervised interpreter, of which there is none over these codes.
+        episodes=EpisodeConfig(truth=0.7, sampled=0.0, statistical=0.15, perturbed=0.15, baseline=0),
+        racer=RacerConfig(width=128, size=256, revive_below=0.2),  # four hours use no more than 256 codes
+        reward=RewardConfig(window=8, longest=15), judge=RewardConfig(window=8, longest=15),
+        # Foresight, target and alpha as in `default`, most of the run supervised; the performers are told apart.
+        cql=QConfig(width=192, heads=3, layers=4, audio_blocks=1, audio_bottleneck=0, audio_features=32,
+                    use_speaker=True, conservative=1.0, gamma=0.9, copy_every=25, warm_up=0.8))
+
+
+PRESETS = {"default": default, "regression": regression, "paper-trinity": paper_trinity,
+           "paper-chinese": paper_chinese, "paper-ted": paper_ted, "racer-trinity": racer_trinity,
+           "racer-chinese": racer_chinese, "racer-native": racer_native, "tiny": tiny}
+
+
+def preset(name: str) -> Config:
+    """The preset of that name; InputError lists those there are."""
+    if name not in PRESETS:
+        raise InputError(name, "is not a preset", f"choose among {', '.join(PRESETS)}")
+    return PRESETS[name]()

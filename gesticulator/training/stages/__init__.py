@@ -1,0 +1,56 @@
+"""The stages of training, in the order in which they are run: one table.
+
+Each entry stands in a file of its own, with its name, what it needs, the settings that shape it, how it is built and
+how it is trained. A new stage is one file and one entry here; it changes the seed of no other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
+from gesticulator.bundle.config import Config
+from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
+from gesticulator.training.stages.base import Node, Run, Stage, closure
+from gesticulator.training.stages.corpus import BLOCKS, Corpus
+from gesticulator.training.stages.features import CORPUS
+from gesticulator.training.stages.gate import GATE
+from gesticulator.training.stages.generator import GENERATOR
+from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT
+from gesticulator.training.stages.labels import LABELS, Labelled
+from gesticulator.training.stages.lexicon import CODEC, LEXICON, TOKENS, Tokens
+from gesticulator.training.stages.q_network import EPISODES, Q_NETWORK
+from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
+from gesticulator.training.stages.speech import CONTRAST, ENCODER, SPEECH
+from gesticulator.training.stages.style import STYLE, STYLE_TEXT
+
+STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
+    SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, REWARD, REWARD_JUDGE, Q_NETWORK, ADVANTAGE,
+    GENERATOR, STYLE, STYLE_TEXT)}
+
+__all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
+           "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "Q_NETWORK", "REWARD", "REWARD_JUDGE",
+           "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run", "Stage", "Tokens",
+           "assemble", "closure", "wanted"]
+
+
+def wanted(config: Config) -> list[Stage[Any]]:
+    """The stages that these settings ask for, in order."""
+    return [stage for stage in STAGES.values() if stage.wanted(config)]
+
+
+def assemble(run: Run, provenance: dict[str, Any] | None = None, leave_out: Sequence[Stage[Any]] = ()) -> Bundle:
+    """Every part that the settings ask for, but for some, trained where it is not yet, as a bundle."""
+    corpus, labelled, tokens = run.get(CORPUS), run.get(LABELS), run.get(TOKENS)
+    parts = {stage.part: run.get(stage) for stage in wanted(run.config)
+             if stage.part and stage not in leave_out}
+    encoder = run.get(ENCODER)
+    if encoder is not None:
+        parts["encoder"] = encoder
+    frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
+    return Bundle(run.config, corpus.statistics, labelled.silent, frequencies, labelled.inventory.transitions,
+                  tokens.vectors, rest_distances(tokens, corpus.statistics), parts, provenance or {}, dict(run.figures),
+                  TextSource.of(run.config, corpus.text_width))

@@ -1,0 +1,288 @@
+"""The critics of the advantage interpreter, and what they learn from: every lexeme's reward, and what follows it."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from data_module.files import write_bytes
+from data_module.parallel import own_rows
+from gesticulator.bundle import models
+from gesticulator.bundle.config import Config
+from gesticulator.training import fit as fitting
+from gesticulator.training.presets import LITERAL
+from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.corpus import Corpus
+from gesticulator.training.stages.features import CORPUS
+from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
+from gesticulator.training.stages.labels import LABELS, model_sizes
+from gesticulator.training.stages.lexicon import TOKENS
+from gesticulator.training.stages.q_network import EPISODES, SilentLexemes, takes_of
+from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE, TAUGHT_REWARD, reward_table, taught_reward
+from interpreters.advantage import Critics, advantages
+from interpreters.episodes import Episode, build
+from interpreters.lstm import LstmInterpreter
+from interpreters.reward import RewardEnsemble
+from interpreters.reward_table import Centred, EnsembleReward
+from interpreters.settings import CriticConfig
+
+Array = NDArray[np.float32]
+_CHECKED = 2_000
+"""Decisions of the validation split."""
+_CHECKS, _WINDOWS = 4, 64
+"""Validation batches, and windows in each."""
+_TOGETHER = 2_048
+"""Windows of swapped lexemes that are scored in one go: bounds the memory."""
+
+
+@dataclass(frozen=True)
+class CounterfactualRewards:
+    """Decisions of E episodes in a row, n in all, and what every lexeme would have earned.
+
+    lengths, speaker: [E] decisions and who; block, action, previous: [n]; silent: [n]; every: [n, S] rewards;
+    log_prior: [n, S] log pi_b; swap: [n, k] lexemes put in the place of the action, and gained: [n, k] what the blocks
+    after it then earned more, the first of them undiscounted, NaN where nothing was tried; total: [n] the discounted
+    sum of rewards from here on.
+    """
+
+    lengths: NDArray[np.int64]
+    speaker: NDArray[np.int64]
+    block: NDArray[np.int64]
+    action: NDArray[np.int64]
+    previous: NDArray[np.int64]
+    silent: NDArray[np.bool_]
+    every: Array
+    log_prior: Array
+    swap: NDArray[np.int64]
+    gained: Array
+    total: Array
+
+    @property
+    def unit(self) -> float:
+        """The standard deviation of a reward over lexemes, root mean square over states: what values are told in."""
+        return max(float(np.sqrt(self.every.var(1).mean())), 1e-6)
+
+    def windows(self, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
+        """`count` windows of T decisions at random, as `Critics.losses` takes them but for what is heard. episode: [B].
+        Of these the rows that are this process's."""
+        ends = np.cumsum(self.lengths)
+        places = np.searchsorted(ends, rng.integers(ends[-1], size=count), side="right")
+        room = np.maximum(self.lengths[places] - decisions, 0)
+        start = (ends[places] - self.lengths[places] + rng.integers(room + 1))[own_rows(count)]
+        places = places[own_rows(count)]
+        at = start[:, None] + np.arange(decisions)
+        valid = at < ends[places][:, None]
+        at = np.minimum(at, ends[places][:, None] - 1)
+        out = {name: torch.as_tensor(getattr(self, name)[at]) for name in (
+            "block", "action", "previous", "silent", "every", "log_prior", "swap", "gained")}
+        return {**out, "return": torch.as_tensor(self.total[at]), "valid": torch.as_tensor(valid.astype(np.float32)),
+                "speaker": torch.as_tensor(self.speaker[places]), "episode": torch.as_tensor(places)}
+
+    def save(self, path: Path) -> None:
+        """One file, whole or not at all."""
+        stream = io.BytesIO()
+        np.savez(stream, **{field.name: getattr(self, field.name) for field in fields(self)})
+        write_bytes(path, stream.getvalue())
+
+    @classmethod
+    def load(cls, path: Path) -> CounterfactualRewards:
+        """The inverse of `save`; ValueError or KeyError for anything else."""
+        with np.load(path, allow_pickle=False) as file:
+            return cls(**{field.name: file[field.name] for field in fields(cls)})
+
+
+def discounted(rewards: Array, gamma: float) -> Array:
+    """[n] G_i = r_i + gamma G_{i+1}, nothing after the last (RACER Eq. 1)."""
+    out, after = np.empty(len(rewards), np.float32), 0.0
+    for i in range(len(rewards) - 1, -1, -1):
+        out[i] = after = float(rewards[i]) + gamma * after
+    return out
+
+
+@torch.no_grad()
+def gains(table: EnsembleReward | Centred, actions: Tensor, blocks: Tensor, at: NDArray[np.int64],
+          swap: NDArray[np.int64], gamma: float) -> Array:
+    """[m, k] what the blocks after decision `at` [m] earn more with lexeme swap [m, k] there instead of its own, all
+    else as in actions [M] on blocks [M]: sum_j gamma^(j-1) (r'_{at+j} - r_{at+j}) for j up to the reward's window."""
+    window, count = table.window, swap.shape[1]
+    own = table.sequence(actions, blocks)
+    out = np.zeros(swap.shape, np.float32)
+    places = [(row, column, after) for row in range(len(at)) for column in range(count)
+              for after in range(1, window) if at[row] + after < len(actions)]
+    for begin in range(0, len(places), _TOGETHER):
+        rows, columns, after = (torch.as_tensor(part) for part in np.array(places[begin:begin + _TOGETHER]).T)
+        changed = torch.as_tensor(at)[rows]
+        end = changed + after
+        index = end[:, None] + torch.arange(1 - window, 1)
+        lexemes = actions[index.clamp_min(0)]
+        lexemes = torch.where(index == changed[:, None], torch.as_tensor(swap)[rows, columns][:, None], lexemes)
+        more = table.rewards(lexemes, blocks[index.clamp_min(0)], index >= 0) - own[end]
+        np.add.at(out, (rows.numpy(), columns.numpy()), (more * gamma ** (after - 1)).numpy())
+    return out
+
+
+def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred, prior: LstmInterpreter, corpus: Corpus,
+                   config: CriticConfig, seed: int) -> CounterfactualRewards:
+    """Of these episodes, in random order until there are `config.states` decisions. What is heard of an episode's past
+    is its own lexemes; what is seen is the person."""
+    columns: dict[str, list[NDArray]] = {field.name: [] for field in fields(CounterfactualRewards)}
+    rng, left = np.random.default_rng(seed), config.states
+    for number in rng.permutation(len(episodes)):
+        own = episodes[number]
+        if left <= 0:
+            break
+        if len(own.blocks) < 2:
+            continue
+        left -= len(own.blocks) - 1
+        actions, blocks = torch.as_tensor(own.actions), torch.as_tensor(own.blocks)
+        log_prior = teacher_logits(prior, corpus, own.blocks, own.actions).log_softmax(-1).float().numpy()
+        size = log_prior.shape[1]
+        swap = rng.integers(size, size=(len(own.blocks) - 1, config.swaps))
+        half = config.swaps // 2
+        noise = rng.gumbel(size=(len(swap), half, size))
+        swap[:, :half] = (log_prior[:, None] + noise).argmax(-1)
+        gained = np.full(swap.shape, np.nan, np.float32)
+        tried = np.flatnonzero(rng.random(len(swap)) < config.tried)
+        gained[tried] = gains(table, actions, blocks, tried + 1, swap[tried], config.gamma)
+        every = table.sequence_every(actions, blocks)[1:].float().numpy()
+        earned = every[np.arange(len(every)), own.actions[1:]]
+        for name, value in (("lengths", np.array([len(every)])), ("speaker", np.array([own.speaker])),
+                            ("block", own.blocks[1:]), ("action", own.actions[1:]), ("previous", own.actions[:-1]),
+                            ("silent", own.silent[1:]), ("every", every), ("log_prior", log_prior), ("swap", swap),
+                            ("gained", gained), ("total", discounted(earned, config.gamma))):
+            columns[name].append(value)
+    return CounterfactualRewards(**{name: np.concatenate(values) for name, values in columns.items()})
+
+
+def _make(run: Run) -> CounterfactualRewards:
+    file = run.work / f"counterfactuals-{run.key(COUNTERFACTUALS)}.npz"
+    if file.exists():
+        try:
+            return CounterfactualRewards.load(file)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            pass  # cut short by a crash: made again
+    made = counterfactual(run.get(EPISODES).episodes, _table(run), run.get(INTERPRETER), run.get(CORPUS),
+                          run.config.advantage, run.seed(COUNTERFACTUALS))
+    made.save(file)
+    return made
+
+
+def _table(run: Run, by: Stage[RewardEnsemble] | None = None) -> EnsembleReward | Centred:
+    """by: the reward's stage, the one that teaches when None."""
+    if by is None or by is REWARD:
+        return run.get(TAUGHT_REWARD)
+    corpus = run.get(CORPUS)
+    table = reward_table(run.get(by), run.get(TOKENS), corpus)
+    return taught_reward(table, corpus, run.config.episodes.baseline)
+
+
+def _needs(config: Config) -> Sequence[Node[Any]]:
+    return CORPUS, TOKENS, LABELS, REWARD, EPISODES, INTERPRETER
+
+
+COUNTERFACTUALS: Node[CounterfactualRewards] = Node(
+    "counterfactuals", settings=("episodes.baseline", "reward", *(f"advantage.{name}" for name in (
+        "gamma", "states", "tried", "swaps"))), needs=_needs, make=_make)
+"""What every lexeme would have earned in the training split, kept under the hash of all that shapes it."""
+
+
+def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str, Tensor], unit: float,
+                 heard: NDArray[np.float32]) -> dict[str, Tensor]:
+    """Windows with what critics hear, rewards in units; heard: [E, J] which critic learns from which episode."""
+    own = {key: windows[key] / unit for key in ("every", "gained", "return")}
+    return {**windows, **own, "audio": corpus.high[windows["block"]].float(),
+            "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float(),
+            "heard": torch.as_tensor(heard)[windows["episode"]]}
+
+
+def _train(run: Run, model: Critics, folder: Path, stage: Stage[Critics], rewards: Node[CounterfactualRewards],
+           by: Stage[RewardEnsemble]) -> Figures:
+    config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(rewards)
+    labelled, unit = run.get(LABELS), data.unit
+    rng = np.random.default_rng(run.seed(stage))
+    heard = (rng.random((len(data.lengths), config.critics)) < config.heard).astype(np.float32)
+    heard[heard.sum(1) == 0] = 1.0
+    takes = takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train")
+    literal = build(takes, LITERAL, lambda lexemes, blocks: torch.zeros(len(lexemes)),
+                    silent=SilentLexemes(labelled.silent, labelled.nearest), vectors=run.get(TOKENS).vectors.numpy())
+    held = counterfactual(literal.episodes, _table(run, by), run.get(INTERPRETER), corpus,
+                          CriticConfig(states=min(_CHECKED, config.states), tried=config.tried, swaps=config.swaps,
+                                       gamma=config.gamma), 1)
+    everything = np.ones((len(held.lengths), config.critics), np.float32)
+    checks = [critic_batch(corpus, held, held.windows(fitting.generator_for(4, i), _WINDOWS, config.decisions), unit,
+                           everything) for i in range(_CHECKS)]
+    model.scale_to(unit, torch.as_tensor(data.gained) / unit, torch.as_tensor(data.total) / unit)
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        rows = [critic_figures(model, {key: value.to(run.device) for key, value in b.items()}) for b in checks]
+        return {key: float(np.nanmean([row[key] for row in rows])) for key in rows[0]}
+
+    task = fitting.Task(lambda rng: critic_batch(corpus, data, data.windows(
+        rng, run.schedule(stage).batch, config.decisions), unit, heard), validate=validate)
+    return run.fit(stage, model, task, folder)
+
+
+def critic_figures(model: Critics, batch: dict[str, Tensor]) -> dict[str, float]:
+    """Of what was really done: Pearson's r over lexemes of the advantage with the enumerated one (`advantage`, of the
+    block's own reward), over swaps of the future that was learned with the one that was found (`future`), and of the
+    value with the return (`value`); `spread`, A's standard deviation."""
+    found = model.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
+    valid = batch["valid"] > 0
+    learned = advantages(found.reward, batch["log_prior"])[valid]
+    true = advantages(batch["every"].unsqueeze(-2), batch["log_prior"])[valid]
+    tried = ~torch.isnan(batch["gained"])
+    mean = found.future.mean(-2)
+    moved = mean.gather(-1, batch["swap"]) - mean.gather(-1, batch["action"].unsqueeze(-1))
+    return {"advantage": float(_pearson(learned, true).mean()),
+            "future": float(_pearson(moved[tried], batch["gained"][tried])),
+            "value": float(_pearson(found.value.mean(-1)[valid], batch["return"][valid])),
+            "spread": float(model.spread)}
+
+
+def _pearson(first: Tensor, second: Tensor) -> Tensor:
+    """[...] r over the last axis."""
+    a, b = (value - value.mean(-1, keepdim=True) for value in (first, second))
+    return functional.cosine_similarity(a, b, dim=-1)
+
+
+def _wanted(config: Config) -> bool:
+    return config.tokens == "lexicon" and config.schedules.cql.steps > 0 and config.schedules.advantage.steps > 0
+
+
+def _build(run: Run) -> nn.Module:
+    return models.advantage(model_sizes(run))
+
+
+ADVANTAGE: Stage[Critics] = Stage(
+    "advantage", settings=("advantage", "silence.hint"), schedule="advantage", wanted=_wanted, part="advantage",
+    needs=lambda config: (*_needs(config), COUNTERFACTUALS), build=_build,
+    train=lambda run, model, folder: _train(run, model, folder, ADVANTAGE, COUNTERFACTUALS, REWARD))
+
+
+def exchanged_stage() -> Stage[Critics]:
+    """The same critics taught by the reward that judges, for those who measure: no part of a bundle, and of no run that
+    is not asked for it."""
+    def make(run: Run) -> CounterfactualRewards:
+        return counterfactual(run.get(EPISODES).episodes, _table(run, REWARD_JUDGE), run.get(INTERPRETER),
+                              run.get(CORPUS), run.config.advantage, run.seed(data))
+
+    def train(run: Run, model: Critics, folder: Path) -> Figures:
+        return _train(run, model, folder, stage, data, REWARD_JUDGE)
+
+    data: Node[CounterfactualRewards] = Node("counterfactuals_exchanged", settings=COUNTERFACTUALS.settings,
+                                             needs=lambda config: (*_needs(config), REWARD_JUDGE), make=make)
+    stage: Stage[Critics] = Stage(
+        "advantage_exchanged", settings=ADVANTAGE.settings, schedule="advantage", build=_build, train=train,
+        needs=lambda config: (*_needs(config), REWARD_JUDGE, data))
+    return stage

@@ -1,0 +1,241 @@
+"""The corpus: blocks of motion, speech and words of a whole store, cached by what shapes them."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.errors import InputError
+from data_module.motion.movement import Pasts, joined, pasts_of
+from data_module.store import Store
+from data_module.types import Array
+from generator.flow import circumstances
+from gesticulator.bundle.config import Config, digest
+from gesticulator.bundle.features import Normaliser, Statistics, three_blocks, word_table
+from gesticulator.bundle.models import Sizes
+from gesticulator.training.stages.base import Node, Run
+from gesticulator.training.stages.caches import cut, encode_all, read_arrays, read_words, word_file
+from gesticulator.training.stages.measured import measured
+from gesticulator.training.stages.rows import PastRows, StoredRows, evenly
+from gesticulator.training.stages.stored import CHECKED, MEASURED, CachedBlocks, bytes_of, measured_of, written
+
+if TYPE_CHECKING:
+    from data_module.speech.speech_encoder import SpeechEncoder
+
+
+@dataclass(frozen=True)
+class Corpus:
+    """All blocks of a store in a row. N blocks, R recordings, W words, F features of style.
+
+    motion: [N, K, D_m] normalised; low, high: [N, 3K, d] normalised audio windows in half precision (`low` and `high`
+    are the same array where the front end has one level); silent: [N]; durations: [N] s; recording: [N] index;
+    first: [R, D_m] normalised pose at time 0; mask: [R, D_m] dimensions that the source has; control: [N, K, F]
+    features of style in their units; has_text: [R]; word_at: [N, 3K] rows of `words` [W + 1, d_t + 1] (None without a
+    word encoder); files: the cached blocks of each recording.
+
+    Where a corpus does not fit into memory, motion, low, high, control, word_at and words are `StoredRows`: their rows
+    are read when they are asked for.
+    """
+
+    names: tuple[str, ...]
+    splits: tuple[str, ...]
+    speaker_of: NDArray[np.int64]
+    motion: Tensor
+    low: Tensor
+    high: Tensor
+    silent: NDArray[np.bool_]
+    durations: Array
+    recording: NDArray[np.int64]
+    first: Tensor
+    mask: Tensor
+    control: NDArray[np.float32]
+    statistics: Statistics
+    has_text: NDArray[np.bool_]
+    word_at: Tensor | None = None
+    words: Tensor | None = None
+    files: tuple[Path, ...] = ()
+
+    def blocks_of(self, recording: int) -> NDArray[np.int64]:
+        """Block numbers of a recording, in order."""
+        first, last = np.searchsorted(self.recording, (recording, recording + 1))
+        return np.arange(first, last)
+
+    def recordings(self, split: str, with_text: bool = False) -> list[int]:
+        """Recording numbers of a split; only those with words when asked."""
+        return [index for index, own in enumerate(self.splits)
+                if own == split and (self.has_text[index] or not with_text)]
+
+    def select(self, split: str) -> NDArray[np.int64]:
+        """Block numbers of a split."""
+        return np.flatnonzero(np.isin(self.recording, self.recordings(split)))
+
+    @property
+    def stored(self) -> bool:
+        """Whether it stays on the disk."""
+        return isinstance(cast(Any, self.motion), StoredRows)
+
+    def some(self, split: str) -> NDArray[np.int64]:
+        """Block numbers of a split to measure or to fit on: all, or evenly taken ones where the corpus stays on the
+        disk."""
+        every = self.select(split)
+        return evenly(every, MEASURED if split == "train" else CHECKED) if self.stored else every
+
+    def text(self, blocks: NDArray[np.int64] | Tensor) -> Tensor:
+        """[..., 3K, d_t + 1] word vectors around blocks [...]."""
+        if self.word_at is None or self.words is None:
+            raise ValueError("this corpus was prepared without text")
+        return self.words[self.word_at[torch.as_tensor(blocks)].long()].float()
+
+    @functools.cached_property
+    def pasts(self) -> Pasts:
+        """What every block is told from, [N, 3, D_m]; read when it is asked for where the corpus stays on the disk."""
+        rows_of = cast(Any, self.motion)
+        if isinstance(rows_of, StoredRows):
+            begins = np.diff(self.recording, prepend=-1) > 0
+            before = np.where(begins, self.durations, np.roll(self.durations, 1))
+            ratio = torch.as_tensor(self.durations / before).to(rows_of.dtype)
+            return cast(Pasts, PastRows(rows_of, begins, self.first, self.recording, ratio))
+        rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
+        return joined(pasts_of(self.motion[own], torch.as_tensor(self.durations)[own], first)
+                      for own, first in zip(rows, self.first, strict=True))
+
+    @functools.cached_property
+    def circumstances(self) -> Tensor:
+        """[N, 8] every block's place in speech (`generator.flow.circumstances`)."""
+        rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
+        return torch.cat([circumstances(torch.as_tensor(self.durations)[own], torch.as_tensor(self.silent)[own])
+                          for own in rows])
+
+    def before(self, blocks: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
+        """Of each block [n], the block before as it was performed [n, K, D_m] (a recording's first pose, held, before
+        its first block), and the seconds of the block before and of its own [n, 2]."""
+        earlier = np.maximum(blocks - 1, 0)
+        begins = (blocks == 0) | (self.recording[earlier] != self.recording[blocks])
+        held = self.first[torch.as_tensor(self.recording[blocks])][:, None].expand(-1, self.motion.shape[1], -1)
+        motion = torch.where(torch.as_tensor(begins)[:, None, None], held, self.motion[torch.as_tensor(earlier)])
+        seconds = np.stack([self.durations[np.where(begins, blocks, earlier)], self.durations[blocks]], axis=-1)
+        return motion, torch.as_tensor(seconds, dtype=torch.float32)
+
+    @property
+    def text_width(self) -> int:
+        """d_t + 1, 0 without text."""
+        return 0 if self.words is None else self.words.shape[-1]
+
+    def sound(self, recording: int) -> NDArray[np.float16] | StoredRows:
+        """[N, L] the stretched sound of a recording's blocks; read where it is indexed, if the corpus stays on the
+        disk."""
+        if self.stored:
+            return StoredRows(self.files[recording], "sound")
+        with np.load(self.files[recording], allow_pickle=False) as arrays:
+            return np.asarray(arrays["sound"])
+
+
+def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
+            progress: bool = True, memory: float | None = None) -> Corpus:
+    """Cut, encode and normalise a store; what is cached in `folder` under the same settings is reused.
+
+    encoder: the trained stack, where the front end is "vqwav2vec"; without it the audio is left out (one column of
+    zeros), which is all that the lexicon needs. memory: bytes; a corpus that would take more stays on the disk.
+    """
+    infos = store.recordings
+    speakers = tuple(sorted({info.speaker for info in infos if info.split == "train"}))
+    if not speakers:
+        raise InputError(store.path, "has no recordings in its training split", "build the store again")
+    speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0 for info in infos])
+    files = cut(store, config, folder, workers=workers, progress=progress)
+    deaf = encoder is None and config.front_end.name == "vqwav2vec"
+    heard = None if deaf else encode_all(files, config, encoder, workers=workers, progress=progress)
+    if memory is not None:
+        blocks = CachedBlocks(files, heard, speaker_of, [info.split for info in infos], store.names,
+                              word_file(store, config, folder, progress=progress))
+        counts = blocks.counts()
+        if bytes_of(blocks, counts, config.rhythm.frames) > memory:
+            return _on_disk(config, folder, speakers, blocks, counts)
+    loaded = [read_arrays(file, leave_out=("sound",)) for file in files]
+    encoded: list[dict[str, NDArray[Any]]]
+    if heard is None:
+        encoded = [{"low": np.zeros((len(own["silent"]), 3 * config.rhythm.frames, 1), np.float16)} for own in loaded]
+    else:
+        encoded = [read_arrays(file) for file in heard]
+    statistics = measured(config, speakers, speaker_of, [info.split for info in infos], loaded, encoded)
+    motion = [statistics.normalise(own["motion"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
+    first = [statistics.normalise(own["first"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
+    low = _normalised(statistics.low, [own["low"] for own in encoded])
+    high = low if "high" not in encoded[0] else _normalised(statistics.high, [own["high"] for own in encoded])
+    word_at, words, has_text = _text(infos, loaded, read_words(store, config, folder, progress=progress))
+    return Corpus(
+        names=tuple(info.name for info in infos), splits=tuple(info.split for info in infos), speaker_of=speaker_of,
+        motion=torch.as_tensor(np.concatenate(motion).astype(np.float32)), low=low, high=high,
+        silent=np.concatenate([own["silent"] for own in loaded]),
+        durations=np.concatenate([np.diff(own["edges"]) for own in loaded]),
+        recording=np.repeat(np.arange(len(infos)), [len(own["silent"]) for own in loaded]),
+        first=torch.as_tensor(np.stack(first).astype(np.float32)),
+        mask=torch.as_tensor(np.stack([own["mask"] for own in loaded]).astype(np.float32)),
+        control=np.concatenate([own["control"] for own in loaded]), statistics=statistics, has_text=has_text,
+        word_at=word_at, words=words, files=files)
+
+
+def _on_disk(config: Config, folder: Path, speakers: tuple[str, ...], blocks: CachedBlocks,
+             counts: NDArray[np.int64]) -> Corpus:
+    key = digest(blocks.files[0].parent.name, blocks.features[0].parent.name if blocks.features else "",
+                 blocks.words.name if blocks.words else "", config.motion, MEASURED)
+    statistics = measured_of(config, speakers, blocks, counts)
+    fields = written(folder / f"corpus-{key}", blocks, counts, statistics)
+    return Corpus(
+        names=tuple(blocks.names), splits=tuple(blocks.splits), speaker_of=blocks.speaker_of,
+        recording=np.repeat(np.arange(len(counts)), counts), statistics=statistics, files=tuple(blocks.files),
+        **{**fields, "first": torch.as_tensor(fields["first"]), "mask": torch.as_tensor(fields["mask"])})
+
+
+def _normalised(normaliser: Normaliser, parts: list[NDArray[Any]]) -> Tensor:
+    return torch.as_tensor(np.concatenate([normaliser.apply(part.astype(np.float32)).astype(np.float16)
+                                           for part in parts]))
+
+
+def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: dict[str, NDArray[np.float16]]
+          ) -> tuple[Tensor | None, Tensor | None, NDArray[np.bool_]]:
+    """[N, 3K] rows, the table [W + 1, d_t + 1] and which recordings have words [R]."""
+    has = np.array([info.name in vectors and "word_at" in own for info, own in zip(infos, loaded, strict=True)])
+    if not has.any():
+        return None, None, has
+    rows, tables, begin = [], [], 1
+    for info, own in zip(infos, loaded, strict=True):
+        frames = own.get("word_at")
+        if frames is None or info.name not in vectors:
+            rows.append(np.zeros((len(own["silent"]), 3 * own["motion"].shape[1]), np.int32))
+            continue
+        rows.append(three_blocks(np.where(frames >= 0, frames + begin, 0).astype(np.int32), np.zeros(())))
+        tables.append(vectors[info.name])
+        begin += len(vectors[info.name])
+    table = np.concatenate(tables)
+    return (torch.as_tensor(np.concatenate(rows)),
+            torch.as_tensor(word_table(table, table.shape[1]).astype(np.float16)), has)
+
+
+def sizes(config: Config, corpus: Corpus, **more: Any) -> Sizes:
+    """What shapes the models over a corpus; more: fields of `Sizes` that the corpus does not know."""
+    return Sizes(config, corpus.motion.shape[-1], corpus.low.shape[-1], corpus.high.shape[-1],
+                 corpus.high is not corpus.low, len(corpus.statistics.speakers), corpus.text_width,
+                 corpus.statistics.present, **more)
+
+
+def _blocks(run: Run) -> Corpus:
+    corpus = prepare(run.store, run.config, run.work, workers=run.workers, progress=run.progress, memory=run.memory)
+    if run.config.text.encoder and corpus.words is None:
+        raise InputError(run.store.path, "has no recording with words",
+                         "set text.encoder= (nothing) to train without text")
+    return corpus
+
+
+BLOCKS: Node[Corpus] = Node(
+    "blocks", settings=("rhythm",), make=_blocks)
+"""The corpus before it is heard: motion, stretched sound and words (and mel features, which need no training). How
+motion becomes numbers stands with the lexicon, which alone looks at it first."""

@@ -1,0 +1,114 @@
+"""G, E_M, E_A and the style codes (RG 5.2, 5.3), with silent augmentation (RG 6.4.1)."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from data_module.errors import InputError
+from data_module.layers import freeze
+from generator.flow import FlowGenerator
+from generator.model import BlockInputs, Generator
+from gesticulator.bundle import models
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages.base import Figures, Run, Stage
+from gesticulator.training.stages.features import CORPUS
+from gesticulator.training.stages.labels import LABELS, model_sizes
+from gesticulator.training.stages.lexicon import LEXICON
+from gesticulator.training.stages.windows import Windows, sequences, validation, with_silence
+from lexicon.autoencoder import Lexicon
+from lexicon.movement import MovementLexicon
+
+
+def _train(run: Run, model: Generator | FlowGenerator, folder: Path) -> Figures:
+    return _train_flow(run, model, folder) if isinstance(model, FlowGenerator) else _train_regression(
+        run, model, folder)
+
+
+def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
+    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
+    parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
+    control = config.control if config.generator.use_control else None
+    windows = Windows(corpus, parts, config.generator.blocks, control=control, moving=True)
+    lexicon = copy.deepcopy(_movements(run)).to(run.device)
+    checks = validation(corpus, labelled.labels, config.generator.blocks, moving=True)
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        batches = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
+        figures = {}
+        for name, left_out in (("flow", (0.0, 0.0, 0.0, 0.0)), ("without_audio", (1.0, 0.0, 0.0, 0.0)),
+                               ("without_lexeme", (0.0, 1.0, 0.0, 0.0)), ("without_history", (0.0, 0.0, 1.0, 0.0)),
+                               ("without_history_and_audio", (1.0, 0.0, 1.0, 0.0))):
+            torch.manual_seed(run.seed(GENERATOR))  # the same times and noises for each, or they could not be compared
+            terms = [model.losses(b, 1.0, lexicon.nearest, left_out)["flow"] for b in batches]
+            figures[name] = float(sum(terms)) / len(terms)
+        return figures
+
+    task = fitting.Task(lambda rng: windows.sample(rng, run.schedule(GENERATOR).batch),
+                        lambda batch, progress: model.losses(batch, progress, lexicon.nearest), validate, watch="flow")
+    return run.fit(GENERATOR, model, task, folder)
+
+
+def _movements(run: Run) -> MovementLexicon:
+    lexicon = run.get(LEXICON)
+    if not isinstance(lexicon, MovementLexicon):
+        raise InputError("generator.head=flow", "draws movements, and the lexicon names poses",
+                         "set lexicon.kind=movement, or generator.head=regression")
+    return lexicon
+
+
+def _build(run: Run) -> Generator | FlowGenerator:
+    model = models.generator(model_sizes(run, training=run.config.generator.head == "regression"))
+    if isinstance(model, FlowGenerator):
+        lexicon, corpus = _movements(run), run.get(CORPUS)
+        known = torch.as_tensor(corpus.some("train"))
+        model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]),
+                    lexicon.added(torch.arange(lexicon.size)))
+    return model
+
+
+def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
+    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
+    parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
+    if config.silence.augmentation > 0:
+        parts = with_silence(parts, corpus, labelled.nearest, config.silence.augmentation,
+                             config.silence.longest_insert, np.random.default_rng([run.seed(GENERATOR), 7]))
+    windows = Windows(corpus, parts, config.window, control=config.control if config.generator.use_control else None)
+    found = run.get(LEXICON)
+    if not isinstance(found, Lexicon):
+        raise InputError("generator.head=regression", "is taught by the encoder of poses, and the lexicon names "
+                         "movements", "set lexicon.kind=pose, or generator.head=flow")
+    lexicon = copy.deepcopy(found).to(run.device)
+    freeze(lexicon)
+    checks = validation(corpus, labelled.labels, config.window)
+
+    def with_vectors(batch: fitting.Batch) -> fitting.Batch:
+        return {**batch, "lexeme": lexicon.vectors[batch["lexeme_index"].to(run.device)]}
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        totals = []
+        for batch in checks:
+            b = {key: value.to(run.device) for key, value in with_vectors(batch).items()}
+            zero = torch.zeros(*b["style"][:, 1:].shape, config.generator.style_width, device=run.device)
+            made, _ = model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], zero))
+            true = b["motion"][:, 1:]
+            totals.append(((made - true).pow(2).mean(), (lexicon.encode(made.flatten(0, 1))
+                                                         - lexicon.encode(true.flatten(0, 1))).pow(2).mean()))
+        return {"reconstruction": float(sum(t[0] for t in totals)) / len(totals),
+                "perceptual": float(sum(t[1] for t in totals)) / len(totals)}
+
+    task = fitting.Task(lambda rng: with_vectors(windows.sample(rng, run.schedule(GENERATOR).batch)),
+                        lambda batch, progress: model.losses(batch, progress, lexicon.encode), validate)
+    return run.fit(GENERATOR, model, task, folder)
+
+
+GENERATOR: Stage[Generator | FlowGenerator] = Stage(
+    "generator", settings=("generator", "window", "control", "silence.augmentation", "silence.longest_insert"),
+    needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="generator",
+    wanted=lambda config: config.tokens == "lexicon", part="generator",
+    build=_build, train=_train)

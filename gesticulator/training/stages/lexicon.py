@@ -1,0 +1,199 @@
+"""What names gestures: the lexicon of blocks at the beat (RG 5.1), or RACER's own codec at a fixed rate (RACER 4.1)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.errors import InputError
+from data_module.motion.movement import Pasts
+from data_module.parallel import own_rows
+from gesticulator.bundle import models
+from gesticulator.bundle.config import Config
+from gesticulator.training import distributed
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
+from gesticulator.training.stages.rows import evenly
+from gesticulator.training.stages.stored import MEASURED
+from lexicon.autoencoder import Lexicon
+from lexicon.movement import MovementLexicon
+from lexicon.quantizer import perplexity
+from lexicon.racer import RacerCodec
+
+BlockLexicon = Lexicon | MovementLexicon
+"""What names blocks at the beat one by one: the paper's VQ-VAE, or the lexicon of movements."""
+Tokens = BlockLexicon | RacerCodec
+"""What names the gesture of a block: the lexicon of blocks at the beat, or RACER's own codec at a fixed rate."""
+
+_MOTION = ("motion.representation", "motion.joints", "motion.least_deviation")
+"""What shapes the motion of the corpus."""
+_TOGETHER = 4096
+"""Blocks that are decoded in one go: bounds the memory."""
+
+
+def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
+    if isinstance(model, MovementLexicon):
+        return distributed.lead(lambda: _fit_movements(run, model))
+    return _train_pose_lexicon(run, model, folder)
+
+
+def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
+    """In closed form and by k-means, on the CPU: there are no steps."""
+    corpus = run.get(BLOCKS)
+    known, val = (torch.as_tensor(corpus.some(split)) for split in ("train", "val"))
+    recording = torch.as_tensor(corpus.recording)
+    model.fit(corpus.motion[known], corpus.pasts[known], corpus.mask[recording[known]], run.seed(LEXICON))
+    held = val if len(val) else known
+    return movement_figures(model, corpus.motion[held], corpus.pasts[held])
+
+
+@torch.no_grad()
+def movement_figures(lexicon: MovementLexicon, motion: Tensor, past: Pasts) -> Figures:
+    """Mean squared errors (normalised features) of blocks [B, K, D_m] on their true pasts: what the predictor alone
+    leaves, the lexeme, lexeme and residual levels, and all coefficients; usage and perplexity."""
+    true = lexicon.basis.coefficients(motion, past)
+    labels = lexicon.nearest(true)
+    told = {"predicted": torch.zeros_like(true), "lexeme": lexicon.quantised(true, 0),
+            "quantised": lexicon.quantised(true), "unquantised": true}
+    return {**{name: float((lexicon.basis.compose(own, past) - motion).pow(2).mean()) for name, own in told.items()},
+            "usage": float((torch.bincount(labels, minlength=lexicon.size) > 0).float().mean()),
+            "perplexity": perplexity(labels, lexicon.size)}
+
+
+def _train_pose_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
+    corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
+    known, some, val = map(torch.as_tensor, (corpus.select("train"), corpus.some("train"), corpus.some("val")))
+    recording = torch.as_tensor(corpus.recording)
+
+    def make_batch(rng: np.random.Generator) -> fitting.Batch:
+        index = known[torch.as_tensor(rng.integers(len(known), size=settings.batch)[own_rows(settings.batch)])]
+        return {"motion": corpus.motion[index], "mask": corpus.mask[recording[index]]}
+
+    begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
+
+    def before_step(step: int) -> None:
+        if step == begin:
+            distributed.lead_model(model, lambda: model.start_codebook(corpus.motion[some].to(run.device),
+                                                                       run.seed(LEXICON)))
+
+    def validate() -> Figures:
+        return lexicon_figures(model, corpus.motion[val if len(val) else some].to(run.device))
+
+    return run.fit(LEXICON, model, fitting.Task(make_batch, validate=validate, before_step=before_step), folder)
+
+
+LEXICON: Stage[BlockLexicon] = Stage(
+    "lexicon", settings=("lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
+    wanted=lambda config: config.tokens == "lexicon", part="lexicon", train=_train_lexicon,
+    build=lambda run: models.lexicon(sizes(run.config, run.get(BLOCKS))))
+
+
+@torch.no_grad()
+def lexicon_figures(lexicon: Lexicon, motion: Tensor) -> Figures:
+    """Mean squared errors (normalised features) with and without quantisation, usage and perplexity.
+
+    motion: [B, K, D_m].
+    """
+    latents = lexicon.latents(motion)
+    labels = lexicon.quantizer.labels(latents)
+    quantised = torch.cat([lexicon.decode(lexicon.vectors[part]) for part in labels.split(_TOGETHER)])
+    plain = torch.cat([lexicon.decode(part) for part in latents.split(_TOGETHER)])
+    size = lexicon.quantizer.size
+    return {"quantised": float((quantised - motion).pow(2).mean()),
+            "unquantised": float((plain - motion).pow(2).mean()),
+            "usage": float((torch.bincount(labels, minlength=size) > 0).float().mean()),
+            "perplexity": perplexity(labels, size)}
+
+
+def _starts(corpus: Corpus, split: str, length: int) -> NDArray[np.int64]:
+    """Every block of a split that `length` - 1 more of its recording follow."""
+    starts = [corpus.blocks_of(r)[:1 - length] for r in corpus.recordings(split) if len(corpus.blocks_of(r)) >= length]
+    if not starts:
+        raise InputError("store", f"has no recording of {length} codes in its {split} split",
+                         "build it from longer recordings")
+    return np.concatenate(starts)
+
+
+def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
+    """On windows of as many codes as a decision sees (120 frames in the paper)."""
+    corpus, length, settings = run.get(BLOCKS), run.config.cql.decisions, run.schedule(CODEC)
+    known = _starts(corpus, "train", length)
+    held = (_starts(corpus, "val", length) if corpus.recordings("val") else known)[::length]
+    begun = known[::length]
+    if corpus.stored:
+        held, begun = (evenly(starts, MEASURED // length) for starts in (held, begun))
+
+    def crops(starts: NDArray[np.int64]) -> Tensor:
+        return corpus.motion[torch.as_tensor(starts)[:, None] + torch.arange(length)].flatten(1, 2)
+
+    def make_batch(rng: np.random.Generator) -> fitting.Batch:
+        chosen = rng.choice(known, settings.batch)[own_rows(settings.batch)]
+        return {"motion": crops(chosen), "mask": corpus.mask[torch.as_tensor(corpus.recording[chosen])]}
+
+    def before_step(step: int) -> None:
+        if step == 0:
+            distributed.lead_model(model, lambda: model.start_codebook(crops(begun).to(run.device), run.seed(CODEC)))
+
+    return run.fit(CODEC, model, fitting.Task(make_batch, before_step=before_step, validate=lambda: codec_figures(
+        model, crops(held).to(run.device))), folder)
+
+
+@torch.no_grad()
+def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
+    """As `lexicon_figures`, of motion [B, T, D_m]."""
+    latents = model.encode(true)
+    labels = model.quantizer.labels(latents.flatten(0, 1))
+    made = model.decode(model.vectors[labels].unflatten(0, latents.shape[:2]))
+    return {"quantised": float((made - true).pow(2).mean()),
+            "unquantised": float((model.decode(latents) - true).pow(2).mean()),
+            "usage": float((torch.bincount(labels, minlength=model.quantizer.size) > 0).float().mean()),
+            "perplexity": perplexity(labels, model.quantizer.size)}
+
+
+CODEC: Stage[RacerCodec] = Stage(
+    "codec", settings=("racer", "cql.decisions", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
+    wanted=lambda config: config.tokens == "racer", part="lexicon", train=_train_codec,
+    build=lambda run: models.codec(sizes(run.config, run.get(BLOCKS))))
+
+
+def _of(config: Config) -> Stage[BlockLexicon] | Stage[RacerCodec]:
+    return CODEC if config.tokens == "racer" else LEXICON
+
+
+TOKENS: Node[Tokens] = Node("tokens", settings=(), needs=lambda config: (_of(config),),
+                            make=lambda run: run.get(CODEC) if run.config.tokens == "racer" else run.get(LEXICON))
+"""The lexicon or the codec, whichever the settings name."""
+
+
+@torch.no_grad()
+def decoded_blocks(tokens: Tokens, labels: NDArray[np.int64], corpus: Corpus) -> Tensor:
+    """[N, K, D_m] every block as its lexeme shows it; of movements, from the block's own past."""
+    if isinstance(tokens, Lexicon):
+        return tokens.shown()[torch.as_tensor(labels)]
+    if isinstance(tokens, MovementLexicon):
+        return tokens.basis.compose(tokens.added(torch.as_tensor(labels)), corpus.pasts[:])
+    rows = [tokens.decode_tokens(torch.as_tensor(labels[corpus.blocks_of(r)])[None])[0]
+            for r in range(len(corpus.names))]
+    return torch.cat(rows)
+
+
+def token_labels(tokens: Tokens, corpus: Corpus) -> NDArray[np.int64]:
+    """[N] the lexeme of every block."""
+    if corpus.stored and not isinstance(tokens, RacerCodec):
+        parts = torch.arange(len(corpus.motion)).split(_TOGETHER)
+        return torch.cat([tokens.label(corpus.motion[part]) if isinstance(tokens, Lexicon)
+                          else tokens.label(corpus.motion[part], corpus.pasts[part]) for part in parts]).numpy()
+    if isinstance(tokens, Lexicon):
+        return tokens.label(corpus.motion).numpy()
+    if isinstance(tokens, MovementLexicon):
+        return tokens.label(corpus.motion, corpus.pasts).numpy()
+    out = np.empty(len(corpus.motion), dtype=np.int64)
+    for recording in range(len(corpus.names)):
+        blocks = corpus.blocks_of(recording)
+        out[blocks] = tokens.label(corpus.motion[torch.as_tensor(blocks)].flatten(0, 1)[None])[0].numpy()
+    return out

@@ -1,0 +1,86 @@
+"""What is measured on the training split: means, deviations, bounds, rest, and the spread of features."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module import controls
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import CHARACTER
+from data_module.types import Array
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Normaliser, Statistics, representation_of
+from gesticulator.bundle.models import parts_of_body
+
+BOUNDS = (0.1, 99.9)
+"""Percent: one frame in a thousand at either end is left out, as captures jump now and then."""
+
+
+def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64], splits: list[str],
+                loaded: list[dict[str, NDArray[Any]]], encoded: list[dict[str, NDArray[Any]]]) -> Statistics:
+    """What is measured on the training split, of the cached blocks and features of every recording.
+
+    speaker_of: [R]; splits, loaded, encoded: of each of R recordings.
+    """
+    width = loaded[0]["motion"].shape[-1]
+    train = [index for index, split in enumerate(splits) if split == "train"]
+    mean, rest = np.zeros((len(speakers), width)), np.zeros((len(speakers), width))
+    centred = []
+    for speaker in range(len(speakers)):
+        own = [loaded[i] for i in train if speaker_of[i] == speaker]
+        poses = np.concatenate([arrays["motion"] for arrays in own]).astype(np.float64)
+        silent = np.concatenate([arrays["silent"] for arrays in own])
+        mean[speaker] = poses.mean(axis=(0, 1))
+        still = settled(silent)
+        rest[speaker] = resting(poses[still, -1], config) if still.any() else mean[speaker]
+        centred.append((poses - mean[speaker]).reshape(-1, width))
+    deviation = np.concatenate(centred).std(axis=0)
+    present = np.stack([loaded[i]["mask"] for i in train]).any(axis=0)
+    deviation = np.where(present, np.maximum(deviation, config.motion.least_deviation), 1.0)
+    bounds = np.percentile(np.concatenate(centred) / deviation, BOUNDS, axis=0)
+    quiet = [settled(loaded[i]["silent"], 1) for i in train]
+    normalisers, silences = [], []
+    for level in ("low", "high"):
+        rows = [encoded[i].get(level, encoded[i]["low"]) for i in train]
+        normaliser = Normaliser.fit(np.concatenate(rows).astype(np.float32))
+        silences_heard = np.concatenate([own[which] for own, which in zip(rows, quiet, strict=True)]).astype(np.float32)
+        normalisers.append(normaliser)
+        silences.append(normaliser.apply(silences_heard).mean(axis=0, dtype=np.float64) if len(silences_heard)
+                        else np.zeros(rows[0].shape[1:]))
+    levels = controls.Levels.fit(np.concatenate([loaded[i]["control"] for i in train]).reshape(
+        -1, len(controls.FEATURES)).astype(np.float64))
+    return Statistics(speakers, mean, rest, deviation, bounds, normalisers[0], normalisers[1], silences[0],
+                      silences[1], levels)
+
+
+LOWEST = 0.3
+"""Share of the poses that silences end in, those with the lowest hands, of which rest is made."""
+
+
+def resting(poses: Array, config: Config) -> Array:
+    """[D_m] the pose of rest among those that silences end in, [n, D_m]: their mean; or, where a body that rests lives
+    (`silence.rest`), the arms of the one in the middle of those with the lowest hands, as a mean of poses with the
+    hands down and poses with the hands held up would have them half way, and the mean of these for trunk and head,
+    which in any one of them may look aside."""
+    if config.silence.rest == "decay":
+        return np.asarray(poses.mean(axis=0))
+    places = positions_of(representation_of(config).motion(poses, config.rhythm.fps))
+    height = places[:, [CHARACTER.index("LeftHand"), CHARACTER.index("RightHand")], 1].mean(axis=1) - places[:, 0, 1]
+    low = poses[height <= np.quantile(height, LOWEST)]
+    rest = low.mean(axis=0)
+    arms = [column for part, columns in parts_of_body(config).items() if part not in ("torso", "head")
+            for column in columns]
+    rest[arms] = low[np.linalg.norm(low[:, arms] - rest[arms], axis=1).argmin()][arms]
+    return np.asarray(rest)
+
+
+def settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:
+    """Silent blocks with `wait` silent ones before them: the arms have come to rest by then."""
+    settled = silent.copy()
+    for back in range(1, wait + 1):
+        settled[back:] &= silent[:-back]
+        settled[:back] = False
+    return settled

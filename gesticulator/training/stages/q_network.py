@@ -1,0 +1,151 @@
+"""The Q-network by conservative Q-learning on the offline episodes (RACER 4.3, Eq. 11)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from data_module.errors import InputError
+from gesticulator.bundle import models
+from gesticulator.bundle.config import Config
+from gesticulator.training import fit as fitting
+from gesticulator.training.presets import LITERAL
+from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.corpus import Corpus, sizes
+from gesticulator.training.stages.features import CORPUS
+from gesticulator.training.stages.interpreter import INTERPRETER
+from gesticulator.training.stages.labels import LABELS, Labelled, model_sizes
+from gesticulator.training.stages.lexicon import TOKENS
+from gesticulator.training.stages.reward import REWARD, step_reward
+from interpreters.base import BlockFeatures
+from interpreters.cql import ConservativeQ, QNetwork, data_nll
+from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, SilentLexemes, build
+from interpreters.statistical import StatisticalInterpreter
+
+_CHECKS, _WINDOWS = 4, 64
+"""Validation batches, and windows in each."""
+
+
+def takes_of(corpus: Corpus, labels: NDArray[np.int64], split: str) -> list[Demonstration]:
+    """What was really done in the recordings of a split."""
+    out = []
+    for recording in corpus.recordings(split):
+        own = corpus.blocks_of(recording)
+        out.append(Demonstration(recording, int(corpus.speaker_of[recording]), own, labels[own], corpus.silent[own]))
+    return out
+
+
+def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
+    """What an interpreter hears of a block of the corpus; what it sees is the person, whatever lexemes it chose itself:
+    nothing is drawn here."""
+    def features(block: int) -> BlockFeatures:
+        past, seconds = corpus.before(np.array([block]))
+        return BlockFeatures(corpus.low[block].float(), corpus.high[block].float(), bool(corpus.silent[block]),
+                             past=past[0], durations=(float(seconds[0, 0]), float(seconds[0, 1])))
+
+    return features
+
+
+def _silent(labelled: Labelled) -> SilentLexemes:
+    return SilentLexemes(labelled.silent, labelled.nearest)
+
+
+def _make_episodes(run: Run) -> Episodes:
+    file = run.work / f"episodes-{run.key(EPISODES)}.npz"
+    if file.exists():
+        try:
+            return Episodes.load(file)
+        except InputError:
+            pass  # cut short by a crash, or changed: made again
+    corpus, config, labelled = run.get(CORPUS), run.config, run.get(LABELS)
+    frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
+    others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions,
+                                                                    config.statistical)}
+    if config.tokens == "lexicon":
+        others["sampled"] = run.get(INTERPRETER)
+    episodes = build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
+                     silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy(), policies=BehaviourPolicies(
+                         others, features_of(corpus)), seed=run.seed(EPISODES))
+    episodes.save(file)
+    return episodes
+
+
+def _episode_needs(config: Config) -> Sequence[Node[Any]]:
+    return CORPUS, TOKENS, LABELS, REWARD, *((INTERPRETER,) if config.tokens == "lexicon" else ())
+
+
+EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "statistical", "silence.hint"), needs=_episode_needs,
+                                make=_make_episodes)
+"""The offline data set of the training split, kept under the hash of all that shapes it (RACER 4.3)."""
+
+
+def q_batch(corpus: Corpus, windows: dict[str, Tensor], lookahead: int = 1) -> dict[str, Tensor]:
+    """Windows of episodes with what a Q-network hears: audio [B, T + 1, 3K, d] and speaker one-hot [B, P].
+
+    Without look-ahead that is the window around the block before. Decisions begin with a recording's second block.
+    """
+    return {**windows, "audio": corpus.high[windows["block"] - (1 - lookahead)].float(),
+            "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float()}
+
+
+def new_q_network(config: Config, corpus: Corpus, vectors: Tensor, silent: NDArray[np.int64]) -> QNetwork:
+    """An untrained Q-network over a codebook [S, D_s]."""
+    return models.q_network(sizes(config, corpus, vectors=vectors, silent=tuple(silent.tolist())))
+
+
+def _train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
+    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
+    decisions, ahead = config.cql.decisions, config.cql.lookahead
+    episodes = run.get(EPISODES)
+    held = build(takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train"), LITERAL,
+                 step_reward(run), silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy())
+    # Windows of the recordings as they were: rewards of stretches are for the episodes that are learned from.
+    plain = Episodes(held.episodes)
+    checks = [q_batch(corpus, plain.windows(fitting.generator_for(3, i), _WINDOWS, decisions), ahead)
+              for i in range(_CHECKS)]
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        return q_figures(learner, [{key: value.to(run.device) for key, value in b.items()} for b in checks])
+
+    task = fitting.Task(lambda rng: q_batch(corpus, episodes.windows(rng, run.schedule(Q_NETWORK).batch, decisions),
+                                            ahead), validate=validate, before_step=learner.before_step)
+    return run.fit(Q_NETWORK, learner, task, folder)
+
+
+@torch.no_grad()
+def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> dict[str, float]:
+    """On what was really done: NLL of softmax(Q), accuracy of arg max, squared Bellman error, mean Q."""
+    totals = np.zeros(4)
+    for batch in batches:
+        q = learner.online.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
+        allowed = learner.online.allowed(batch["silent"])
+        masked = q.masked_fill(~allowed, -torch.inf)
+        valid, action = batch["valid"], batch["action"][..., None]
+        nll = data_nll(q, batch["action"], allowed)
+        right = (masked.argmax(-1, keepdim=True) == action)[..., 0].float()
+        count = valid.sum()
+        taken = q.gather(-1, action)[..., 0]
+        error = learner.losses({**batch, "cloned": valid}).get("temporal_difference", torch.nan)
+        totals += [float((nll * valid).sum() / count), float((right * valid).sum() / count), float(error),
+                   float((taken * valid).sum() / count)]
+    names = ("nll", "accuracy", "temporal_difference", "mean_q")
+    return {name: float(value) for name, value in zip(names, totals / len(batches), strict=True)}
+
+
+def _online(learner: nn.Module) -> QNetwork:
+    return cast(ConservativeQ, learner).online
+
+
+Q_NETWORK: Stage[QNetwork] = Stage(
+    "q_network", settings=("cql", "silence.hint"), schedule="cql",
+    needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, EPISODES),
+    wanted=lambda config: config.schedules.cql.steps > 0, part="q_network", finish=_online, train=_train,
+    build=lambda run: ConservativeQ(models.q_network(model_sizes(run))))

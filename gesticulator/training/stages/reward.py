@@ -1,0 +1,290 @@
+"""The reward models E_m and E_u (RACER 4.2), and the rewards that a policy is taught."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.errors import InputError
+from data_module.motion.movement import Pasts
+from data_module.parallel import own_rows, shares
+from gesticulator.bundle import models
+from gesticulator.bundle.config import RewardConfig
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.corpus import Corpus
+from gesticulator.training.stages.features import CORPUS
+from gesticulator.training.stages.labels import LABELS, model_sizes
+from gesticulator.training.stages.lexicon import TOKENS, Tokens, decoded_blocks, token_labels
+from interpreters.episodes import Reward, distance_rewards, looked_up
+from interpreters.reward import RewardEnsemble, RewardModel
+from interpreters.reward_table import Centred, EnsembleReward, RewardTable
+from lexicon.movement import MovementLexicon
+from lexicon.racer import RacerCodec
+
+_TOGETHER = 8
+"""Windows of one recording in a batch of the reward model: rivals of the same voice, so that the hour and not the
+speaker has to be told."""
+_CHECKS, _WINDOWS = 4, 128
+"""Validation batches, and windows in each."""
+_DECODED = 4096
+"""Blocks that are decoded in one go: bounds the memory."""
+_LEAST_ODDS = 1e-3
+"""Added to the odds of every lexeme, so that a pair which the training split lacks is not impossible."""
+
+
+def block_audio(corpus: Corpus) -> Tensor:
+    """[N, K, d] both levels of audio on the block itself; the log duration comes last."""
+    frames = corpus.motion.shape[1]
+    low = corpus.low[:, frames:2 * frames]
+    if corpus.high is corpus.low:
+        return low
+    return torch.cat([low[..., :-1], corpus.high[:, frames:2 * frames]], dim=-1)
+
+
+@torch.no_grad()
+def added_by(lexicon: MovementLexicon) -> Tensor:
+    """[S, K, D_m] what each lexeme adds to where its past leads."""
+    return lexicon.basis.expand(lexicon.added(torch.arange(lexicon.size)))
+
+
+class MovementContext:
+    """A lexicon of movements decoded in context, as the motion is played. A `Bases` of `interpreters.reward_table`.
+
+    A block is where its past leads, what its lexeme adds, and its manner: what the performer's block adds beside its
+    own lexeme, which any lexeme on that block is given. So the performer's lexemes show the captured motion itself, and
+    a lexeme that is changed shows a movement of the same detail, and moves all that follows it in the window.
+    """
+
+    def __init__(self, lexicon: MovementLexicon, corpus: Corpus, labels: NDArray[np.int64]) -> None:
+        """labels: [N] the lexeme of every block."""
+        self.basis, self.pasts = lexicon.basis, corpus.pasts
+        self.added = added_by(lexicon)
+        with torch.no_grad():
+            parts = torch.arange(len(labels)).split(_DECODED)
+            self.manner = torch.cat([(corpus.motion[part] - lexicon.basis.base(self.pasts[part])
+                                      - self.added[torch.as_tensor(labels)[part]]).half() for part in parts])
+            """[N, K, D_m] in half precision, since there is one for every block."""
+
+    @torch.no_grad()
+    def __call__(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """[B, W, K, D_m] what each block of windows [B, W] shows but for what its own lexeme adds. The first block of a
+        window goes on from the performer's own past."""
+        out: list[Tensor] = []
+        for i in range(blocks.shape[1]):
+            frames = self.pasts.frames[blocks[:, i]]
+            if out:
+                before = (out[-1] + self.added[lexemes[:, i - 1]])[:, -frames.shape[1]:]
+                frames = torch.where(valid[:, i - 1].bool()[:, None, None], before, frames)
+            base = self.basis.base(Pasts(frames, self.pasts.ratio[blocks[:, i]]))
+            out.append(base + self.manner[blocks[:, i]].float())
+        return torch.stack(out, 1)
+
+
+def context_of(tokens: Tokens, corpus: Corpus) -> MovementContext | None:
+    """What a lexicon of movements is decoded in; None for another lexicon."""
+    if not isinstance(tokens, MovementLexicon):
+        return None
+    return MovementContext(tokens, corpus, token_labels(tokens, corpus))
+
+
+def reward_table(model: RewardModel | RewardEnsemble, tokens: Tokens, corpus: Corpus, *, literal: bool = False,
+                 context: MovementContext | None = None) -> EnsembleReward:
+    """A reward model over this lexicon and this corpus, ready to be asked. Movements are decoded in context.
+
+    literal: the paper's cosine, the mean of the members, nothing taken off. context: `context_of`, where it is known.
+    """
+    audio, durations = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
+    how: dict[str, Any] = {"centred": model.config.centred and not literal}
+    context = context or context_of(tokens, corpus)
+    if isinstance(tokens, RacerCodec):
+        how |= {"decode": (tokens.decode_tokens, len(tokens.vectors))}
+    elif context is not None:
+        how |= {"decoded": context.added, "bases": context}
+    else:
+        how |= {"decoded": tokens.shown()}
+    return EnsembleReward([RewardTable(own, audio, durations, **how) for own in model.models],
+                          0.0 if literal else model.config.caution)
+
+
+@dataclass(frozen=True)
+class RewardWindows:
+    """Windows of motion and the audio that goes with them, of any length, for the contrastive loss.
+
+    A batch would be easy if each window came from another speaker; so it holds eight windows of each of its recordings.
+    shown: [N, K, D_m] the blocks as the lexicon shows them. labels: [N]. lexemes: [S, K, D_m] and after: [S, S] the
+    transition matrix, from which rivals are made: windows whose last lexemes are replaced, half of them by lexemes that
+    often follow, so that it takes ears to tell; None makes no rivals. added: [S, K, D_m] what each lexeme of a lexicon
+    of movements adds (`MovementContext`), from which the last one is to be found.
+    """
+
+    corpus: Corpus
+    audio: Tensor
+    shown: Tensor
+    recordings: Sequence[int]
+    config: RewardConfig
+    labels: NDArray[np.int64]
+    lexemes: Tensor | None = None
+    after: NDArray[np.float64] | None = None
+    added: Tensor | None = None
+
+    def sample(self, rng: np.random.Generator, count: int, decoded: float | None = None) -> fitting.Batch:
+        """A batch of `count` windows, as `RewardModel.losses` takes it; `decoded` of them show lexemes. Of these the
+        rows that are this process's."""
+        config = self.config
+        chosen = rng.choice(self.recordings, size=-(-count // _TOGETHER))
+        owners = np.repeat(chosen, _TOGETHER)[:count]
+        blocks, valid = np.zeros((count, config.longest), np.int64), np.zeros((count, config.longest), np.float32)
+        for row, recording in enumerate(owners):
+            own = self.corpus.blocks_of(int(recording))
+            length = min(int(rng.integers(config.shortest, config.longest + 1)), len(own))
+            start = int(rng.integers(len(own) - length + 1))
+            blocks[row] = own[start]
+            blocks[row, -length:] = own[start:start + length]
+            valid[row, -length:] = 1
+        share = config.decoded if decoded is None else decoded
+        mine = own_rows(count)
+        batch = self.batch(blocks[mine], valid[mine], (rng.random(count) < share)[mine])
+        if shares() > 1:  # who may be told from whom is a matter of the whole batch
+            batch["group"] = torch.as_tensor(groups(blocks, valid, self.corpus.silent[blocks])[mine])
+        if self.lexemes is not None and config.rivals:
+            batch["rival"] = self.lexemes[torch.as_tensor(self.rivals(blocks, valid, rng)[mine])]
+        if config.choice:
+            batch |= self.choice(blocks[mine], batch["motion"])
+        return batch
+
+    def choice(self, blocks: NDArray[np.int64], motion: Tensor) -> fitting.Batch:
+        """The last lexemes [B] of windows [B, W], their log odds [B, S] after the ones before, what every lexeme adds,
+        and what the last blocks of the windows' motion [B, W, K, D_m] show without it."""
+        assert self.after is not None and self.added is not None
+        last = torch.as_tensor(self.labels[blocks[:, -1]])
+        odds = self.after[self.labels[blocks[:, -2]]] + _LEAST_ODDS
+        return {"last": last, "lexemes": self.added, "base": motion[:, -1] - self.added[last],
+                "prior": torch.as_tensor(np.log(odds / odds.sum(1, keepdims=True))).float()}
+
+    def batch(self, blocks: NDArray[np.int64], valid: NDArray[np.float32], decoded: NDArray[np.bool_]) -> fitting.Batch:
+        """The windows of blocks [B, W], right-aligned; those marked `decoded` [B] show lexemes instead of capture."""
+        at, shows = torch.as_tensor(blocks), torch.as_tensor(decoded)
+        motion = torch.where(shows[:, None, None, None], self.shown[at], self.corpus.motion[at])
+        return {"motion": motion, "audio": self.audio[at].float(), "valid": torch.as_tensor(valid),
+                "log_duration": torch.as_tensor(np.log(self.corpus.durations[blocks])).float(),
+                "group": torch.as_tensor(groups(blocks, valid, self.corpus.silent[blocks])), "rivalled": shows}
+
+    def rivals(self, blocks: NDArray[np.int64], valid: NDArray[np.float32], rng: np.random.Generator
+               ) -> NDArray[np.int64]:
+        """[B, H, W] the lexemes of windows with one to half of their last ones replaced by others."""
+        assert self.lexemes is not None and self.after is not None
+        size, count = len(self.lexemes), self.config.rivals
+        lexemes = np.repeat(self.labels[blocks][:, None], count, axis=1)
+        cumulated = self.after.cumsum(axis=1)
+        for row, length in enumerate(valid.sum(1).astype(int)):
+            for rival in range(count):
+                replaced = int(rng.integers(1, max(1, length // 2) + 1))
+                likely = rng.random() < 0.5
+                for at in range(-replaced, 0):
+                    own, other = int(lexemes[row, rival, at]), int(rng.integers(size))
+                    if likely and length > -at:
+                        row_of = cumulated[lexemes[row, rival, at - 1]]
+                        other = int(np.searchsorted(row_of, rng.random() * row_of[-1]))
+                    if at == -1 and other == own:  # nothing else may be wrong
+                        other = (own + 1 + int(rng.integers(size - 1))) % size
+                    lexemes[row, rival, at] = other
+        return lexemes
+
+
+def groups(blocks: NDArray[np.int64], valid: NDArray[np.float32], silent: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """[B] alike for windows [B, W] that share a block (or are joined by one that does), and for all that are silent.
+
+    Such windows suit each other's audio and must not count as each other's negatives.
+    """
+    last = blocks[:, -1]
+    first = last - valid.sum(1).astype(np.int64) + 1
+    out = np.empty(len(blocks), dtype=np.int64)
+    group, end = 0, -1
+    for row in np.argsort(first, kind="stable"):
+        if first[row] > end:
+            group += 1
+        end = max(end, int(last[row]))
+        out[row] = group
+    out[(silent | (valid == 0)).all(axis=1)] = 0
+    return out
+
+
+def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEnsemble], fold: int) -> Figures:
+    config, corpus, labelled, tokens = model.config, run.get(CORPUS), run.get(LABELS), run.get(TOKENS)
+    movements = isinstance(tokens, MovementLexicon)
+    audio = block_audio(corpus)
+    # Movements in context with their manner are the captured motion itself.
+    shown = corpus.motion if movements else decoded_blocks(tokens, labelled.labels, corpus)
+    known, held = corpus.recordings("train"), corpus.recordings("val")
+    half = known[fold::2] or known
+    lexemes = None if isinstance(tokens, RacerCodec) or movements else tokens.shown()
+    added = added_by(tokens) if isinstance(tokens, MovementLexicon) else None
+
+    def of(recordings: Sequence[int]) -> RewardWindows:
+        return RewardWindows(corpus, audio, shown, recordings, config, labelled.labels, lexemes,
+                             labelled.inventory.transitions, added)
+
+    windows, check = of(half), of(held or half)
+    checks = [check.sample(fitting.generator_for(2, i), _WINDOWS, 1.0) for i in range(_CHECKS)]
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        found = [model.figures({key: value.to(run.device) for key, value in b.items()}) for b in checks]
+        return {key: float(np.mean([f[key] for f in found])) for key in found[0]}
+
+    task = fitting.Task(lambda rng: windows.sample(rng, run.schedule(stage).batch), validate=validate,
+                        before_step=model.before_step)
+    return run.fit(stage, model, task, folder)
+
+
+def _reward_stage(name: str, settings: str, fold: int, build: Callable[[models.Sizes], RewardEnsemble]
+                  ) -> Stage[RewardEnsemble]:
+    def train(run: Run, model: RewardEnsemble, folder: Path) -> Figures:
+        return _train(run, model, folder, (REWARD, REWARD_JUDGE)[fold], fold)
+
+    return Stage(name, settings=(settings, "silence.hint"), needs=lambda config: (CORPUS, TOKENS, LABELS),
+                 schedule="reward", wanted=lambda config: config.schedules.cql.steps > 0, train=train,
+                 build=lambda run: build(model_sizes(run)))
+
+
+REWARD = _reward_stage("reward", "reward", 0, models.reward)
+REWARD_JUDGE = _reward_stage("reward_judge", "judge", 1, models.reward_judge)
+"""A second model of another seed that hears the other half of the recordings: what a policy learned to please must not
+be what it is judged by."""
+
+
+def taught_reward(table: EnsembleReward, corpus: Corpus, draws: int) -> EnsembleReward | Centred:
+    """The reward as a policy is taught it: told from what random lexemes earn on the same audio, or as it is (0)."""
+    if not draws:
+        return table
+    recordings = [torch.as_tensor(corpus.blocks_of(r)) for r in range(len(corpus.names))]
+    return Centred(table, recordings, draws)
+
+
+def _teach(run: Run) -> EnsembleReward | Centred:
+    corpus = run.get(CORPUS)
+    return taught_reward(reward_table(run.get(REWARD), run.get(TOKENS), corpus), corpus, run.config.episodes.baseline)
+
+
+TAUGHT_REWARD: Node[EnsembleReward | Centred] = Node(
+    "taught_reward", settings=("episodes.baseline",), needs=lambda config: (CORPUS, TOKENS, REWARD), make=_teach)
+"""The reward that policies are taught, made once in a run: what random lexemes earn takes minutes to find."""
+
+
+def step_reward(run: Run) -> Reward:
+    """What a step earns, by the settings: the contrastive reward, or the distance to the recording (RACER 5.5)."""
+    corpus, tokens, episodes = run.get(CORPUS), run.get(TOKENS), run.config.episodes
+    if episodes.reward == "contrastive":
+        return run.get(TAUGHT_REWARD).sequence
+    if isinstance(tokens, RacerCodec):
+        raise InputError("episodes.reward=distance", "is of lexemes that are decoded one by one",
+                         "use it over a lexicon, not with tokens=racer")
+    return looked_up(distance_rewards(tokens.shown(), corpus.motion))

@@ -1,0 +1,159 @@
+"""The speech levels: predictive coding on speech alone, then Eq. 1 on speech with text (RG 4.1.3)."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from data_module.blocks import samples_per_frame
+from data_module.layers import freeze
+from data_module.parallel import own_rows
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, TextContrast
+from gesticulator.bundle import models
+from gesticulator.bundle.config import Config
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
+from gesticulator.training.stages.rows import StoredRows
+from gesticulator.training.stages.sounds import Crops, folder_digest
+
+_CHECKS, _CROPS = 4, 32
+"""Validation batches, and crops in each."""
+Names = Callable[[Run], Sequence[str]]
+
+
+def _learned(config: Config) -> bool:
+    return config.front_end.name == "vqwav2vec"
+
+
+def _names(split: str) -> Names:
+    return lambda run: [info.name for info in run.store.recordings if info.split == split]
+
+
+def _held(run: Run) -> Sequence[str]:
+    return _names("val")(run) or _names("train")(run)[:1]
+
+
+def _folders(run: Run) -> list[str]:
+    return [folder_digest(folder) for folder in run.speech]
+
+
+def _train_predictive(run: Run, model: PredictiveCoding, folder: Path, stage: Stage[Any], known: Sequence[str],
+                      held: Sequence[str]) -> Figures:
+    config = run.config
+    length = 3 * config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
+    crops = Crops.of_store(run.store, known, run.speech, length)
+    check = Crops.of_store(run.store, held, (), length)
+    checks = [torch.as_tensor(check.sample(fitting.generator_for(0, i), _CROPS)) for i in range(_CHECKS)]
+    batch = run.schedule(stage).batch
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        torch.manual_seed(0)
+        return {"predictive": sum(float(model.losses({"samples": b.to(run.device)})["predictive"])
+                                  for b in checks) / len(checks)}
+
+    task = fitting.Task(lambda rng: {"samples": torch.as_tensor(crops.sample(rng, batch))}, validate=validate)
+    return run.fit(stage, model, task, folder)
+
+
+def speech_stage(known: Names, held: Names, more: Sequence[Any] = ()) -> Stage[PredictiveCoding]:
+    """Predictive coding on the speech of recordings `known` and of the run's folders of sound, checked on `held`.
+
+    more: what tells this choice of recordings from others, for the key.
+    """
+    stage: Stage[PredictiveCoding] = Stage(
+        "speech", settings=("encoder", "rhythm"), schedule="speech", wanted=_learned,
+        of_data=lambda run: [*_folders(run), *more],
+        build=lambda run: PredictiveCoding(SpeechEncoder(run.config.encoder), run.config.encoder))
+    return replace(stage, train=lambda run, model, folder: _train_predictive(
+        run, model, folder, stage, known(run), held(run)))
+
+
+SPEECH = speech_stage(_names("train"), _held)
+
+
+def _contrast_batches(corpus: Corpus, recordings: list[int], frames: int, size: int) -> fitting.MakeBatch:
+    """Windows of three blocks in which a word sounds on the middle one: others have no anchor for Eq. 1."""
+    assert corpus.word_at is not None
+    spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
+    sounds = {r: corpus.sound(r) for r in recordings}
+    begins = {r: int(corpus.blocks_of(r)[0]) for r in recordings}
+    blocks = np.concatenate([corpus.blocks_of(r)[spoken[corpus.blocks_of(r)]] for r in recordings])
+
+    def make(rng: np.random.Generator) -> fitting.Batch:
+        assert corpus.word_at is not None
+        chosen = rng.choice(blocks, size)[own_rows(size)]
+        owners = corpus.recording[chosen]
+        samples = np.stack([_around(sounds[r], b - begins[r]) for r, b in zip(owners, chosen, strict=True)])
+        return {"samples": torch.as_tensor(samples).float(),
+                "text": corpus.text(chosen)[:, frames:2 * frames, :-1],
+                "word": corpus.word_at[torch.as_tensor(chosen), frames:2 * frames].long() - 1}
+
+    return make
+
+
+def _around(sound: NDArray[np.float16] | StoredRows, block: int) -> NDArray[np.float16]:
+    """[3 L] the sound of a block of [N, L], with the blocks before and after; silence beyond the ends."""
+    out = np.zeros((3, sound.shape[1]), np.float16)
+    there = [k for k in (0, 1, 2) if 0 <= block + k - 1 < len(sound)]
+    out[there] = np.asarray(sound[np.array(there) + block - 1])
+    return out.reshape(-1)
+
+
+def _build_contrast(run: Run) -> nn.Module:
+    encoder = copy.deepcopy(run.get(SPEECH).encoder)
+    encoder.requires_grad_(True)
+    return TextContrast(encoder, run.config.encoder, run.get(BLOCKS).text_width - 1, run.config.rhythm.frames)
+
+
+def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
+    corpus, frames, size = run.get(BLOCKS), run.config.rhythm.frames, run.schedule(CONTRAST).batch
+    known = corpus.recordings("train", with_text=True)
+    held = _contrast_batches(corpus, corpus.recordings("val", with_text=True) or known[:1], frames, size)
+    checks = [held(fitting.generator_for(1, i)) for i in range(_CHECKS)]
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        on = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
+        found = torch.stack([model.retrieval(b) for b in on]).nanmean(0)
+        return {"contrast": sum(float(model.losses(b)["contrast"]) for b in on) / len(on),
+                **{f"retrieval_{level + 1}": float(value) for level, value in enumerate(found)}}
+
+    return run.fit(CONTRAST, model, fitting.Task(_contrast_batches(corpus, known, frames, size), validate=validate),
+                   folder)
+
+
+def _contrasted(config: Config) -> bool:
+    return _learned(config) and bool(config.text.encoder) and config.schedules.contrast.steps > 0
+
+
+CONTRAST: Stage[TextContrast] = Stage(
+    "contrast", settings=("encoder", "text"), needs=lambda config: (SPEECH, BLOCKS), schedule="contrast",
+    wanted=_contrasted, build=_build_contrast, train=_train_contrast)
+
+
+def _encoder(run: Run) -> SpeechEncoder | None:
+    if not _learned(run.config):
+        return None
+    encoder = models.encoder(sizes(run.config, run.get(BLOCKS)))
+    encoder.load_state_dict((run.get(CONTRAST) if _contrasted(run.config) else run.get(SPEECH)).encoder.state_dict())
+    # A bundle keeps half precision: the features to train on are those that it will hear.
+    encoder.half().float()
+    freeze(encoder)
+    return encoder
+
+
+ENCODER: Node[SpeechEncoder | None] = Node(
+    "encoder", settings=(), make=_encoder,
+    needs=lambda config: () if not _learned(config) else (CONTRAST,) if _contrasted(config) else (SPEECH,))
+"""The trained speech levels as a bundle keeps them; None where the front end is another."""

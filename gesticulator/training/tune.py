@@ -1,0 +1,177 @@
+"""`gesticulator tune`: search for settings with which a stage does best on the validation split (Optuna, extra `tune`).
+
+What is tried is noted in a SQLite file as it is done, so a search that was stopped goes on, also in a trial that was
+under way: stages are kept in the work folder, as of a training. It is for choices that a validation figure can judge.
+Whether motion is better is seen, and measured by `gesticulator ablate`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from data_module.errors import InputError
+from data_module.files import lock
+from gesticulator.cli import Command
+
+if TYPE_CHECKING:
+    from data_module.store import Store
+    from gesticulator.bundle.config import Config
+
+Value: TypeAlias = int | float | str
+Settings: TypeAlias = Mapping[str, Value]
+"""By their path."""
+SHOWN = 5
+"""Of the best trials, in the end."""
+
+
+@dataclass(frozen=True)
+class SearchRange:
+    """Where to look for a setting: from low to high (whole numbers where both are; log: evenly over their magnitudes),
+    or among choices."""
+
+    path: str
+    low: float = 0.0
+    high: float = 0.0
+    log: bool = False
+    whole: bool = False
+    choices: tuple[str, ...] = ()
+
+    @classmethod
+    def parse(cls, text: str) -> SearchRange:
+        """PATH=LOW..HIGH, PATH=LOW..HIGH:log or PATH=A,B,C; `InputError` for anything else."""
+        path, mark, told = text.partition("=")
+        wrong = InputError(f"--search {text[:60]}", "is no range", "write PATH=64..256, PATH=1e-4..1e-2:log "
+                           "or PATH=a,b")
+        if not (path and mark and told):
+            raise wrong
+        if ".." not in told:
+            return cls(path, choices=tuple(told.split(",")))
+        span, _, scale = told.partition(":")
+        ends = span.split("..")
+        try:
+            low, high = map(float, ends)
+        except ValueError:
+            raise wrong from None
+        if not (low < high < float("inf")) or scale not in ("", "log") or (scale and low <= 0):
+            raise wrong
+        return cls(path, low, high, bool(scale), all(end.strip().lstrip("-").isdecimal() for end in ends))
+
+    def suggested(self, trial: Any) -> Value:
+        """What Optuna tries in a trial."""
+        if self.choices:
+            return str(trial.suggest_categorical(self.path, self.choices))
+        if self.whole:
+            return int(trial.suggest_int(self.path, int(self.low), int(self.high), log=self.log))
+        return float(trial.suggest_float(self.path, self.low, self.high, log=self.log))
+
+
+@dataclass(frozen=True)
+class SettingSearch:
+    """A search. file: of SQLite, with all studies of a work folder; name: what tells this one from others there;
+    highest: whether more is better."""
+
+    file: Path
+    name: str
+    ranges: tuple[SearchRange, ...]
+    highest: bool = False
+    seed: int = 1
+
+    def run(self, objective: Callable[[Settings], float], trials: int) -> list[tuple[float, dict[str, Value]]]:
+        """Try until so many trials are done, those of before included; all of them, the best first.
+
+        One that was under way when the process was killed is done again. `InputError` where another process searches.
+        """
+        import optuna
+
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        states = optuna.trial.TrialState
+        with lock(self.file, "a search", beside=True):
+            study = optuna.create_study(storage=f"sqlite:///{self.file}", study_name=self.name, load_if_exists=True,
+                                        direction="maximize" if self.highest else "minimize")
+            for killed in study.get_trials(states=(states.RUNNING,)):
+                study.tell(killed.number, state=states.FAIL)
+                study.enqueue_trial(killed.params)
+            while len(done := study.get_trials(states=(states.COMPLETE,))) < trials:
+                # Of a seed of its own: a search that is taken up would else draw what it drew at first.
+                study.sampler = optuna.samplers.TPESampler(seed=self.seed + len(done))
+                trial = study.ask()
+                value = objective({one.path: one.suggested(trial) for one in self.ranges})
+                study.tell(trial, value)
+            found = [(float(trial.value), dict(trial.params)) for trial in done if trial.value is not None]
+        return sorted(found, key=lambda pair: -pair[0] if self.highest else pair[0])
+
+
+def figure_of(config: Config, store: Store, work: Path, stage: str, figure: str, settings: Settings) -> float:
+    """A validation figure of a stage that is trained, with all that it needs, under changed settings."""
+    from gesticulator.bundle.config import with_settings
+    from gesticulator.training.stages import STAGES, Run
+
+    run = Run(with_settings(config, [f"{path}={value}" for path, value in settings.items()]), store, work,
+              progress=False, workers=os.cpu_count() or 1)
+    run.get(STAGES[stage])
+    figures = run.figures[stage]
+    if figure not in figures:
+        raise InputError(f"--figure {figure}", f"is none of {stage}", f"choose among {', '.join(figures)}")
+    return float(figures[figure])
+
+
+def _arguments(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--data", required=True, metavar="STORE", help="a store made by gesticulator build")
+    p.add_argument("--work", required=True, metavar="DIR", help="where stages and the search are kept")
+    p.add_argument("--stage", required=True, metavar="STAGE", help="what is trained (gesticulator train --list)")
+    p.add_argument("--figure", required=True, metavar="NAME", help="of its validation, such as nll")
+    p.add_argument("--highest", action="store_true", help="more of it is better")
+    p.add_argument("--search", required=True, action="append", metavar="PATH=RANGE", dest="ranges",
+                   help="a setting and where to look: LOW..HIGH, LOW..HIGH:log, or A,B,C")
+    p.add_argument("--trials", type=int, default=20, metavar="N", help="in all, those of before included (20)")
+    p.add_argument("--preset", default="default", help="what is changed")
+    p.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="settings",
+                   help="change a setting of the preset, for every trial")
+    p.add_argument("--seed", type=int, default=1, help="of what is tried (1)")
+
+
+def _run(asked: argparse.Namespace) -> int:
+    if find_spec("optuna") is None:
+        raise InputError("tune", "needs Optuna, which is not installed", "pip install 'gesticulator[tune]'")
+    if asked.trials < 1 or asked.seed < 0:
+        raise InputError("--trials or --seed", "is too small", "give 1 trial at least, and a seed of 0 or more")
+    ranges = tuple(map(SearchRange.parse, asked.ranges))
+    from data_module.store import Store
+    from gesticulator.bundle.config import digest, with_settings
+    from gesticulator.training.presets import preset
+    from gesticulator.training.stages import STAGES
+    from gesticulator.training.stages.training import claim
+
+    if asked.stage not in STAGES:
+        raise InputError(f"--stage {asked.stage}", "is no stage", f"choose among {', '.join(STAGES)}")
+    config = with_settings(preset(asked.preset), asked.settings)
+    store, work = Store.open(asked.data), Path(asked.work)
+    work.mkdir(parents=True, exist_ok=True)
+    key = digest(config, [repr(one) for one in ranges], asked.stage, asked.figure, asked.highest, asked.seed)
+    with lock(work, "a search"):
+        claim(work, store)
+        found = SettingSearch(work / "tune.db", key, ranges, asked.highest, asked.seed).run(
+            partial(figure_of, config, store, work, asked.stage, asked.figure), asked.trials)
+    print("\n".join(report(found, asked.stage, asked.figure)), flush=True)
+    return 0
+
+
+def report(found: Sequence[tuple[float, Settings]], stage: str, figure: str) -> list[str]:
+    """The best trials, each with the settings to type."""
+    head = f"{len(found)} trials; {figure} of {stage}, the best first:"
+    return [head, *(f"  {value:10.5g}  " + " ".join(f"--set {path}={given}" for path, given in settings.items())
+                    for value, settings in found[:SHOWN])]
+
+
+COMMAND = Command(
+    "search for settings with which a stage does best on the validation split", _arguments, _run,
+    examples=("tune --data STORE --work DIR --stage interpreter --figure nll --search schedules.interpreter.rate="
+              "1e-4..1e-2:log --trials 20",
+              "tune --data STORE --work DIR --stage lexicon --figure quantised --search lexicon.size=25,50,100"))
