@@ -20,7 +20,7 @@ from typing import Any
 import torch
 
 from data_module.speech.audio import load_speech
-from gesticulator.performance import write
+from gesticulator.export.writers import write
 from gesticulator.pipeline import Gesticulator
 
 

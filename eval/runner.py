@@ -34,7 +34,8 @@ from eval.row_context import SHOWN_SEED, AblationContext, PlayedStore
 from eval.rows import CONTROLS, FLOOR, REAL_TAKE, REFERENCES, ROWS, STILL, racer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
-from gesticulator.pipeline import FPS, Gesticulator
+from gesticulator.options import FPS
+from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages import (
     LABELS,
     LEXICON,

@@ -9,23 +9,23 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from gesticulator.version import __version__
+
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
     from data_module.errors import InputError
     from data_module.speech.audio import load_speech
     from data_module.types import Motion, Speech, Word
-    from gesticulator.performance import InferenceOptions, Performance
+    from gesticulator.options import InferenceOptions
+    from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
-
-__version__ = "0.1.0"
-"""As it stands in pyproject.toml."""
 
 __all__ = ["Controls", "Curve", "Gesticulator", "InferenceOptions", "InputError", "Motion", "Performance", "Speech",
            "Word", "__version__", "load_speech"]
 
 _HOMES = {"Controls": "data_module.controls", "Curve": "data_module.controls", "InputError": "data_module.errors",
           "Motion": "data_module.types", "Speech": "data_module.types", "Word": "data_module.types",
-          "InferenceOptions": "gesticulator.performance", "Performance": "gesticulator.performance",
+          "InferenceOptions": "gesticulator.options", "Performance": "gesticulator.performance",
           "Gesticulator": "gesticulator.pipeline", "load_speech": "data_module.speech.audio"}
 """Name -> the module that has it, imported when the name is first used: torch takes seconds."""
 

@@ -176,7 +176,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     steady_streams()
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["--version"]:
-        from gesticulator import __version__
+        from gesticulator.version import __version__
 
         print(f"{PROGRAM} {__version__}")
         return 0

@@ -18,7 +18,6 @@ from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Array, Blocks, Motion, Speech
-from gesticulator import __version__
 from gesticulator.body.motion_path import MotionPath
 from gesticulator.bundle.bundle import SHIPPED, Bundle, lexicon_hash
 from gesticulator.bundle.bundle import load as load_bundle
@@ -26,8 +25,10 @@ from gesticulator.bundle.features import SpeechFeatures, front_end_for
 from gesticulator.drawing.cutter import BlockCutter, encode_speech
 from gesticulator.drawing.drawer import Direction
 from gesticulator.drawing.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_rows
-from gesticulator.performance import FPS as FPS
-from gesticulator.performance import HandControl, InferenceArguments, InferenceOptions, Performance
+from gesticulator.options import FPS as FPS
+from gesticulator.options import HandControl, InferenceArguments, InferenceOptions
+from gesticulator.performance import Performance
+from gesticulator.version import __version__
 
 if TYPE_CHECKING:
     from data_module.text.transcript import Text

@@ -34,7 +34,7 @@ from gesticulator.bundle.features import SpeechBlock
 from gesticulator.drawing.cutter import TICK, BlockCutter
 from gesticulator.drawing.drawer import FREE
 from gesticulator.drawing.rollout import Cast, asked_rows
-from gesticulator.performance import InferenceOptions
+from gesticulator.options import InferenceOptions
 
 if TYPE_CHECKING:
     from gesticulator.directing.directions import Director

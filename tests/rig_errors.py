@@ -7,7 +7,7 @@ import numpy as np
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import FINGER_JOINTS, WHOLE_BODY
 from data_module.types import Motion
-from gesticulator.characters.retarget import CharacterMotion
+from gesticulator.characters.rig import CharacterMotion
 from tests.rigs import Rig
 
 LIMITS = {"bones": 1.0, "palms": 5.0, "fingers": 5.0, "feet": 1.0, "trunk": 1.0, "slide": 0.005}

@@ -26,7 +26,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.speech.audio import amplified, as_speech
 from data_module.types import Speech, Word
-from gesticulator.performance import InferenceArguments, InferenceOptions, Performance
+from gesticulator.options import InferenceArguments, InferenceOptions
+from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 
 RATE = 16000

@@ -16,7 +16,6 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
-from gesticulator.characters import read_character
 from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
 from gesticulator.characters.command import COMMAND
@@ -24,6 +23,7 @@ from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
 from gesticulator.characters.names import label
+from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter, retarget
 from gesticulator.characters.rig import Character
 from gesticulator.export import fbx_child as blender_child

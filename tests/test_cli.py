@@ -21,7 +21,7 @@ from data_module.errors import InputError
 from gesticulator import __version__, cli
 from gesticulator.cli import Command
 from gesticulator.infer import COMMAND
-from gesticulator.performance import RANGES
+from gesticulator.options import RANGES
 
 ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {"torch", "numpy", "librosa", "scipy", "sklearn", "transformers", "soundfile", "matplotlib"}

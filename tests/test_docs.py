@@ -31,15 +31,14 @@ GUIDE = [page for page in WRITTEN if page != CHANGELOG]
 README_LINES = 150
 TABLE_ROWS = 12
 PICTURE_BYTES = 60_000
-KEPT_MODULES = {"gesticulator", "gesticulator.infer", "gesticulator.training.command", "data_module.build", "eval",
-                "eval.ablate"}
+KEPT_MODULES = {"gesticulator", "gesticulator.infer", "data_module.build", "eval", "eval.ablate"}
 FOREIGN_MODULES = {"venv", "pip", "pytest"}
 OLD_COMMANDS = {
     "data_module.build", "eval", "eval.ablate", "eval.beat_labels", "eval.claims", "eval.corpus", "eval.figures",
     "eval.gate", "eval.languages", "eval.lexicon_map", "eval.parts", "eval.policies", "eval.racer_ablation",
     "eval.report", "eval.rewards", "eval.score", "eval.speech_levels", "eval.strips", "eval.study",
     "eval.style_editing", "eval.two_languages", "eval.video", "gesticulator", "gesticulator.infer",
-    "gesticulator.bundle.silent", "gesticulator.training.command"}
+    "gesticulator.silent", "gesticulator.train"}
 """What `python -m` took before there was one command with verbs."""
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)

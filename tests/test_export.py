@@ -20,7 +20,7 @@ from data_module.motion import bvh, rotation
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, standing
 from data_module.types import Speech
 from gesticulator.export import sound
-from gesticulator.performance import WRITERS, check_output, write
+from gesticulator.export.writers import WRITERS, check_output, write
 
 
 def test_bvh_holds_the_motion_standing_at_hip_height(tmp_path: Path) -> None:

@@ -19,10 +19,12 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import FINGERED, WHOLE_BODY
 from data_module.types import Array
-from gesticulator.characters.retarget import CharacterMotion, retarget
+from gesticulator.characters.retarget import retarget
+from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.glb import character_glb
 from gesticulator.export.nodes import of_performance
-from gesticulator.performance import Performance, write
+from gesticulator.export.writers import write
+from gesticulator.performance import Performance
 
 
 def on(character: Path) -> Performance:

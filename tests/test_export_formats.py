@@ -23,7 +23,8 @@ from data_module.motion.skeletons import CHARACTERS, FINGER_JOINTS, FINGERED, HI
 from data_module.types import Array
 from gesticulator.export.nodes import of_performance
 from gesticulator.export.vrma import BONES
-from gesticulator.performance import NEEDS, Performance, check_output, write
+from gesticulator.export.writers import NEEDS, check_output, write
+from gesticulator.performance import Performance
 
 SIZES = tuple(CHARACTERS)
 

@@ -29,7 +29,8 @@ from gesticulator.characters.retarget import retarget
 from gesticulator.export.nodes import of_performance
 from gesticulator.export.own_fbx import SCRIPT
 from gesticulator.export.vrma import BONES, humanoid
-from gesticulator.performance import Performance, write
+from gesticulator.export.writers import write
+from gesticulator.performance import Performance
 
 HERE = Path(__file__).resolve().parent
 JS = HERE / "js"

@@ -22,7 +22,7 @@ from data_module.speech import audio
 from data_module.types import Speech
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
-from gesticulator.performance import write
+from gesticulator.export.writers import write
 from gesticulator.pipeline import Gesticulator
 
 RATE = 16000

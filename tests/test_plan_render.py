@@ -17,6 +17,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import resized
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
+from gesticulator.body.mirror import mirrored_motion
 from gesticulator.bundle.features import representation_of
 from gesticulator.characters.contacts import MARGIN, our_distances, pose_of
 from gesticulator.directing.directions import cues_at
@@ -31,10 +32,10 @@ from gesticulator.directing.shaping import (
     eased_levels,
     left_by,
     levels_at,
-    mirrored_motion,
 )
 from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
-from gesticulator.performance import InferenceOptions, Performance
+from gesticulator.options import InferenceOptions
+from gesticulator.performance import Performance
 from gesticulator.plan.plan import GESTURES, GestureCue, GesturePlan, PlanBlock
 from gesticulator.serve.edits import LivePlans
 

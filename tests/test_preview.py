@@ -24,7 +24,8 @@ from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, standing
 from gesticulator.export import html
-from gesticulator.performance import Performance, write
+from gesticulator.export.writers import write
+from gesticulator.performance import Performance
 
 ROOT = Path(__file__).parents[1]
 ASSETS = ROOT / "gesticulator" / "assets"

@@ -19,7 +19,8 @@ from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Motion
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import SURE
-from gesticulator.characters.retarget import CharacterMotion, Retargeter
+from gesticulator.characters.retarget import Retargeter
+from gesticulator.characters.rig import CharacterMotion
 from tests.rig_errors import LIMITS, places_of, worst
 from tests.rigs import NAMED, POSES, STYLES, Rig, draw
 

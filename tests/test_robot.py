@@ -28,7 +28,8 @@ from gesticulator.export.robots import g1
 from gesticulator.export.robots.angles import RobotMotion, to_robot
 from gesticulator.export.robots.limits import SPEED_SHARE, slowed
 from gesticulator.export.robots.pan_tilt import pan_over_time, tilt_at
-from gesticulator.performance import Performance, suffix_of, write
+from gesticulator.export.writers import suffix_of, write
+from gesticulator.performance import Performance
 
 MODEL = "asset_zoo/robots/unitree_g1/xmls/g1.xml"
 """Inside the package `mjlab`, which is not imported."""

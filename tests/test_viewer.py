@@ -19,10 +19,10 @@ from small_characters import write_character
 
 from data_module.motion import kinematics
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, standing
-from gesticulator.characters.choice import choose
+from gesticulator.characters.reading import choose
 from gesticulator.export import html
 from gesticulator.export.vrma import vrm_animation
-from gesticulator.performance import write
+from gesticulator.export.writers import write
 
 SECONDS = 4.0
 

@@ -36,7 +36,8 @@ from eval.metrics import pmb
 from eval.metrics.diversity import entropy, expected_kinds
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
-from gesticulator.pipeline import FPS, Gesticulator
+from gesticulator.options import FPS
+from gesticulator.pipeline import Gesticulator
 from interpreters import INTERPRETERS
 
 PIECE = 15.0

@@ -29,7 +29,8 @@ from eval.encode import normalised_blocks
 from eval.policy import Decisions, accuracy
 from eval.table import Cell, Column, Table
 from gesticulator.bundle import bundle as bundles
-from gesticulator.pipeline import FPS, Gesticulator
+from gesticulator.options import FPS
+from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.lexicon import BlockLexicon, lexicon_figures, movement_figures
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter

@@ -120,7 +120,7 @@ class _NotedBuild:
 
     def _row(self, name: str, seconds: float = 0.0) -> ManifestRow:
         """Of a recording that was made."""
-        from gesticulator import __version__
+        from gesticulator.version import __version__
 
         assert self._writer is not None
         made_with = hashlib.sha256(json.dumps(self._writer.head, sort_keys=True).encode()).hexdigest()

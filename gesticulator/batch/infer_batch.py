@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Protocol
 
 from data_module.errors import InputError
-from gesticulator import __version__
 from gesticulator.batch import ray_pool
 from gesticulator.batch.manifest import check_manifest, default_name
 from gesticulator.batch.run import BatchTask, Maker, asked_shard, done_here, file_hash, run_batch
 from gesticulator.bundle.bundle import INDEX, SHIPPED, read_index
+from gesticulator.version import __version__
 
 _NOT_SETTINGS = {"speech", "output", "preview", "plan_out", "text", "bundle", "list", "quiet", "manifest", "shard",
                  "ray"}

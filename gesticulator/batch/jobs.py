@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from data_module.errors import InputError
-from gesticulator.performance import suffix_of
+from gesticulator.export.writers import suffix_of
 
 STDIN = "-"
 """The name of standard input on the command line."""

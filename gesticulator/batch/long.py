@@ -22,7 +22,8 @@ from data_module.motion.bvh import BvhWriter
 from data_module.motion.skeletons import standing
 from data_module.speech.audio import SAMPLE_RATE, LevelMeter, SpeechPieces
 from data_module.types import Motion, Skeleton
-from gesticulator.performance import UNITS, InferenceArguments
+from gesticulator.export.writers import UNITS
+from gesticulator.options import InferenceArguments
 
 if TYPE_CHECKING:
     from gesticulator.bundle.bundle import Bundle

@@ -18,7 +18,7 @@ from data_module.blocks import KnotPath
 from data_module.types import Array, Motion
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
-from gesticulator.performance import InferenceOptions
+from gesticulator.options import InferenceOptions
 
 if TYPE_CHECKING:
     from gesticulator.body.stance import Stance
@@ -111,7 +111,7 @@ class MotionPath:
         motion = self._moved(frames)
         if not self._options.mirrored:
             return motion
-        from gesticulator.directing.shaping import mirrored_motion
+        from gesticulator.body.mirror import mirrored_motion
 
         return mirrored_motion(motion)
 

@@ -33,10 +33,10 @@ from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Skeleton
-from gesticulator import __version__
 from gesticulator.bundle.config import Config, from_dict, to_dict
 from gesticulator.bundle.features import Normaliser, Statistics, representation_of
 from gesticulator.bundle.models import BUILDERS, Sizes, codebook_name, codebook_shape, shapes
+from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:

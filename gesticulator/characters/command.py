@@ -17,9 +17,9 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Print which of a character's nodes was taken for which joint; exit code 2 where that could not be used."""
-    from gesticulator.characters import read_character
     from gesticulator.characters.joints import find_joints
     from gesticulator.characters.mapping import check, described, load_mapping, save_mapping
+    from gesticulator.characters.reading import read_character
 
     character = read_character(asked.character)
     found = find_joints(character) if asked.mapping is None else load_mapping(asked.mapping, character)

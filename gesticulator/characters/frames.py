@@ -2,8 +2,8 @@
 
 `measure` gives, for each node that is moved, the joint of ours that it follows and the constant C of
 `gesticulator.characters.retarget` (1). It needs no rest pose of any kind: where a bone points in its node's axes is the
-same in all poses. Only how a bone without a palm or a bent hinge is rolled must be taken from the pose that the mesh was
-bound in, where it is what the shortest turn from a T-pose makes of it.
+same in all poses. Only how a bone without a palm or a bent hinge is rolled must be taken from the pose that the mesh
+was bound in, where it is what the shortest turn from a T-pose makes of it.
 """
 
 from __future__ import annotations

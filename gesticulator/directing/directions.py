@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,8 +27,8 @@ from gesticulator.directing.shaping import (
     levels_at,
 )
 from gesticulator.drawing.drawer import Direction
-from gesticulator.performance import FPS, InferenceOptions
-from gesticulator.plan.plan import GESTURES, GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks
+from gesticulator.options import FPS, InferenceOptions
+from gesticulator.plan.plan import GESTURES, GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks, sound_hash
 
 Shaping = Callable[[Array, Array], Array]
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
@@ -40,11 +39,6 @@ def knobs_of(options: InferenceOptions) -> PlanKnobs:
     return PlanKnobs(float(options.intensity), options.mirror, options.energy,
                      1.0 if options.activity is None else float(options.activity), options.handedness,
                      tuple((float(a), float(b)) for a, b in options.hold_still))
-
-
-def sound_hash(speech: Speech) -> str:
-    """SHA-256 of the samples, little-endian float32."""
-    return hashlib.sha256(speech.samples.astype("<f4").tobytes()).hexdigest()
 
 
 def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:

@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, FINGER_JOINTS
 from data_module.types import Array
-from gesticulator.directing.shaping import exchanged_joints, nearest_turn
+from gesticulator.body.mirror import exchanged_joints
+from gesticulator.directing.shaping import nearest_turn
 from gesticulator.plan.plan import GestureCue
 
 Vector = tuple[float, float, float]

@@ -10,7 +10,7 @@ import numpy as np
 
 from data_module.files import write_text
 from data_module.types import BeatFlag
-from gesticulator.directing.directions import knobs_of, sound_hash
+from gesticulator.directing.directions import knobs_of
 from gesticulator.plan.plan import (
     FORMAT,
     GESTURES,
@@ -24,6 +24,7 @@ from gesticulator.plan.plan import (
     PlanKnobs,
     PlanSound,
     PlanWord,
+    sound_hash,
 )
 
 if TYPE_CHECKING:

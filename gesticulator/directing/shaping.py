@@ -23,14 +23,15 @@ of its own: x + e (M S'(t - lag) - 0.9 S), with S' of the other arm, M the mirro
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.motion import rotation
 from data_module.motion.representation import Representation
-from data_module.types import Array, Motion
+from data_module.types import Array
+from gesticulator.body.mirror import SIDES, exchanged_joints
 from gesticulator.bundle.features import Statistics
 from gesticulator.characters.contacts import kept_out_of_us, our_distances, pose_of
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
@@ -50,7 +51,6 @@ these, both hands are as fast as before, and their speeds are as alike as people
 FADE, MIRROR_FADE, REST_FADE = 0.15, 0.3, 0.6
 """Seconds to both sides of a beat in which intensity, the exchange of sides, and the way to rest of an intensity below
 0.5 change: a hand half a metre from rest goes there at 0.6 m/s."""
-SIDES = ("Left", "Right")
 _FLIP = np.array([1.0, -1.0, -1.0])
 """A reflection in x = 0 keeps the x of an axis times angle and turns y and z round."""
 _HANGS, _LIFTED = 0.1, 0.7
@@ -95,20 +95,6 @@ def eased_levels(edges: Array, levels: NDArray[np.floating], fade: float, kept: 
             short = 1.0 - min((edges[stop] - edges[at]) / (2.0 * fade), 1.0)
             out[at:stop] += np.where(kept[at:stop], 0.0, short * (nearest - levels[at]))
     return out
-
-
-def exchanged_joints(names: tuple[str, ...]) -> NDArray[np.int64]:
-    """[J] for each joint the one on the other side."""
-    other = {"Left": "Right", "Right": "Left"}
-    theirs = [next((other[side] + name[len(side):] for side in SIDES if name.startswith(side)), name) for name in names]
-    return np.array([names.index(name) for name in theirs])
-
-
-def mirrored_motion(motion: Motion) -> Motion:
-    """The motion with left and right exchanged, exactly: the mirror image of the mirror image is the motion."""
-    swapped = exchanged_joints(motion.skeleton.names)
-    return replace(motion, rotations=motion.rotations[:, swapped] * np.array([1.0, 1.0, -1.0, -1.0]),
-                   root_positions=motion.root_positions * np.array([-1.0, 1.0, 1.0]))
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,20 @@ from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
 from gesticulator.drawing.drawer import FREE, Direction, Keys, drawer_for
-from gesticulator.performance import BEST, LexemeWorth
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from data_module.controls import Controls
+    from interpreters.base import LexemeInterpreter
+
+if TYPE_CHECKING:
     from lexicon.racer import RacerCodec
+
+BEST = 5
+"""How many candidates a block keeps."""
 
 OnBlock = Callable[[int, int], None]
 """Called after each block with how many are done, and how many there are."""
@@ -79,10 +88,31 @@ class DrawnBlock:
 
 
 @dataclass(frozen=True)
+class LexemeWorth:
+    """What the interpreter "advantage" weighed, for the M best lexemes of each block and, last, the one that was
+    played. prior: [N, M + 1] how likely the behaviour policy makes it; advantage: [N, M + 1] how much more than the
+    behaviour policy's mean the reward expects of it, in standard deviations."""
+
+    prior: NDArray[np.float64]
+    advantage: NDArray[np.float64]
+
+    def entry(self, block: int, candidate: int) -> dict[str, float]:
+        """Of a candidate (-1: the lexeme that was played), ready for JSON."""
+        return {"prior": float(self.prior[block, candidate]), "advantage": float(self.advantage[block, candidate])}
+
+    def runner_up(self, best: NDArray[np.int64], played: int, block: int) -> dict[str, float]:
+        """The best of the candidates [M] that was not played: its lexeme, and by how much more (or less) than the
+        played one the reward expects of it."""
+        other = next((place for place, lexeme in enumerate(best) if int(lexeme) != played), 0)
+        return {"id": int(best[other]), "worth_more": float(
+            self.advantage[block, other] - self.advantage[block, -1])}
+
+
+@dataclass(frozen=True)
 class RolloutResult:
     """What a rollout gives: motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M],
     style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked. prior, advantage: [N, M + 1] of
-    the best lexemes and, last, the one that was played (`performance.LexemeWorth`), NaN where nobody weighed them."""
+    the best lexemes and, last, the one that was played (`LexemeWorth`), NaN where nobody weighed them."""
 
     motion: NDArray[np.float32]
     lexemes: NDArray[np.int64]

@@ -14,7 +14,7 @@ from gesticulator.export.own_fbx import own_character, write_animated
 from gesticulator.export.stick_figure import figure
 
 if TYPE_CHECKING:
-    from gesticulator.characters.retarget import CharacterMotion
+    from gesticulator.characters.rig import CharacterMotion
     from gesticulator.performance import Performance
 
 ANIMATION = "gesture"
@@ -63,7 +63,7 @@ def skeleton_glb(motion: NodeMotion) -> bytes:
 
 def skeleton_document(motion: NodeMotion) -> GltfDocument:
     """A skeleton at rest with a figure of spindles on it."""
-    from gesticulator import __version__
+    from gesticulator.version import __version__
 
     gltf = GltfDocument({
         "asset": {"version": "2.0", "generator": f"gesticulator {__version__}"},

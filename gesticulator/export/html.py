@@ -27,7 +27,7 @@ from gesticulator.export import sound
 from gesticulator.export.gltf import open_gltf
 
 if TYPE_CHECKING:
-    from gesticulator.characters.retarget import CharacterMotion
+    from gesticulator.characters.rig import CharacterMotion
     from gesticulator.performance import Performance
 
 LONG = 600.0

@@ -13,8 +13,7 @@ from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
-    from gesticulator.characters.retarget import CharacterMotion
-    from gesticulator.characters.rig import Character
+    from gesticulator.characters.rig import Character, CharacterMotion
     from gesticulator.performance import Performance
 
 

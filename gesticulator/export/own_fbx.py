@@ -13,7 +13,7 @@ from data_module.motion import rotation
 from gesticulator.characters.blender import run_in_blender
 
 if TYPE_CHECKING:
-    from gesticulator.characters.retarget import CharacterMotion
+    from gesticulator.characters.rig import CharacterMotion
     from gesticulator.performance import Performance
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")

@@ -41,7 +41,7 @@ def write_parquet(path: Path, performance: Performance) -> Path:
     import pyarrow
     from pyarrow import parquet
 
-    from gesticulator import __version__
+    from gesticulator.version import __version__
 
     motion = of_performance(performance)
     times, joints, parents, numbers = _cells(motion)

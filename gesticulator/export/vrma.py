@@ -71,7 +71,7 @@ def vrm_animation(motion: Motion) -> bytes:
 
     Joints that the motion lacks are left out, so that a character keeps its own rest or another animation there.
     """
-    from gesticulator import __version__
+    from gesticulator.version import __version__
 
     nodes = humanoid(motion)
     gltf = GltfDocument({

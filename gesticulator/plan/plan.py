@@ -9,19 +9,29 @@ Plain data: nothing here imports numpy or a model. `docs/schema/plan.schema.json
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from data_module.errors import InputError, shown
 from data_module.files import write_text
 from data_module.settings import SettingChoice, SettingRange
-from gesticulator.performance import ENERGIES, HANDS
 from gesticulator.plan.json_lines import LinedJson, parse
 from gesticulator.plan.json_lines import Path as Place
 from gesticulator.plan.schema import PRIVATE, read_as, schema_of, to_plain
+
+if TYPE_CHECKING:
+    from data_module.types import Speech
+
+ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
+"""Energy -> what intensity and activity are multiplied by: calm is smaller gestures in six tenths of the phrases."""
+
+HANDS = ("left", "right", "both")
+"""What handedness may prefer."""
 
 FORMAT = "gesticulator-plan"
 VERSION = 1
@@ -300,6 +310,11 @@ class GesturePlan:
     def to_json(self) -> str:
         """As it is written: a line for a block, a word, a lexeme; the same plan gives the same text."""
         return _dump(self.to_dict(), 0) + "\n"
+
+
+def sound_hash(speech: Speech) -> str:
+    """SHA-256 of the samples, little-endian float32."""
+    return hashlib.sha256(speech.samples.astype("<f4").tobytes()).hexdigest()
 
 
 def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from gesticulator.directing.directions import planned
 from gesticulator.export.html import describe
-from gesticulator.performance import InferenceOptions, Performance
+from gesticulator.options import InferenceOptions
+from gesticulator.performance import Performance
 from gesticulator.plan.plan import GesturePlan, parse_plan
 
 if TYPE_CHECKING:

@@ -61,7 +61,7 @@ class Launch:
 
 def launch(asked: Launch) -> int:
     """Serve until SIGTERM or SIGINT; exit code 0. `InputError` where that cannot be."""
-    from gesticulator.performance import RANGES
+    from gesticulator.options import RANGES
     from gesticulator.serve.server import ServerAddress, log_to_stderr
 
     _check_library()

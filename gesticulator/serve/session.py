@@ -69,7 +69,7 @@ class Session:
 
     def welcome(self) -> dict[str, Any]:
         """The server's hello."""
-        from gesticulator import __version__
+        from gesticulator.version import __version__
 
         limits, request = self.facts.limits, self.request
         return {

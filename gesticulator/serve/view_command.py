@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
+from gesticulator.arguments import asked_controls, performance_arguments
 from gesticulator.batch.jobs import STDIN, Job
+from gesticulator.batch.one import load, performed
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.infer import asked_controls, load, performance_arguments, performed
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
@@ -99,8 +100,8 @@ def _character(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     """The members of the page's data about the character that is asked for, and whether she stands on her legs."""
     if asked.character is None:
         return {}, False
-    from gesticulator.characters.choice import choose
     from gesticulator.characters.frames import measure
+    from gesticulator.characters.reading import choose
     from gesticulator.export.html import character_data
 
     character, mapping = choose(asked.character, asked.mapping, asked.save_mapping)

@@ -1,6 +1,6 @@
 """`gesticulator train --data STORE --out BUNDLE`: every stage, resumable, from a store to a bundle.
 
-Also `python -m gesticulator.training.command`. What is heavy is imported when the arguments are understood.
+What is heavy is imported when the arguments are understood.
 """
 
 from __future__ import annotations
@@ -8,13 +8,11 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from data_module.errors import InputError
-from gesticulator.cli import PROGRAM, Command
+from gesticulator.cli import Command
 
 MOST_THREADS = 1024
 """More threads than any machine has cores: a slip of the finger, which torch would try to start."""
@@ -108,9 +106,5 @@ COMMAND = Command(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `python -m gesticulator.training.command`."""
+    """Parse and run, as `gesticulator train` does; the exit code."""
     return COMMAND.main(f"{PROGRAM} train", argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -25,7 +25,7 @@ from eval.probes.motion.renderings import AcceptanceVoice, BundleSystem
 from eval.probes.motion.rest import heard_of, spread_out
 from eval.probes.style_editing import realised
 from eval.table import Table
-from gesticulator.performance import BEST
+from gesticulator.drawing.rollout import BEST
 
 STEP = 0.02
 """Metres, or metres a second, from level to level."""

@@ -1,0 +1,198 @@
+"""What can be asked of a performance: `InferenceOptions`, and the range of every number in it.
+
+Nothing heavy is imported, so that the command line checks its numbers before numpy and torch are loaded.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias, TypedDict
+
+from data_module.errors import InputError
+from gesticulator.plan.plan import ENERGIES, HANDS
+
+if TYPE_CHECKING:
+
+    from data_module.controls import Controls, Curve
+    from gesticulator.plan.plan import GestureCue, GesturePlan
+    from interpreters.base import LexemeInterpreter
+
+HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
+
+FPS = 60.0
+"""Frames per second of a performance when not told: the models' 20 fps frames, interpolated."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers that a setting takes: low to high, both included; whole: no fractions."""
+
+    low: float
+    high: float
+    advice: str
+    whole: bool = False
+
+    def parse(self, name: str, text: str) -> float:
+        """The number that a text gives; `InputError` with the name where it gives none or one out of range."""
+        try:
+            # Python reads 0_4 as 4, which nobody means here.
+            number = math.nan if "_" in text else int(text) if self.whole else float(text)
+        except ValueError:
+            raise InputError(f"{name} {text[:40]}", f"is no {'whole ' if self.whole else ''}number",
+                             f"choose {self.advice}") from None
+        return self.check(name, number)
+
+    def check(self, name: str, number: float) -> float:
+        """The number itself; `InputError` with the name where it is out of range or no number at all."""
+        if isinstance(number, bool) or not hasattr(number, "__index__" if self.whole else "__float__"):
+            raise InputError(f"{name} {number!r}", f"is no {'whole ' if self.whole else ''}number",
+                             f"choose {self.advice}")
+        if not self.low <= number <= self.high:  # also NaN
+            shown = f"{number:g}" if not abs(number) > 1e300 or math.isinf(number) else "of that size"
+            raise InputError(f"{name} {shown}", "is out of range", f"choose {self.advice}")
+        return number
+
+RANGES = {
+    "seed": Range(0, 2**64 - 1, "a whole number from 0", whole=True),
+    "variation": Range(0, 2**32 - 1, "a whole number from 0", whole=True),
+    # At 1000 the lexemes are already as good as equally likely.
+    "temperature": Range(0, 1000, "0 (always the likeliest lexeme) to 1000"),
+    "beta": Range(0, 20, "0 (the behaviour policy itself) to 20"),
+    "activity": Range(0, 1, "0 (stillness) to 1 (never holds back)"),
+    "fps": Range(1, 1000, "1 to 1000 frames per second"),
+    # 64 dB bring the faintest speech that is listened for (-90 dBFS) to the usual level (-26 dBFS).
+    "intensity": Range(0, 2, "0 (the hands hang) to 2 (largest)"),
+    "gain": Range(-70, 70, "-70 to 70 decibels"),
+    # Far above any machine's cores; beyond the system's limit on threads torch ends the process.
+    "threads": Range(1, 256, "1 to 256 threads", whole=True),
+}
+"""What each number may be. "threads" belongs to the command, the others to `InferenceOptions`."""
+
+
+@dataclass(frozen=True)
+class InferenceOptions:
+    """What is asked of a performance; what is None is the bundle's own choice. `InputError` for a value out of range.
+
+    A hand control is "low", "mid" or "high" (quantiles of the training data), a number in its unit, a `Curve` over
+    time, or the path of a CSV file with the columns time and value (RG 7.2.1).
+    """
+
+    speaker: str | None = None
+    """Whose habits of moving: a performer of the bundle (`Gesticulator.speakers`), not a voice."""
+    interpreter: str | LexemeInterpreter | None = None
+    """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "advantage", "statistical") or an
+    object."""
+    seed: int = 0
+    """The same seed, bundle and speech give the same performance."""
+    variation: int = 0
+    """The same beats and lexemes, drawn in another manner; 0 is the seed's own."""
+    temperature: float | None = None
+    """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
+    beta: float | None = None
+    """Of the interpreter "advantage": how far lexemes are drawn to what the reward says they are worth, 0 to 20. 0
+    gives exactly the lexemes of "lstm"; a lexeme of one standard deviation above the mean is e^beta times likelier."""
+    activity: float | None = None
+    """How much of the time of speech to gesture in, 0 (stillness) to 1 (all of it); bundles that know no rest by
+    phrases (silence.rest=decay) take it as the threshold of their gate."""
+    fps: float = FPS
+    """Frames per second of the motion, 1 to 1000."""
+    gain: float = 0.0
+    """Decibels by which the recording is amplified first, -70 to 70; beyond full scale it is clipped."""
+    hand_height: HandControl = None
+    """Height of the right hand over the hips, metres."""
+    hand_speed: HandControl = None
+    """Mean speed of both hands, metres per second."""
+    hand_radius: HandControl = None
+    """Mean horizontal distance of both hands from the body's axis, metres."""
+    controls: Controls | None = None
+    """The three hand controls in one object, instead of them."""
+    intensity: float = 1.0
+    """How large gestures are, 0 (the hands hang) to 2; 1 as they are drawn
+    (`gesticulator.directing.shaping`)."""
+    mirror: bool = False
+    """Exchange left and right."""
+    energy: str = "neutral"
+    """"calm", "neutral" or "lively": a named combination of intensity and activity, on top of them."""
+    handedness: str | None = None
+    """Which hand is preferred: "left", "right", or "both", where each takes part in the other's strokes."""
+    hold_still: tuple[tuple[float, float], ...] = ()
+    """Ranges of seconds, each from and to, in which the hands rest."""
+    cues: tuple[GestureCue, ...] = ()
+    """Gestures asked for at words or times."""
+    plan: GesturePlan | None = None
+    """Render this plan: what was drawn is replayed, what was edited is drawn anew. Seed, variation, speaker,
+    interpreter and controls are the plan's."""
+    legs: bool = False
+    """Give her legs to stand on (54 joints): the weight shifts, the feet are planted (`gesticulator.body.stance`)."""
+    seated: bool = False
+    """Let her sit: with legs, they and the hips quite still."""
+
+    def __post_init__(self) -> None:
+        for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain"):
+            value = getattr(self, name)
+            if value is not None or name not in ("temperature", "beta", "activity"):
+                RANGES[name].check(name, value)
+        if self.controls is not None and any(part is not None for part in self.hands):
+            raise InputError("controls", "are given beside hand_height, hand_speed or hand_radius", "give one or other")
+        if self.energy not in ENERGIES:
+            raise InputError(f"energy {self.energy}", "is unknown", f"choose among {', '.join(ENERGIES)}")
+        if self.handedness not in (None, *HANDS):
+            raise InputError(f"handedness {self.handedness}", "is unknown", f"choose among {', '.join(HANDS)}")
+        for begin, stop in self.hold_still:
+            if not 0 <= begin < stop < math.inf:
+                raise InputError(f"hold_still {begin:g}-{stop:g}", "is no range of seconds", "write it as 3.2-5.0")
+
+    @property
+    def energy_share(self) -> float:
+        """What the energy multiplies activity by."""
+        return ENERGIES[self.energy][1]
+
+    @property
+    def directed(self) -> bool:
+        """Whether blocks are drawn otherwise than the models would."""
+        return bool(self.hold_still or self.cues or self.handedness)
+
+    @property
+    def shaped(self) -> bool:
+        """Whether drawn poses are changed."""
+        sized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
+        return bool(self.plan or self.cues or self.handedness or sized)
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the whole motion is mirrored; where a plan locks blocks, they are left as they are."""
+        return self.mirror and not (self.plan is not None and any(block.locked for block in self.plan.blocks))
+
+    @property
+    def hands(self) -> tuple[HandControl, ...]:
+        """The hand controls in the order of `data_module.controls.FEATURES`."""
+        return self.hand_height, self.hand_speed, self.hand_radius
+
+
+class InferenceArguments(TypedDict, total=False):
+    """The fields of `InferenceOptions` as keyword arguments, for type checkers."""
+
+    speaker: str | None
+    interpreter: str | LexemeInterpreter | None
+    seed: int
+    variation: int
+    temperature: float | None
+    beta: float | None
+    activity: float | None
+    fps: float
+    gain: float
+    hand_height: HandControl
+    hand_speed: HandControl
+    hand_radius: HandControl
+    controls: Controls | None
+    intensity: float
+    mirror: bool
+    energy: str
+    handedness: str | None
+    hold_still: tuple[tuple[float, float], ...]
+    cues: tuple[GestureCue, ...]
+    plan: GesturePlan | None
+    legs: bool
+    seated: bool

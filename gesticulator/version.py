@@ -1,0 +1,6 @@
+"""The version."""
+
+from __future__ import annotations
+
+__version__ = "0.1.0"
+"""As it stands in pyproject.toml."""
