@@ -8,11 +8,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from data_module.errors import InputError
-from gesticulator.cli import Command
+from gesticulator.cli import PROGRAM, Command
 
 MOST_THREADS = 1024
 """More threads than any machine has cores: a slip of the finger, which torch would try to start."""
