@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
-from gesticulator.contacts import Trunk, plain_trunk
+from gesticulator.characters.contacts import Trunk, plain_trunk
 
 WIDTH, DEPTH, HEIGHT = 0.2, 0.1, 0.5
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from data_module.speech.audio import SAMPLE_RATE
-from gesticulator.head_turns import HeadTurns
-from gesticulator.life import LOOKED
+from gesticulator.body.head_turns import HeadTurns
+from gesticulator.body.life import LOOKED
 
 JOINTS = ("Hips", *LOOKED)
 RNG = np.random.default_rng(2)

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Motion
-from gesticulator.plans.named_gestures import laid_over, span_of_gesture
-from gesticulator.plans.plan import GestureCue
-from gesticulator.plans.shaping import exchanged_joints, levels_at, mirrored_motion
+from gesticulator.body.mirror import exchanged_joints, mirrored_motion
+from gesticulator.directing.named_gestures import laid_over, span_of_gesture
+from gesticulator.directing.shaping import levels_at
+from gesticulator.plan.plan import GestureCue
 
 RNG = np.random.default_rng(4)
 

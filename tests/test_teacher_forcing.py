@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from gesticulator import presets
-from gesticulator.features import Normaliser, Statistics
-from gesticulator.stages import Corpus
-from gesticulator.stages.interpreter import teacher_logits
-from gesticulator.stages.q_network import features_of
-from gesticulator.stages.windows import Windows, sequences
+from gesticulator.bundle.features import Normaliser, Statistics
+from gesticulator.training import presets
+from gesticulator.training.stages import Corpus
+from gesticulator.training.stages.interpreter import teacher_logits
+from gesticulator.training.stages.q_network import features_of
+from gesticulator.training.stages.windows import Windows, sequences
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter
 
 SIZE, AUDIO, MOTION, SILENT = 4, 5, 3, 3
