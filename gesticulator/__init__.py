@@ -9,6 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from gesticulator.neighbours import check
 from gesticulator.version import __version__
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from gesticulator.options import InferenceOptions
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
+
+check()
 
 __all__ = ["Controls", "Curve", "Gesticulator", "InferenceOptions", "InputError", "Motion", "Performance", "Speech",
            "Word", "__version__", "load_speech"]

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+__part_of__ = "gesticulator"
+"""By which `gesticulator.neighbours` tells this package from another of the same name."""
+
 
 @dataclass(frozen=True)
 class InterpreterEntry:
