@@ -350,3 +350,11 @@ def test_select_known_cases() -> None:
     assert set(drawn) == {0, 1}
     with pytest.raises(ValueError):
         select(scores, temperature=-1)
+
+
+@pytest.mark.parametrize("temperature", [0.5, 1.0, 2.0])
+def test_lexemes_are_drawn_from_the_tempered_softmax(temperature: float) -> None:
+    scores, rng = np.log([0.6, 0.3, 0.1]), np.random.default_rng(8)
+    drawn = [select(scores, temperature=temperature, rng=rng) for _ in range(6000)]
+    wanted = np.array([0.6, 0.3, 0.1]) ** (1 / temperature)
+    np.testing.assert_allclose(np.bincount(drawn, minlength=3) / 6000, wanted / wanted.sum(), atol=0.025)
