@@ -113,6 +113,17 @@ def test_unrolling_has_no_jump_where_the_raw_map_jumps() -> None:
     assert apart(rotation.from_exponential_map(smooth), rotation.from_exponential_map(drift)) < 1e-6
 
 
+def test_unrolling_turns_nothing_otherwise_however_far_frames_lie_apart() -> None:
+    """Frames that know nothing of each other stay the same rotations, each within half a turn along its axis."""
+    wild = rotation.to_exponential_map(rotation.from_exponential_map(
+        np.random.default_rng(1).normal(scale=2.0, size=(200, 2, 3))))
+    rolled = rotation.unroll(wild)
+    assert apart(rotation.from_exponential_map(rolled), rotation.from_exponential_map(wild)) < 1e-6
+    axes = rolled / np.linalg.norm(rolled, axis=-1, keepdims=True)
+    along = np.sum((rolled[1:] - rolled[:-1]) * axes[1:], axis=-1)
+    assert np.abs(along).max() <= np.pi + 1e-9
+
+
 def test_unrolling_through_the_identity_keeps_the_axis() -> None:
     truth = np.linspace(-0.5, 0.5, 11)[:, None] * np.array([0.0, 0.0, 1.0])
     assert np.allclose(rotation.unroll(truth), truth)
