@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -63,7 +64,13 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
 
     On a processor torch packs all weights anew at each call, which then takes most of the time: 0.3 ms of 0.5 for 8
     rows of 192 units. Where there are few rows and no gradient, they are therefore taken one by one.
+
+    Under `torch.autocast` on a processor that has no LSTM in half precision, it is computed in single precision.
     """
+    if rows.device.type == "cpu" and torch.is_autocast_enabled("cpu") \
+            and not _has_narrow_lstm(torch.get_autocast_dtype("cpu")):
+        with torch.autocast("cpu", enabled=False):
+            return run_lstm(lstm, rows.float(), None if hidden is None else (hidden[0].float(), hidden[1].float()))
     few = rows.shape[0] * rows.shape[1] <= _FEW_ROWS and rows.device.type == "cpu"
     if not few or torch.is_grad_enabled() or lstm.training:
         out, hidden = lstm(rows, hidden)
@@ -83,6 +90,19 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
         rows = torch.stack(steps, 1)
         ends.append((h, c))
     return rows, (torch.stack([h for h, _ in ends]), torch.stack([c for _, c in ends]))
+
+
+@functools.cache
+def _has_narrow_lstm(dtype: torch.dtype) -> bool:
+    """Whether this processor has an LSTM in half precision. oneDNN has linear layers and convolutions in bfloat16
+    everywhere, an LSTM only where the processor multiplies in it; there is no other way to know than to try."""
+    state, weights = torch.zeros(1, 1, 1), [torch.zeros(4, 1), torch.zeros(4, 1), torch.zeros(4), torch.zeros(4)]
+    try:
+        with torch.no_grad(), torch.autocast("cpu", dtype):
+            torch.lstm(state, (state, state), weights, True, 1, 0.0, True, False, True)
+    except RuntimeError:
+        return False
+    return True
 
 
 class BlockLinear(nn.Module):

@@ -1,6 +1,11 @@
-"""How far a hand is from a trunk: an ellipse with known answers, rounded ends, and the way out."""
+"""How far a hand is from a trunk: known answers of an ellipse, the way out, and the same measured on the page."""
 
 from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +15,13 @@ from data_module.types import Array
 from gesticulator.characters.contacts import Trunk, plain_trunk
 
 WIDTH, DEPTH, HEIGHT = 0.2, 0.1, 0.5
+VIEWER = Path(__file__).parent.parent / "viewer"
+COUNT = 2000
+AROUND = """import { outside } from "./src/contacts.js";
+import { Vector3 } from "three";
+import { readFileSync } from "node:fs";
+const { trunk, cases } = JSON.parse(readFileSync(0, "utf8")), vector = (x) => new Vector3(...x);
+console.log(JSON.stringify(cases.map((x) => outside(trunk, ...x.map(vector)).gap)));"""
 
 
 def measured(points: Array, trunk: Trunk | None = None, turn: Rotation | None = None) -> tuple[Array, Array]:
@@ -44,3 +56,63 @@ def test_flesh_that_lies_ahead_and_widens_is_followed_along_the_trunk() -> None:
     trunk = Trunk(np.array([0.0, 1.0]), np.array([0.1, 0.3]), np.array([0.1, 0.1]), np.array([0.0, 0.04]))
     gap, _ = measured(np.array([[0.5, HEIGHT / 2, 0.02], [0.0, HEIGHT / 2, 0.2]]), trunk)
     np.testing.assert_allclose(gap, [0.5 - 0.2, 0.2 - 0.12], atol=1e-12)
+
+
+def columns(above: tuple[float, float]) -> tuple[Array, Array, Array, Array, Array]:
+    """Points [COUNT, 3] about leaning columns (hips, neck [COUNT, 3], chest [COUNT, 3, 3]) with their places across
+    and along them [COUNT, 3]: left and ahead in metres, along as a share drawn between `above`."""
+    rng = np.random.default_rng(7)
+    chest = Rotation.random(COUNT, rng=rng).as_matrix()
+    hips, length = rng.normal(size=(COUNT, 3)), rng.uniform(0.3, 0.7, COUNT)
+    across, share = rng.uniform(-0.5, 0.5, (COUNT, 2)), rng.uniform(*above, COUNT)
+    local = np.stack([across[:, 0], share * length, across[:, 1]], axis=1)
+    points = hips + np.einsum("nij,nj->ni", chest, local)
+    return points, hips, hips + length[:, None] * chest[..., 1], chest, np.insert(across, 1, share, axis=1)
+
+
+def radial(trunk: Trunk, local: Array) -> Array:
+    """[COUNT] metres from the surface on the ray from the axis: r (1 - 1 / |(x / width, z / depth)|)."""
+    x, z = local[:, 0], local[:, 2]
+    return np.hypot(x, z) * (1.0 - 1.0 / np.hypot(x / trunk.width[0], z / trunk.depth[0]))
+
+
+def test_between_its_ends_the_distance_is_that_from_the_ellipse() -> None:
+    trunk = plain_trunk(WIDTH, DEPTH)
+    points, hips, neck, chest, local = columns((0.01, 0.99))
+    gap, out = trunk.distance(points, hips, neck, chest)
+    expected = radial(trunk, local)
+    # Sums of a few numbers about 1 in double precision. One point in three thought itself beyond an end, and so at
+    # the surface, by 1e-17 m of rounding.
+    np.testing.assert_allclose(gap, expected, atol=1e-12)
+    assert (expected < -0.05).sum() > 30
+    np.testing.assert_allclose(trunk.distance(points - gap[:, None] * out, hips, neck, chest)[0], 0.0, atol=1e-12)
+
+
+def test_a_rounding_of_the_pose_moves_the_distance_by_no_more() -> None:
+    trunk = plain_trunk(WIDTH, DEPTH)
+    points, hips, neck, chest, _ = columns((0.01, 0.99))
+    near = points + np.random.default_rng(8).normal(size=points.shape) * 1e-7
+    change = trunk.distance(near, hips, neck, chest)[0] - trunk.distance(points, hips, neck, chest)[0]
+    assert np.abs(change).max() < 2e-6
+
+
+def test_beyond_its_ends_the_distance_grows_from_that_of_the_rim() -> None:
+    trunk = plain_trunk(WIDTH, DEPTH)
+    points, hips, neck, chest, local = columns((1.05, 1.5))
+    length = np.linalg.norm(neck - hips, axis=1)
+    expected = np.hypot(np.maximum(radial(trunk, local), 0.0), (local[:, 1] - 1.0) * length)
+    np.testing.assert_allclose(trunk.distance(points, hips, neck, chest)[0], expected, atol=1e-12)
+
+
+def test_the_page_measures_as_python_does() -> None:
+    node = shutil.which("node")
+    if node is None or not (VIEWER / "node_modules").is_dir():
+        pytest.skip("node is not installed, or npm ci --prefix viewer has not been run")
+    trunk = Trunk(np.array([0.1, 0.5, 0.8]), np.array([0.3, 0.25, 0.2]), np.array([0.2, 0.22, 0.15]),
+                  np.array([0.02, 0.05, 0.0]))
+    points, hips, neck, chest, _ = columns((-0.4, 1.4))
+    cases = np.stack([points, hips, neck, chest[..., 0]], axis=1)
+    rows = {name: getattr(trunk, name).tolist() for name in ("steps", "width", "depth", "ahead")}
+    done = subprocess.run([node, "--input-type=module", "-e", AROUND], cwd=VIEWER, check=True, capture_output=True,
+                          input=json.dumps({"trunk": rows, "cases": cases.tolist()}), text=True)
+    np.testing.assert_allclose(json.loads(done.stdout), trunk.distance(points, hips, neck, chest)[0], atol=1e-9)

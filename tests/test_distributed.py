@@ -170,6 +170,12 @@ DRAWS: dict[str, Callable[[Tensor], Tensor]] = {
     "normal": lambda x: torch.empty_like(x).normal_(), "uniform": lambda x: torch.empty_like(x).uniform_(2, 3)}
 
 
+COMPUTED = {"attention": 1e-6}
+"""What is computed of a draw, and by how much it may differ. The sums of a matrix product over 17 numbers about 1 are
+taken in an order that depends on the processor and on how many rows there are: a few units of the last of 24 binary
+digits, 2e-7 where it was seen. Other noise would differ by a tenth."""
+
+
 @pytest.mark.parametrize("draw", DRAWS)
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_row_has_the_noise_that_one_process_would_have_drawn(draw: str, count: int) -> None:
@@ -188,7 +194,7 @@ def test_a_row_has_the_noise_that_one_process_would_have_drawn(draw: str, count:
                 torch.manual_seed(4)
                 parts.append(DRAWS[draw](own))
             torch.testing.assert_close(torch.rand(()), after, rtol=0, atol=0)
-    torch.testing.assert_close(torch.cat(parts), whole, rtol=0, atol=0)
+    torch.testing.assert_close(torch.cat(parts), whole, rtol=0, atol=COMPUTED.get(draw, 0.0))
 
 
 def test_draws_may_have_their_rows_elsewhere_or_none() -> None:

@@ -216,13 +216,16 @@ def test_the_published_network_gives_the_reference_features_and_distance(outside
         wanted = {key: stored[key] for key in stored.files}
     first, second = networks.reference_windows(outside_data / "fgd" / "h36m_reference.npz")
     a, b = network.features(first), network.features(second)
-    np.testing.assert_allclose(a, wanted["features_a"], rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(b, wanted["features_b"], rtol=1e-4, atol=1e-5)
+    # Features reach 16 and come out of sums of hundreds of terms of that size in single precision, in an order that
+    # depends on the processor and on how many windows there are: 2.2e-5 is the most of four kinds of processors.
+    rounding = {"rtol": 0.0, "atol": 1e-4}
+    np.testing.assert_allclose(a, wanted["features_a"], **rounding)
+    np.testing.assert_allclose(b, wanted["features_b"], **rounding)
     assert distance(a, b) == pytest.approx(float(wanted["fgd"]), rel=1e-5)
     assert (network.frames, network.fps, a.shape) == (34, 15.0, (64, 32))
     # the windows' own order is no matter, and neither is how many are asked for at a time
-    np.testing.assert_allclose(network.features(first[::-1])[::-1], a, atol=1e-5)
-    np.testing.assert_allclose(network.features(first[:1])[0], a[0], atol=1e-5)
+    np.testing.assert_allclose(network.features(first[::-1])[::-1], a, **rounding)
+    np.testing.assert_allclose(network.features(first[:1])[0], a[0], **rounding)
     assert network.features(first[:0]).size == 0
 
 

@@ -60,16 +60,18 @@ class Trunk:
         fore = np.cross(left, up)
         own = points - hips
         along = np.sum(own * up, axis=-1)
-        share = np.clip(along / length[:, 0], 0.0, 1.0)
+        nearest = np.clip(along, 0.0, length[:, 0])
+        share = nearest / length[:, 0]
         width, depth, ahead = (np.interp(share, self.steps, column) for column in (self.width, self.depth, self.ahead))
         x, z = np.sum(own * left, axis=-1), np.sum(own * fore, axis=-1) - ahead
-        y = along - share * length[:, 0]  # beyond the ends
+        # Exactly 0 between the ends. A remainder of rounding (1e-17 m) would count as "above the column", where a point
+        # is at most as near as its end: a hand deep inside would be taken for one on the surface.
+        beyond = np.abs(along - nearest)
         radius = np.hypot(x, z)
         # The ellipse's radius in the direction of the point.
         angle = np.arctan2(z, x)
         surface = width * depth / np.hypot(depth * np.cos(angle), width * np.sin(angle))
         out = np.cos(angle)[:, None] * left + np.sin(angle)[:, None] * fore
-        beyond = np.abs(y)
         return np.where(beyond > 0.0, np.hypot(np.maximum(radius - surface, 0.0), beyond), radius - surface), out
 
 

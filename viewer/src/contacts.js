@@ -34,9 +34,10 @@ function frame(hips, neck, left) {
 /** Metres of a point from an elliptic column (negative inside) and the way out. */
 export function outside(trunk, point, hips, neck, left) {
   const { up, long, side, ahead } = frame(hips, neck, left), own = point.clone().sub(hips);
-  const along = own.dot(up), share = clamp(along / long, 0, 1);
+  const along = own.dot(up), nearest = clamp(along, 0, long), share = nearest / long;
   const [wide, deep, before] = [trunk.width, trunk.depth, trunk.ahead].map((row) => between(share, trunk.steps, row));
-  const x = own.dot(side), z = own.dot(ahead) - before, beyond = Math.abs(along - share * long);
+  // Exactly 0 between the ends: a remainder of rounding would take a point deep inside for one on the end's surface.
+  const x = own.dot(side), z = own.dot(ahead) - before, beyond = Math.abs(along - nearest);
   const radius = Math.hypot(x, z), angle = Math.atan2(z, x);
   const surface = (wide * deep) / Math.hypot(deep * Math.cos(angle), wide * Math.sin(angle));
   return {
