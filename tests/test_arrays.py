@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import time
 import tracemalloc
 import warnings
 import zipfile
@@ -118,7 +117,6 @@ def test_an_encrypted_archive_is_one_line(tmp_path: Path) -> None:
 
 
 def check_refused(read: Any, says: str) -> None:
-    begun = time.monotonic()
     tracemalloc.start()
     try:
         with pytest.raises(InputError, match=says) as caught:
@@ -128,7 +126,6 @@ def check_refused(read: Any, says: str) -> None:
         tracemalloc.stop()
     assert "\n" not in str(caught.value)
     assert peak < 4e6
-    assert time.monotonic() - begun < 1.0
 
 
 def test_a_nan_that_signals_makes_no_noise() -> None:

@@ -32,7 +32,6 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
 from gesticulator.serve import schema
 from gesticulator.serve import server as server_module
-from gesticulator.serve.pace import PASSES
 from gesticulator.serve.protocol import CloseCode, StreamRequest, published
 from gesticulator.serve.server import LiveServer, ServerAddress
 from gesticulator.serve.settings import ServerLimits
@@ -405,11 +404,11 @@ def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_p
     run(test)
 
 
-async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list[Poses], list[dict[str, Any]], float]:
-    """Sound in real time, 50 ms at a time; its poses and events, and how late the latest of its poses came."""
+async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list[Poses], list[dict[str, Any]]]:
+    """Sound in real time, 50 ms at a time; its poses and events."""
     poses: list[Poses] = []
     events: list[dict[str, Any]] = []
-    late, step, piece = 0.0, 0.05, pcm(0.05)
+    step, piece = 0.05, pcm(0.05)
     async with connect(url, Hello(RATE, options=options)) as stream:
         begin = time.monotonic()
 
@@ -423,25 +422,23 @@ async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list
         async for message in stream:
             if isinstance(message, Poses):
                 poses.append(message)
-                late = max(late, time.monotonic() - begin - (message.first + len(message)) / message.fps)
             else:
                 events.append(message)
         await sending
-    return poses, events, late
+    return poses, events
 
 
 def test_a_server_that_is_too_slow_passes_over_what_is_late() -> None:
-    """Four seconds of work for a second of sound: all of it would be nine seconds late."""
+    """Four seconds of work for a second of sound: all of it would be nine seconds late. How late it is then stands in
+    `test_pace.py`, where time is counted and not measured."""
     async def test() -> None:
         async with running(share=4.0) as at:
-            poses, events, late = await speak(at.url, 3.0, {"latency": "low"})
+            poses, events = await speak(at.url, 3.0, {"latency": "low"})
             assert_whole(poses, 3.0)
-            # Behind by `PASSES`, a piece at full and one at less cost, and the double's own look-ahead.
-            assert late < PASSES + 0.5 * (4.0 + 2.8) + LOOK_AHEAD
             passed = [event["passed"] for event in events if event["type"] == "pace" and event["effort"] == "none"]
             _, figures = await at.get("/metrics")
             counted = float(figures.split("\ngesticulator_passed_seconds_total{")[1].split()[1])
-            assert passed and passed[-1] == pytest.approx(counted) and 0.9 < counted < 2.9
+            assert passed and passed[-1] == pytest.approx(counted) and 0.9 < counted < 3.0
             if find_spec("jsonschema"):
                 import jsonschema
 
@@ -456,7 +453,7 @@ def test_a_server_that_is_too_slow_passes_over_what_is_late() -> None:
 def test_nothing_is_passed_over_unasked_or_where_there_is_time(share: float, options: dict[str, Any]) -> None:
     async def test() -> None:
         async with running(share=share) as at:
-            poses, events, _ = await speak(at.url, 0.8, options)
+            poses, events = await speak(at.url, 0.8, options)
             assert_whole(poses, 0.8)
             assert not [event for event in events if event["type"] == "pace" and event["effort"] == "none"]
 
