@@ -1,5 +1,6 @@
-// Hands kept out of a trunk that is wider than ours, as gesticulator/characters/contacts.py does it: where one of her hands would be
-// nearer to her trunk than ours is to ours, the arm is bent until it is as far outside (and no farther than MARGIN).
+// Hands kept out of a trunk that is wider than ours, as gesticulator/characters/contacts.py does it: where a hand of the
+// character would be nearer to the trunk than ours is to ours, the arm is bent until it is as far outside (and no farther
+// than MARGIN).
 
 import { Quaternion, Vector3 } from "three";
 
