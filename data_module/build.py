@@ -289,9 +289,9 @@ def _share(file: Path, place: Path) -> None:
 
 
 _FORMATS = """\
-what can be read, and what SOURCE is (each reader's own file in data_module/corpora draws its folders):
-  performer  scripted performances of real strokes (SOURCE/strokes) on real (SOURCE/speech) and synthetic speech
-  folder     your own NAME.bvh of any rig beside NAME.flac, .wav, .mp3 or .ogg, and what is said, where you have it, as
+corpora, and what SOURCE contains (the modules in data_module/corpora show the folders):
+  performer  scripted motion made of real strokes (SOURCE/strokes) on real (SOURCE/speech) and synthetic speech
+  folder     your own NAME.bvh of any rig beside NAME.flac, .wav, .mp3 or .ogg, optionally with a transcript
              NAME.TextGrid, NAME.json (words with times), NAME.srt, NAME.vtt or NAME.txt
   trinity    Trinity Speech-Gesture: GENEA_Challenge_2020_data_release, with Training_data/ and Test_data/
   zeroeggs   ZeroEGGS: its folder data, with clean/ and info.csv
@@ -299,7 +299,7 @@ what can be read, and what SOURCE is (each reader's own file in data_module/corp
   beat       BEAT: beat_english_v0.2.1, with a folder per speaker
   beat2      BEAT2: beat_english_v2.0.0, with smplxflame_30/, wave16k/ and train_test_split.csv
   ted        TED Gesture: ted_dataset, with lmdb_train/, lmdb_val/ and lmdb_test/
-  smartbody  SmartBody's data/behaviorsets; makes the folder strokes/ for the performer instead of a store
+  smartbody  SmartBody's data/behaviorsets; writes the folder strokes/ for `performer` instead of a store
 """
 
 
@@ -321,28 +321,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What a build takes, and at the end of the help what can be read."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _FORMATS + (f"\n{parser.epilog}" if parser.epilog else "")
-    parser.add_argument("corpus", help="one of those below")
+    parser.add_argument("corpus", help="one of the corpora below")
     parser.add_argument("--source", type=Path, metavar="DIR",
-                        help="the data to build from (performer: default is the variable GESTICULATOR_DATA)")
-    parser.add_argument("--out", type=Path, required=True, metavar="STORE", help="the folder to write")
-    parser.add_argument("--seed", type=int, default=1, help="performer: another seed, another corpus (default 1)")
-    parser.add_argument("--hours", type=float, default=4.2, help="performer: synthetic speech to make (default 4.2)")
+                        help="the source data (performer: default is the variable GESTICULATOR_DATA)")
+    parser.add_argument("--out", type=Path, required=True, metavar="STORE", help="output folder")
+    parser.add_argument("--seed", type=int, default=1, help="performer: random seed of the corpus (default 1)")
+    parser.add_argument("--hours", type=float, default=4.2, help="performer: hours of synthetic speech (default 4.2)")
     parser.add_argument("--preset", choices=("default", "tiny"), default="default",
-                        help="performer: tiny is three minutes that need no data and no other program")
-    parser.add_argument("--languages", default="", metavar="de,es", help="performer: talks and readings in these "
-                        "languages only: cmn, de, en, es (default: English talks, and every reading)")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one per core)")
-    parser.add_argument("--no-dataset", action="store_true", help="write the store only, no BVH files")
-    parser.add_argument("--fps", type=float, help="frames per second, where the header of BVH files is wrong")
-    parser.add_argument("--unit", type=float, help="metres per unit of BVH files, where it is not as reported")
-    parser.add_argument("--split", default="", metavar="80/10/10|FILE", help="folder: shares in percent for training, "
-                        "validation and test (default 80/10/10, with a recording at least in each where there are "
-                        "three), or a file with a line NAME,train|val|test for each recording")
-    parser.add_argument("--speaker", default="", metavar="NAME|REGEX", help="folder: who gestures in every recording, "
-                        "or a pattern whose group finds it in the file's name, such as '^([a-z]+)' (default: what "
-                        "stands before the first '_' where several recordings share it, else the folder's name)")
+                        help="performer: tiny is three minutes, which need no data and no other program")
+    parser.add_argument("--languages", default="", metavar="de,es",
+                        help="performer: only talks and readings in these languages: cmn, de, en, es (default: "
+                        "English talks and all readings)")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1,
+                        help="number of processes (default: one per core)")
+    parser.add_argument("--no-dataset", action="store_true", help="write only the store, without BVH files")
+    parser.add_argument("--fps", type=float, help="frames per second, if the header of the BVH files is wrong")
+    parser.add_argument("--unit", type=float, help="metres per unit of the BVH files, if not as reported")
+    parser.add_argument("--split", default="", metavar="80/10/10|FILE",
+                        help="folder: percentages for training, validation and test (default 80/10/10, with at least "
+                        "one recording in each if there are three), or a file with a line NAME,train|val|test per "
+                        "recording")
+    parser.add_argument("--speaker", default="", metavar="NAME|REGEX",
+                        help="folder: the speaker of every recording, or a pattern whose group matches it in the file "
+                        "name, such as '^([a-z]+)' (default: the part before the first '_' if several recordings "
+                        "share it, else the folder's name)")
     parser.add_argument("--histogram", type=Path, metavar="FILE.png",
-                        help="draw the intervals between onsets and between beats (needs matplotlib)")
+                        help="plot the intervals between onsets and between beats (needs matplotlib)")
 
 
 def _check_histogram(file: Path) -> None:

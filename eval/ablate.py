@@ -176,30 +176,34 @@ def redraw(out: Path) -> None:
 
 def arguments(p: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    p.add_argument("--data", metavar="STORE", help="needed, except with --list and --tables")
-    p.add_argument("--work", metavar="DIR", help="where stages are kept (needed likewise)")
+    p.add_argument("--data", metavar="STORE", help="required, except with --list and --tables")
+    p.add_argument("--work", metavar="DIR", help="work folder for stages (required, except with --list and --tables)")
     p.add_argument("--only", nargs="+", default=[], metavar="NAME",
-                   help="rows and figures to run (all); tables have all finished ones")
+                   help="rows and figures to run (default: all); the tables contain all finished ones")
     p.add_argument("--preset", default="ablation", choices=tuple(rg.PRESETS))
     p.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="settings",
-                   help="change a setting of the preset, for every row alike")
+                   help="change a setting of the preset for every row")
     p.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=f"seeds 1 to N ({SEEDS})")
-    p.add_argument("--limit", type=int, metavar="N", help="the first N recordings of a split only")
-    p.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes that cut and hear")
+    p.add_argument("--limit", type=int, metavar="N", help="use only the first N recordings of a split")
+    p.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N",
+                   help="processes for cutting and encoding the recordings")
     p.add_argument("--speech", action="append", default=[], metavar="DIR",
-                   help="a folder of more sound, where the speech encoder was trained with it")
-    p.add_argument("--bundle", metavar="DIR", help="what RACER's rows stand on ('shipped'; default: trained here)")
+                   help="folder of additional audio, if the speech encoder was trained with it")
+    p.add_argument("--bundle", metavar="DIR", help="bundle for RACER's rows ('shipped'; default: trained here)")
     p.add_argument("--system", action="append", default=[], metavar="NAME=DIR", dest="systems",
-                   help="another system's motion for the test recordings, files named as they are")
-    p.add_argument("--out", default="docs/results/ablation", metavar="DIR", help="for cells.jsonl, table.json, .md")
-    p.add_argument("--list", action="store_true", help="show every row, table and figure, and stop")
-    p.add_argument("--tables", action="store_true", help="write the tables again from OUT/cells.jsonl, and stop")
-    p.add_argument("--quiet", action="store_true", help="no progress bars")
-    many = p.add_argument_group("many machines")
-    many.add_argument("--ray", metavar="WHERE", help="rows and seeds at once on a Ray cluster: auto, its address, or "
-                      "local:N for N workers here")
-    many.add_argument("--slurm", nargs="*", metavar="NAME=VALUE", help="submit each row and seed as a job of Slurm and "
-                      "stop; options of submitit, such as slurm_partition=cpu timeout_min=600 (needs submitit)")
+                   help="another system's motion for the test recordings, with the same file names")
+    p.add_argument("--out", default="docs/results/ablation", metavar="DIR",
+                   help="output folder for cells.jsonl, table.json and .md")
+    p.add_argument("--list", action="store_true", help="list every row, table and figure and exit")
+    p.add_argument("--tables", action="store_true", help="write the tables again from OUT/cells.jsonl and exit")
+    p.add_argument("--quiet", action="store_true", help="print no progress bars")
+    many = p.add_argument_group("several machines")
+    many.add_argument("--ray", metavar="WHERE",
+                      help="run rows and seeds in parallel on a Ray cluster: auto, its address, or local:N for N "
+                      "workers on this machine")
+    many.add_argument("--slurm", nargs="*", metavar="NAME=VALUE",
+                      help="submit each row and seed as a Slurm job and exit; options of submitit, such as "
+                      "slurm_partition=cpu timeout_min=600 (needs submitit)")
 
 
 def _checked(arguments: argparse.Namespace) -> dict[str, Path]:

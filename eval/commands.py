@@ -23,28 +23,28 @@ def _publish(tables: Sequence[Table], arguments: argparse.Namespace) -> None:
 
 
 def _out(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", metavar="FILE.json", help="where the tables go; a .md is written beside it")
+    parser.add_argument("--out", metavar="FILE.json", help="output file for the tables; a .md is written beside it")
 
 
 def _name_files(files: Sequence[Path], arguments: argparse.Namespace) -> None:
     print("\n".join(map(str, files)))
 
 
-SCORE = verb("real, generated and foreign motion side by side, with the controls", "eval.score",
+SCORE = verb("compare real, generated and other motion, with negative controls", "eval.score",
              "score --truth STORE --system ours=bvh_folder",
              "score --truth real --system ours=generated --speech wav --bundle shipped --out score.json")
-ABLATE = verb("every table, figure and claim of both papers, run again", "eval.ablate",
+ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.ablate",
               "ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
               "ablate --data STORE --work DIR --ray local:8", "ablate --data STORE --work DIR --slurm mem_gb=8",
               "ablate --tables --out docs/results/ablation")
-PROBE = choice("probe", "one question about a bundle or a data set (--list shows them)", PROBES, _publish, _out,
+PROBE = choice("probe", "answer one question about a bundle or a data set (--list shows them)", PROBES, _publish, _out,
                ("probe --list", "probe quality --data STORE", "probe gate --data STORE --out gate.json"))
-REPORT = verb("everything that was measured, on one page", "eval.report",
+REPORT = verb("collect all stored results on one page", "eval.report",
               "report", "report --results docs/results --out docs/report")
-STUDY = verb("a user study: its page, and what the answers say", "eval.study",
+STUDY = verb("make a user study, or analyse its ratings", "eval.study",
              "study make --systems ours=DIR truth=DIR --out FOLDER",
              "study analyse --key FOLDER/key.json ratings-*.json --out study.json")
-DRAW = choice("draw", "pictures and films: a strip, a video, the lexicon (--list shows them)", DRAWINGS, _name_files,
+DRAW = choice("draw", "draw a strip, a video or the lexicon (--list shows them)", DRAWINGS, _name_files,
               lambda parser: None, ("draw strip gesture.bvh --sound speech.wav",
                                     "draw video gesture.bvh --sound speech.wav --out film.mp4",
                                     "draw lexicon --data STORE --out FOLDER"))

@@ -46,11 +46,12 @@ class EvalContext:
     def arguments(parser: argparse.ArgumentParser) -> None:
         """What `of` reads."""
         parser.add_argument("--data", required=True, metavar="STORE", help="a store built by `gesticulator build`")
-        parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
-        parser.add_argument("--work", metavar="DIR", help="where blocks and networks are cached, and the reward "
-                            "models of the bundle's training lie (default: STORE.work)")
-        parser.add_argument("--limit", type=int, metavar="N", help="the first N recordings of a split only")
-        parser.add_argument("--quiet", action="store_true", help="no progress bars")
+        parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+        parser.add_argument("--work", metavar="DIR",
+                            help="work folder: cached blocks and networks, and the reward models of the bundle's "
+                            "training (default: STORE.work)")
+        parser.add_argument("--limit", type=int, metavar="N", help="use only the first N recordings of a split")
+        parser.add_argument("--quiet", action="store_true", help="print no progress bars")
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> EvalContext:

@@ -41,9 +41,9 @@ def choice(word: str, about: str, known: Mapping[str, Plugin], show: Callable[[A
     show: takes what the plugin's `run` gave, and the arguments. extra: adds arguments that all of the dict have.
     """
     def arguments(parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--list", action="store_true", help="show every NAME, and stop")
+        parser.add_argument("--list", action="store_true", help="list the names and exit")
         parser.add_argument("name", nargs="?", metavar="NAME", help="see --list")
-        parser.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="NAME --help says what it takes")
+        parser.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="NAME --help lists its options")
 
     def run(given: argparse.Namespace) -> int:
         if given.list:

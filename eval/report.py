@@ -285,10 +285,10 @@ def report(folder: Path, out: Path, title: str = TITLE) -> Path:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator report` takes."""
     parser.add_argument("--results", type=Path, default=Path("docs/results"), metavar="DIR",
-                        help="what the evaluation commands wrote (docs/results)")
+                        help="folder of stored results (default docs/results)")
     parser.add_argument("--out", type=Path, default=Path("docs/report"), metavar="DIR",
-                        help="for report.md (docs/report)")
-    parser.add_argument("--title", default=TITLE, help=f"heading of the page ({TITLE})")
+                        help="output folder for report.md (default docs/report)")
+    parser.add_argument("--title", default=TITLE, help=f"heading of the page (default: {TITLE})")
 
 
 def run(arguments: argparse.Namespace) -> int:

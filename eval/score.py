@@ -424,25 +424,27 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator score` takes."""
     add = parser.add_argument
     add("--truth", type=Path, required=True, metavar="DIR", help="the speakers' own motion, or a store")
-    add("--system", action="append", required=True, metavar="NAME=DIR", help="motion files, or a "
-        "bundle (shipped: the one that comes along) that is played for the truth's sounds: NAME=BUNDLE:INTERPRETER; "
-        "may be given many times")
-    add("--speech", type=Path, metavar="DIR", help="where the sounds lie (default: beside the motion)")
-    add("--fgd", type=Path, metavar="FOLDER", help="the Human3.6M network of the papers")
-    add("--work", type=Path, metavar="DIR", help="our own networks of gesture features are stored there; the work "
-        "folder of the bundle's training holds the model that judges the reward")
-    add("--bundle", metavar="DIR", help="its lexicon measures diversity, motion variance and lexeme accuracy, its "
-        "judging model, from --work, the reward ('shipped': the one that comes along)")
-    add("--split", default="test", choices=(*SPLITS, "all"), help="what is compared of a store (default: test)")
+    add("--system", action="append", required=True, metavar="NAME=DIR",
+        help="motion files, or a bundle ('shipped' for the shipped one) that is run on the audio of the truth, "
+        "NAME=BUNDLE:INTERPRETER; can be repeated")
+    add("--speech", type=Path, metavar="DIR", help="folder of the audio (default: beside the motion)")
+    add("--fgd", type=Path, metavar="FOLDER", help="folder of the Human3.6M network of the papers")
+    add("--work", type=Path, metavar="DIR",
+        help="work folder for our own networks of gesture features; that of the bundle's training also contains the "
+        "judging reward model")
+    add("--bundle", metavar="DIR",
+        help="bundle whose lexicon measures diversity, motion variance and lexeme accuracy, and whose judging model "
+        "in --work measures the reward ('shipped' for the shipped one)")
+    add("--split", default="test", choices=(*SPLITS, "all"), help="split of the store to compare (default: test)")
     add("--piece", metavar="SECONDS", help="cut long clips into pieces of this length")
-    add("--rate", metavar="FPS", help="frame rate to compare at (default: the lowest of all)")
+    add("--rate", metavar="FPS", help="frame rate of the comparison (default: the lowest of all)")
     add("--fps", action="append", default=[], metavar="NAME=RATE",
-        help="frame rate of a system's files, or truth=RATE, where they have none or a wrong one")
-    add("--units", metavar="STORE", help="adds a row of unit selection over this store's training split, the baseline "
-        "that a system has to beat")
-    add("--no-controls", action="store_true", help="leave out the rows of motion that is known to be wrong")
+        help="frame rate of a system's files, or truth=RATE, if they state none or a wrong one")
+    add("--units", metavar="STORE",
+        help="add unit selection from this store's training split, the baseline that a system has to beat")
+    add("--no-controls", action="store_true", help="leave out the negative controls")
     add("--seed", type=int, default=0)
-    add("--out", type=Path, metavar="FILE.json", help="a .md is written beside it")
+    add("--out", type=Path, metavar="FILE.json", help="output file; a .md is written beside it")
 
 
 def scored(arguments: argparse.Namespace) -> Scores:

@@ -303,22 +303,26 @@ def _page(data: dict[str, Any]) -> str:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator study` takes: make, or analyse."""
     commands = parser.add_subparsers(dest="command", required=True)
-    m = commands.add_parser("make", help="the page that raters see, and the key that they must not")
-    m.add_argument("--systems", nargs="+", required=True, metavar="NAME=DIR", help="motion (BVH) and sound of each")
-    m.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="page/index.html and key.json go there")
-    m.add_argument("--clips", type=int, default=10, metavar="N", help="how many stretches (10)")
-    m.add_argument("--seconds", type=float, default=30.0, metavar="S", help="how long each is (30)")
-    m.add_argument("--seed", type=int, default=0, metavar="K", help="which stretches, and the order (0)")
-    m.add_argument("--raters", type=int, default=30, metavar="N", help="how many different orders (30)")
-    m.add_argument("--aspects", nargs="+", choices=ASPECTS, default=list(DEFAULT_ASPECTS), help="what is asked")
+    m = commands.add_parser("make", help="make the page for raters, and the key that they must not see")
+    m.add_argument("--systems", nargs="+", required=True, metavar="NAME=DIR",
+                   help="folder with the motion (BVH) and audio of each system")
+    m.add_argument("--out", type=Path, required=True, metavar="FOLDER",
+                   help="output folder for page/index.html and key.json")
+    m.add_argument("--clips", type=int, default=10, metavar="N", help="number of clips (default 10)")
+    m.add_argument("--seconds", type=float, default=30.0, metavar="S", help="duration of a clip, seconds (default 30)")
+    m.add_argument("--seed", type=int, default=0, metavar="K",
+                   help="seed of the choice and order of the clips (default 0)")
+    m.add_argument("--raters", type=int, default=30, metavar="N", help="number of different orders (default 30)")
+    m.add_argument("--aspects", nargs="+", choices=ASPECTS, default=list(DEFAULT_ASPECTS),
+                   help="the question to the raters")
     m.add_argument("--videos", choices=[suffix[1:] for suffix in film.FORMATS],
-                   help="write each item as a video beside the page, which else draws the figure itself")
-    a = commands.add_parser("analyse", help="means, intervals, ANOVA and Tukey HSD, ranks")
+                   help="write each item as a video beside the page, instead of drawing it on the page")
+    a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks")
     a.add_argument("--key", type=Path, required=True, metavar="FILE.json")
-    a.add_argument("ratings", nargs="+", type=Path, metavar="RATINGS", help="what the raters saved, .json or .csv")
-    a.add_argument("--without", nargs="+", default=[], metavar="RATER", help="leave these raters out")
-    a.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
-    a.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
+    a.add_argument("ratings", nargs="+", type=Path, metavar="RATINGS", help="the raters' answers, .json or .csv")
+    a.add_argument("--without", nargs="+", default=[], metavar="RATER", help="exclude these raters")
+    a.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (default 0)")
+    a.add_argument("--out", metavar="FILE.json", help="output file; a .md is written beside it")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -55,64 +55,70 @@ def _cue(text: str) -> GestureCue:
 
 def performance_arguments(p: argparse.ArgumentParser) -> None:
     """Add what tells how a recording is performed, whatever is made of it."""
-    heard = p.add_argument_group("what is heard")
-    heard.add_argument("--text", metavar="FILE", help="what is said: plain text, TextGrid, SRT, VTT or JSON with word "
-                       "times; or a folder of files named like the recordings")
+    heard = p.add_argument_group("audio and transcript")
+    heard.add_argument("--text", metavar="FILE",
+                       help="transcript: plain text, TextGrid, SRT, VTT or JSON with word times; or a folder of "
+                       "transcripts named like the recordings")
     heard.add_argument("--gain", type=number("gain"), default=0.0, metavar="DB",
-                       help="amplify the recording first, in decibels (default 0)")
-    heard.add_argument("--any-length", action="store_true", help="take recordings of more than an hour, too")
-    style = p.add_argument_group("how it moves", "VALUE is low, mid or high, a number, or a CSV file with the columns "
+                       help="gain applied to the recording, decibels (default 0)")
+    heard.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
+    style = p.add_argument_group("motion", "VALUE is low, mid or high, a number, or a CSV file with the columns "
                                  "time and value.")
-    style.add_argument("--speaker", metavar="NAME", help="whose habits of moving (see --list speakers)")
-    style.add_argument("--hand-height", metavar="VALUE", help="height of the right hand over the hips, metres")
+    style.add_argument("--speaker", metavar="NAME",
+                       help="style of movement: a speaker of the bundle (see --list speakers)")
+    style.add_argument("--hand-height", metavar="VALUE", help="height of the right hand above the hips, metres")
     style.add_argument("--hand-speed", metavar="VALUE", help="mean speed of the hands, metres per second")
-    style.add_argument("--hand-radius", metavar="VALUE", help="mean distance of the hands from the body's axis, metres")
+    style.add_argument("--hand-radius", metavar="VALUE",
+                       help="mean distance of the hands from the body's vertical axis, metres")
     style.add_argument("--activity", type=number("activity"), metavar="0..1",
-                       help="how much of the time of speech to gesture in; 0 is stillness, 1 never holds back")
-    style.add_argument("--interpreter", choices=INTERPRETERS, help="what chooses the lexemes: " + ", ".join(
+                       help="share of the speaking time that is gestured; 0 rests throughout, 1 is unrestricted "
+                       "(default 1)")
+    style.add_argument("--interpreter", choices=INTERPRETERS, help="the model that chooses the lexemes: " + ", ".join(
         f"{name} ({entry.about})" for name, entry in INTERPRETERS.items()))
     style.add_argument("--temperature", type=number("temperature"), metavar="T",
-                       help="how freely lexemes are sampled; 0 always takes the likeliest")
+                       help="randomness of the choice of lexemes; 0 always takes the most likely")
     style.add_argument("--beta", type=number("beta"), metavar="B",
-                       help="with --interpreter advantage: how far lexemes are drawn to what a learned reward says "
-                       "they are worth; 0 gives exactly those of lstm")
+                       help="with --interpreter advantage: how strongly the learned reward biases the choice; 0 is "
+                       "the same as lstm")
     style.add_argument("--seed", type=number("seed"), default=0, metavar="N",
-                       help="the same seed gives the same bytes (default 0)")
+                       help="random seed; the same seed gives the same bytes (default 0)")
     style.add_argument("--variation", type=number("variation"), default=0, metavar="N",
-                       help="the same beats and lexemes, drawn in another manner (default 0)")
+                       help="another rendering of the same beats and lexemes (default 0)")
     style.add_argument("--legs", action="store_true",
-                       help="let her stand on legs (54 joints): she shifts her weight, her feet stay planted")
-    style.add_argument("--seated", action="store_true", help="let her sit on a chair, legs and hips still (54 joints)")
+                       help="add standing legs (54 joints): weight shifts, planted feet")
+    style.add_argument("--seated", action="store_true", help="seat the character, with still legs and hips (54 joints)")
     style.add_argument("--intensity", type=number("intensity"), default=1.0, metavar="0..2",
-                       help="how large gestures are; at 0 the hands hang (default 1)")
+                       help="size of the gestures; at 0 the hands hang (default 1)")
     style.add_argument("--energy", choices=tuple(ENERGIES), default="neutral",
-                       help="on top of them: calm is .6 of intensity and activity, lively 1.5 of intensity")
-    style.add_argument("--handedness", choices=HANDS, help="the hand that is preferred, or both of them, "
-                       "each taking part in the strokes of the other")
+                       help="scales intensity and activity: calm is 0.6 of both, lively 1.5 of intensity")
+    style.add_argument("--handedness", choices=HANDS,
+                       help="preferred hand; with both, each hand takes part in the strokes of the other")
     style.add_argument("--mirror", action="store_true", help="exchange left and right")
     style.add_argument("--hold-still", type=_seconds, action="append", default=[], metavar="FROM-TO",
-                       help="seconds in which the hands rest, such as 3.2-5.0; may be given several times")
+                       help="rest the hands during these seconds, such as 3.2-5.0; can be repeated")
     style.add_argument("--cue", type=_cue, action="append", default=[], metavar="WORD=GESTURE",
-                       help="a gesture at a word, or at a time: hello=wave, hello:2=wave at the second, 2.5=shrug "
-                       "(gesticulator plan names lists them)")
-    style.add_argument("--plan", metavar="FILE", help="render a gesture plan (.json, .bml): what was drawn is "
-                       "replayed, what was edited is drawn anew; --seed does not matter")
+                       help='a gesture at a word or a time: hello=wave, hello:2=wave at the second "hello", 2.5=shrug '
+                       "(gesticulator plan names lists the gestures)")
+    style.add_argument("--plan", metavar="FILE",
+                       help="render a gesture plan (.json, .bml): unchanged blocks are replayed, edited ones sampled "
+                       "again; --seed is ignored")
     style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
                        help=f"frames per second of the motion (default {FPS:g})")
-    body = p.add_argument_group("whose body", "A character of yours, from Mixamo, VRM, Unreal, Blender or elsewhere; "
-                                "see gesticulator character --help.")
-    body.add_argument("--character", metavar="FILE", help="move this character: .bvh, .glb, .gltf, .vrm, or .fbx where "
-                      "Blender is installed; she stands on her legs, unless she sits in the file or --seated leaves "
-                      "them and her hips alone")
-    body.add_argument("--mapping", metavar="FILE.json", help="which of her nodes is which joint, where they are not "
-                      "found by themselves")
-    body.add_argument("--save-mapping", metavar="FILE.json", help="write what was found, to look at or to correct")
-    body.add_argument("--no-contacts", action="store_true", help="copy directions only: hands may enter a wide trunk")
-    p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
-    p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle has, and do nothing else")
+    body = p.add_argument_group("character", "Your own character, from Mixamo, VRM, Unreal, Blender or "
+                                "elsewhere; see gesticulator character --help.")
+    body.add_argument("--character", metavar="FILE",
+                      help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed; it "
+                      "stands unless it is seated in the file or --seated is given")
+    body.add_argument("--mapping", metavar="FILE.json",
+                      help="which nodes are which joints, if they are not identified automatically")
+    body.add_argument("--save-mapping", metavar="FILE.json", help="write the joint mapping, to check or correct it")
+    body.add_argument("--no-contacts", action="store_true", help="do not keep the hands outside the trunk")
+    p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle contains and exit")
     p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
-                   help="threads; bytes are the same for the same number (default 1, which is fastest for most)")
-    p.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+                   help="number of torch threads; it affects the last bits of the output (default 1, usually the "
+                   "fastest)")
+    p.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
     p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
 
 

@@ -144,10 +144,10 @@ def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
     """The verbs of a program, one a line."""
     width = max(map(len, known), default=0)
     lines = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
-    text = f"usage: {program} VERB ...      ({program} VERB --help tells of each)\n"
+    text = f"usage: {program} VERB ...      ({program} VERB --help describes each)\n"
     if DEFAULT in known:
         text += f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n"
-        lines += f"\n\nA recording that is called like a verb is written with its folder: ./{DEFAULT}"
+        lines += f"\n\nFor a recording named like a verb, include its folder: ./{DEFAULT}"
     return f"{text}\n{lines}\n"
 
 

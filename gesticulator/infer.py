@@ -36,27 +36,30 @@ _SHORT = {".g1": ".g1.csv"}
 def arguments(p: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
-    p.add_argument("speech", nargs="*", metavar="SPEECH", help="sound files (WAV, FLAC, OGG, MP3; M4A, MP4, "
-                   "WebM and other video with PyAV; 0.3 s to one hour), folders of them, patterns such as '*.wav', or "
-                   "- for standard input")
-    out = p.add_argument_group("what is written (one of them at least)", "A path that ends in / or is a folder takes a "
-                               "file for each recording, by its\nname; anything else is the file itself. Missing "
-                               "folders are made.")
-    out.add_argument("-o", "--output", metavar="FILE", action="append", help="the motion, in the format of its suffix: "
-                     + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; may be given several times")
-    out.add_argument("--format", metavar="SUFFIX", help=f"what -o writes where it is a folder (default {FORMAT})")
-    out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length of a .bvh (default cm)")
-    out.add_argument("--preview", metavar="FILE.html", help="a page that plays it in a browser")
-    out.add_argument("--plan-out", "--explain", metavar="FILE.json", help="the gesture plan: what was decided, "
-                     "to read, to edit and to render again with --plan")
-    many = p.add_argument_group("many recordings", "What is done is noted in a manifest; a second run does "
-                                "only what is missing or changed.")
-    many.add_argument("--manifest", metavar="FILE", help="note it here (.parquet or .jsonl); the default with --shard "
-                      "and --ray is manifest.parquet in the folder of -o")
-    many.add_argument("--shard", metavar="I/N", help="do the share I of N, equal by seconds of sound; "
-                      "gesticulator manifest joins their manifests")
-    many.add_argument("--ray", metavar="WHERE", help="do them on a Ray cluster: auto, its address, or local:N for N "
-                      "workers here")
+    p.add_argument("speech", nargs="*", metavar="SPEECH",
+                   help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s to one "
+                   "hour), folders of them, patterns such as '*.wav', or - for standard input")
+    out = p.add_argument_group("output (at least one is required)", "A path that ends in / or is a folder "
+                                                                         "receives one file per recording, "
+                                                                         "named\nafter it; any other path is the "
+                                                                         "file itself. Missing folders are created.")
+    out.add_argument("-o", "--output", metavar="FILE", action="append", help="motion, in the format given by the "
+                                                                             "suffix: "
+                     + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; can be repeated")
+    out.add_argument("--format", metavar="SUFFIX", help=f"format of -o if it is a folder (default {FORMAT})")
+    out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length in .bvh files (default cm)")
+    out.add_argument("--preview", metavar="FILE.html", help="a page that plays the motion in a browser")
+    out.add_argument("--plan-out", "--explain", metavar="FILE.json",
+                     help="the gesture plan: every decision, to read, edit and render again with --plan")
+    many = p.add_argument_group("many recordings", "A manifest records what was done; a second run processes only "
+                                                   "what is missing or changed.")
+    many.add_argument("--manifest", metavar="FILE",
+                      help="the manifest (.parquet or .jsonl); default with --shard and --ray: manifest.parquet in "
+                      "the folder of -o")
+    many.add_argument("--shard", metavar="I/N",
+                      help="process shard I of N, of equal duration; gesticulator manifest joins their manifests")
+    many.add_argument("--ray", metavar="WHERE",
+                      help="process on a Ray cluster: auto, its address, or local:N for N workers on this machine")
     performance_arguments(p)
 
 
@@ -184,7 +187,7 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
 
 
 COMMAND = Command(
-    "speech in, gesture out: upper-body motion for recorded voices", arguments, run,
+    "generate gestures for recordings of speech", arguments, run,
     examples=(
         "infer speech.wav -o gesture.bvh --preview gesture.html",
         "infer speech.wav -o gesture.bvh --text speech.txt",

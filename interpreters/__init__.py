@@ -38,8 +38,9 @@ INTERPRETERS: dict[str, InterpreterEntry] = {
     "lstm": InterpreterEntry("the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter",
                   "interpreter_text"),
     "cql": InterpreterEntry("RACER's Q-network", "interpreters.cql:QNetwork", "q_network"),
-    "advantage": InterpreterEntry("the LSTM, drawn to what a learned reward is worth; see --beta",
+    "advantage": InterpreterEntry("the LSTM, biased by a learned reward; see --beta",
                                   "interpreters.advantage:AdvantageInterpreter", "advantage", prior="lstm"),
-    "statistical": InterpreterEntry("a speaker's frequencies alone", "interpreters.statistical:StatisticalInterpreter"),
+    "statistical": InterpreterEntry("the speaker's lexeme frequencies",
+                                    "interpreters.statistical:StatisticalInterpreter"),
 }
 """By name; the first that a bundle has is taken when none is named."""

@@ -109,6 +109,13 @@ DIALECT = re.compile(r"\b(she|her|hers|herself|whoever|told by|asked of)\b", re.
 """Words that the pages do without: the figure on screen is "the character"."""
 
 
+@pytest.mark.parametrize("verb", verbs())
+def test_the_help_speaks_of_the_character(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        command(verb).main(f"gesticulator {verb}", ["--help"])
+    assert not DIALECT.findall(capsys.readouterr().out)
+
+
 @pytest.mark.parametrize("page", GUIDE, ids=of)
 def test_pages_speak_of_the_character(page: Path) -> None:
     assert not DIALECT.findall(text(page)), of(page)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from eval.plugin import Plugin
 
 DRAWINGS = {
-    "strip": Plugin("eval.draw.strip_page", "motion as rows of still figures: one file, or several on one page"),
+    "strip": Plugin("eval.draw.strip_page", "a motion as a row of figures: one file, or several on one page"),
     "video": Plugin("eval.draw.video", "a motion with its sound as a video file"),
-    "lexicon": Plugin("eval.draw.lexicon_map", "every lexeme: a sample gesture, who uses it, which words go with it"),
+    "lexicon": Plugin("eval.draw.lexicon_map", "every lexeme: a sample gesture, its speakers and its words"),
 }

@@ -254,12 +254,13 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator draw lexicon` takes."""
-    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
     parser.add_argument("--data", required=True, metavar="STORE")
     parser.add_argument("--out", required=True, type=Path, metavar="FOLDER")
     parser.add_argument("--split", default="train", choices=(*SPLITS, "all"))
-    parser.add_argument("--limit", type=int, metavar="N", help="that many recordings, evenly chosen (all)")
-    parser.add_argument("--points", type=int, default=4000, metavar="N", help="blocks in the t-SNE (4000)")
+    parser.add_argument("--limit", type=int, metavar="N", help="number of recordings, evenly chosen (default: all)")
+    parser.add_argument("--points", type=int, default=4000, metavar="N",
+                        help="number of blocks in the t-SNE (default 4000)")
 
 
 def run(arguments: argparse.Namespace) -> list[Path]:

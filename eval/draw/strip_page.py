@@ -50,24 +50,28 @@ def page_times(start: float, seconds: float, longest: float) -> Array:
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator draw strip` takes."""
-    parser.add_argument("motion", type=Path, nargs="?", help="a BVH file of an upper body; none for a page of several")
-    parser.add_argument("--out", type=Path, help="the picture, .png, .svg or .pdf (beside the motion when not told)")
-    parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
-    parser.add_argument("--seconds", type=float, help="how long a stretch (all of it; of a page 4)")
-    parser.add_argument("--frames", type=int, default=8, help="how many figures (8; of a page four a second)")
-    parser.add_argument("--fps", type=float, help="frame rate, where the file's own is wrong")
-    parser.add_argument("--sound", type=Path, help="the recording, drawn underneath with its beats")
-    parser.add_argument("--legs", action="store_true", help="draw the motions' own legs, where they stand")
+    parser.add_argument("motion", type=Path, nargs="?",
+                        help="a BVH file of an upper body; omit it for a page of several motions")
+    parser.add_argument("--out", type=Path, help="the picture, .png, .svg or .pdf (default: beside the motion)")
+    parser.add_argument("--start", type=float, default=0.0, help="start, seconds (default 0)")
+    parser.add_argument("--seconds", type=float, help="duration, seconds (default: all; 4 on a page)")
+    parser.add_argument("--frames", type=int, default=8, help="number of figures (default 8; four a second on a page)")
+    parser.add_argument("--fps", type=float, help="frame rate, if the file's is wrong")
+    parser.add_argument("--sound", type=Path, help="the recording, drawn below with its beats")
+    parser.add_argument("--legs", action="store_true", help="draw the legs of the motions")
     parser.add_argument("--title", default="")
-    page = parser.add_argument_group("several on one page")
-    page.add_argument("--take", action="store_true", help="the real take in GESTICULATOR_DATA, with its credit")
-    page.add_argument("--corpus", metavar="STORE[:NAME]", help="a recording of a store, by default the first of test")
+    page = parser.add_argument_group("several motions on one page")
+    page.add_argument("--take", action="store_true",
+                      help="add the real recording in GESTICULATOR_DATA, with its credit")
+    page.add_argument("--corpus", metavar="STORE[:NAME]",
+                      help="add a recording of a store (default: the first test recording)")
     page.add_argument("--ours", nargs="?", const="", metavar="BUNDLE",
-                      help="what a bundle makes of the sound (the shipped one)")
-    page.add_argument("--seed", type=int, default=0, help="of --ours (0)")
+                      help="add the motion of a bundle for this audio (default: the shipped one)")
+    page.add_argument("--seed", type=int, default=0, help="seed of --ours (default 0)")
     page.add_argument("--system", action="append", default=[], metavar="NAME=FILE",
-                      help="another motion: a file, or a folder that holds one named like the sound; many times")
-    page.add_argument("--credit", action="append", default=[], metavar="TEXT", help="a line at the foot; many times")
+                      help="add another motion: a file, or a folder with a file named like the audio; can be repeated")
+    page.add_argument("--credit", action="append", default=[], metavar="TEXT",
+                      help="add a line at the foot; can be repeated")
 
 
 def run(arguments: argparse.Namespace) -> list[Path]:

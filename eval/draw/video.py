@@ -47,12 +47,12 @@ def write_video(path: str | Path, motion: Motion, speech: Speech, *, start: floa
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator draw video` takes."""
     parser.add_argument("motion", type=Path, help="a BVH file of an upper body")
-    parser.add_argument("--sound", type=Path, required=True, help="the recording that belongs to it")
-    parser.add_argument("--out", type=Path, help="the video, .mp4 or .webm (.mp4 beside the motion when not told)")
-    parser.add_argument("--start", type=float, default=0.0, help="seconds (0)")
-    parser.add_argument("--seconds", type=float, help="how long a stretch (all of it)")
-    parser.add_argument("--fps", type=float, help="the motion's frame rate, where the file's own is wrong")
-    parser.add_argument("--legs", action="store_true", help="draw the motion's own legs, where it stands")
+    parser.add_argument("--sound", type=Path, required=True, help="its recording")
+    parser.add_argument("--out", type=Path, help="the video, .mp4 or .webm (default: .mp4 beside the motion)")
+    parser.add_argument("--start", type=float, default=0.0, help="start, seconds (default 0)")
+    parser.add_argument("--seconds", type=float, help="duration, seconds (default: all)")
+    parser.add_argument("--fps", type=float, help="frame rate of the motion, if the file's is wrong")
+    parser.add_argument("--legs", action="store_true", help="draw the legs of the motion")
 
 
 def run(arguments: argparse.Namespace) -> list[Path]:

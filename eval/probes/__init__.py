@@ -9,17 +9,21 @@ from __future__ import annotations
 from eval.plugin import Plugin
 
 PROBES: dict[str, Plugin] = {
-    "eye": Plugin("eval.probes.eye", "does motion read as a person, beside a real take, the corpus, unit selection?"),
-    "stance": Plugin("eval.probes.stance", "do legs stand? Sliding feet, knees, weight shifts, stillness"),
-    "motion": Plugin("eval.probes.motion", "is the motion of a bundle accepted? Every clause with bound and verdict"),
-    "guidance": Plugin("eval.probes.guidance", "what do obedience and timing cost each other?"),
-    "quality": Plugin("eval.probes.quality", "how good is a bundle on the test split, beside baselines?"),
-    "policies": Plugin("eval.probes.policies", "which interpreter chooses best, judged as policies?"),
+    "eye": Plugin("eval.probes.eye", "does the motion look human, compared with a real recording, the corpus and "
+                                     "unit selection?"),
+    "stance": Plugin("eval.probes.stance", "are legs stable? Foot sliding, knees, weight shifts, stillness"),
+    "motion": Plugin("eval.probes.motion", "does the motion of a bundle meet the acceptance criteria? Each with "
+                                           "bound and verdict"),
+    "guidance": Plugin("eval.probes.guidance", "what is the trade-off between lexeme accuracy and timing?"),
+    "quality": Plugin("eval.probes.quality", "how good is a bundle on the test split, compared with baselines?"),
+    "policies": Plugin("eval.probes.policies", "which interpreter is the best policy?"),
     "corpus": Plugin("eval.probes.corpus", "is a built data set good enough to learn from?"),
-    "languages": Plugin("eval.probes.languages", "does one language's model gesture in time with another?"),
-    "gate": Plugin("eval.probes.gate", "does the gate know when people gesture, and what does it do?"),
-    "racer": Plugin("eval.probes.racer", "does RACER pay? Every clause of its acceptance with bound and verdict"),
-    "rewards": Plugin("eval.probes.rewards", "does RACER's reward rank?"),
-    "style-editing": Plugin("eval.probes.style_editing", "does the motion do what is asked of its style?"),
-    "knobs": Plugin("eval.probes.knobs", "what do the knobs do? Response curves, inside the band of real people?"),
+    "languages": Plugin("eval.probes.languages", "is a model of one language in time with another?"),
+    "gate": Plugin("eval.probes.gate", "does the gate separate gesture from rest, and what is its effect?"),
+    "racer": Plugin("eval.probes.racer", "does RACER improve the motion? Every acceptance criterion with bound and "
+                                         "verdict"),
+    "rewards": Plugin("eval.probes.rewards", "does RACER's reward rank motion?"),
+    "style-editing": Plugin("eval.probes.style_editing", "does the motion follow the style controls?"),
+    "knobs": Plugin("eval.probes.knobs", "what is the effect of the knobs? Response curves against the range of real "
+                                         "people"),
 }

@@ -53,7 +53,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, and how much of it."""
     parser.add_argument("--data", required=True, metavar="STORE", help="a store built by `gesticulator build`")
     parser.add_argument("--talks", type=int, metavar="N",
-                        help="talks of each part that are judged, evenly chosen (default: all; styles always take all)")
+                        help="number of talks per part, evenly chosen (default: all; styles always use all)")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:

@@ -84,19 +84,22 @@ class Player:
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What the probe takes."""
-    parser.add_argument("--system", action="append", default=[], metavar="NAME=DIR", help="motion files of another")
+    parser.add_argument("--system", action="append", default=[], metavar="NAME=DIR",
+                        help="another system's motion files")
     parser.add_argument("--speech", nargs="+", type=Path, default=[], metavar="FILE",
-                        help="sounds, or folders of them (default: the voice of the real take)")
-    parser.add_argument("--data", metavar="STORE", help="adds its test split as the corpus, and unit selection")
-    parser.add_argument("--bundle", metavar="DIR", help="ours (default: the shipped one)")
-    parser.add_argument("--renderings", type=int, default=8, metavar="N", help="seeds of each sound (8)")
+                        help="audio files, or folders of them (default: the voice of the real recording)")
+    parser.add_argument("--data", metavar="STORE",
+                        help="also compare with its test split (the corpus) and with unit selection")
+    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    parser.add_argument("--renderings", type=int, default=8, metavar="N", help="seeds per audio file (default 8)")
     parser.add_argument("--reference", type=Path, metavar="FILE",
-                        help=f"the frozen space of the Frechet distance (default: {REFERENCE} in GESTICULATOR_DATA)")
-    parser.add_argument("--limit", type=int, metavar="N", help="recordings of the test split at most")
-    parser.add_argument("--work", type=Path, metavar="DIR", help="units are kept there (default: STORE.work)")
-    parser.add_argument("--write", type=Path, metavar="DIR", help="keep what is rendered, as DIR/SYSTEM/SOUND.SEED.bvh")
+                        help=f"feature space of the Fréchet distance (default: {REFERENCE} in GESTICULATOR_DATA)")
+    parser.add_argument("--limit", type=int, metavar="N", help="maximum number of test recordings")
+    parser.add_argument("--work", type=Path, metavar="DIR", help="work folder for the units (default: STORE.work)")
+    parser.add_argument("--write", type=Path, metavar="DIR", help="write the motion to DIR/SYSTEM/SOUND.SEED.bvh")
     parser.add_argument("--test-voices", action="store_true",
-                        help="a second table: every system on the voices of the test split, beside its own motion")
+                        help="add a second table: every system on the voices of the test split, compared with its "
+                        "motion")
 
 
 def run(arguments: argparse.Namespace) -> Sequence[Table]:

@@ -179,9 +179,10 @@ USE = {"gesturing": Column("blocks gesturing", "share", 3), "gesturing_change": 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, a bundle and which recordings."""
-    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
     parser.add_argument("--data", required=True, metavar="STORE")
-    parser.add_argument("--limit", type=int, metavar="N", help="that many test recordings, evenly chosen (all)")
+    parser.add_argument("--limit", type=int, metavar="N",
+                        help="number of test recordings, evenly chosen (default: all)")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:

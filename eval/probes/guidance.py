@@ -70,16 +70,16 @@ FIGURES = {
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What the probe takes."""
     add = parser.add_argument
-    add("--bundle", type=Path, metavar="DIR", help="default: the shipped one")
+    add("--bundle", type=Path, metavar="DIR", help="bundle (default: the shipped one)")
     add("--store", required=True, metavar="STORE", help="a store built by `gesticulator build`")
-    add("--audio", type=float, nargs="+", default=AUDIO, metavar="G", help="guidance on sound (0 1 2 3)")
+    add("--audio", type=float, nargs="+", default=AUDIO, metavar="G", help="guidance on the audio (default 0 1 2 3)")
     add("--lexeme", type=float, nargs="+", default=LEXEME, metavar="G",
-        help="guidance on the lexeme (-1 0 0.4 1); -1 leaves it out")
-    add("--split", choices=("val", "test"), default="val", help="recordings to gesture for (val)")
-    add("--limit", type=int, metavar="N", help="the first N recordings of the split only")
-    add("--system", action="append", default=[], metavar="NAME=BUNDLE", help="another bundle, as it was frozen")
-    add("--renderings", type=int, default=1, metavar="N", help="seeds of every recording (1)")
-    add("--work", type=Path, metavar="DIR", help="renderings are kept there (default: STORE.work)")
+        help="guidance on the lexeme (default -1 0 0.4 1); -1 leaves it out")
+    add("--split", choices=("val", "test"), default="val", help="split of the recordings (default val)")
+    add("--limit", type=int, metavar="N", help="use only the first N recordings of the split")
+    add("--system", action="append", default=[], metavar="NAME=BUNDLE", help="another bundle, with its own settings")
+    add("--renderings", type=int, default=1, metavar="N", help="seeds per recording (default 1)")
+    add("--work", type=Path, metavar="DIR", help="work folder for renderings (default: STORE.work)")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:

@@ -117,11 +117,12 @@ def table(figures: Mapping[str, Sequence[Mapping[str, float]]]) -> Table:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What the probe takes."""
     parser.add_argument("--speech", nargs="+", type=Path, default=[], metavar="FILE",
-                        help="sounds to gesture for (default: the real take's in GESTICULATOR_DATA)")
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="renderings of each sound (3)")
-    parser.add_argument("--seconds", type=float, default=30.0, metavar="S", help="of each sound (30)")
-    parser.add_argument("--only", nargs="+", choices=list(ROWS), metavar="ROW", help="these settings alone")
-    parser.add_argument("--bundle", metavar="DIR", help="default: the shipped one")
+                        help="audio files (default: the real recording in GESTICULATOR_DATA)")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="renderings per audio file (default 3)")
+    parser.add_argument("--seconds", type=float, default=30.0, metavar="S",
+                        help="seconds of each audio file (default 30)")
+    parser.add_argument("--only", nargs="+", choices=list(ROWS), metavar="ROW", help="only these settings")
+    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
 
 
 def run(arguments: argparse.Namespace) -> Sequence[Table]:

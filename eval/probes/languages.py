@@ -245,14 +245,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", required=True, nargs="+", type=Path, metavar="DIR",
         help="folders of LANGUAGE_NAME.flac, and stores (their test split)")
-    add("--bundle", metavar="DIR", help="default: the shipped one")
+    add("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
     add("--reverse", metavar="DIR", help="a bundle trained on another language, on the same speech")
     add("--interpreters", default=("lstm",), type=_listed, metavar="A,B", help=f"of {', '.join(INTERPRETERS)} (lstm)")
-    add("--speak", type=_listed, metavar="cmn,de", help="languages to speak here with synthetic voices (cmn, where "
-        "--data has none; '' for none)")
-    add("--seconds", type=float, default=60.0, help="of --speak, by each of the language's test voices (60)")
-    add("--takes", type=int, default=3, help="times that each performer plays everything, with other lexemes sampled "
-        "and so with another rhythm (3)")
+    add("--speak", type=_listed, metavar="cmn,de",
+        help="languages to synthesise (default: cmn, if --data has none; '' for none)")
+    add("--seconds", type=float, default=60.0,
+        help="seconds of --speak for each test voice of the language (default 60)")
+    add("--takes", type=int, default=3,
+        help="renderings by each performer, with other sampled lexemes and therefore another rhythm (default 3)")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:

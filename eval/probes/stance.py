@@ -144,10 +144,11 @@ def _beyond(point: Array, soles: Sequence[Array]) -> bool:
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What the probe takes."""
-    parser.add_argument("--speech", nargs="+", type=Path, default=[], metavar="FILE", help="sounds to gesture for")
-    parser.add_argument("--pause", type=float, default=30.0, metavar="S", help="seconds of a pause, 0 for none (30)")
-    parser.add_argument("--renderings", type=int, default=4, metavar="N", help="seeds of each (4)")
-    parser.add_argument("--bundle", metavar="DIR", help="ours (default: the shipped one)")
+    parser.add_argument("--speech", nargs="+", type=Path, default=[], metavar="FILE", help="audio files")
+    parser.add_argument("--pause", type=float, default=30.0, metavar="S",
+                        help="seconds of a pause, 0 for none (default 30)")
+    parser.add_argument("--renderings", type=int, default=4, metavar="N", help="seeds for each (default 4)")
+    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
     parser.add_argument("--system", action="append", default=[], metavar="NAME=DIR", help="BVH files with legs")
 
 

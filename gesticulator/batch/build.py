@@ -29,13 +29,16 @@ if TYPE_CHECKING:
 
 def _arguments(p: argparse.ArgumentParser) -> None:
     build.add_arguments(p)
-    many = p.add_argument_group("many machines")
-    many.add_argument("--ray", metavar="WHERE", help="make the recordings on a Ray cluster: auto, its address, or "
-                      "local:N for N workers here (needs Ray)")
-    many.add_argument("--shard", metavar="I/N", help="make the share I of N and stop; the same command without it "
-                      "makes what is missing and finishes the store")
-    many.add_argument("--manifest", metavar="FILE", help="note each recording here (.parquet or .jsonl); the default "
-                      "with --ray and --shard is STORE.manifest.parquet")
+    many = p.add_argument_group("several machines")
+    many.add_argument("--ray", metavar="WHERE",
+                      help="build on a Ray cluster: auto, its address, or local:N for N workers on this machine "
+                      "(needs Ray)")
+    many.add_argument("--shard", metavar="I/N",
+                      help="build shard I of N and stop; the same command without --shard builds what is missing and "
+                      "finishes the store")
+    many.add_argument("--manifest", metavar="FILE",
+                      help="record the status of each recording here (.parquet or .jsonl); default with --ray and "
+                      "--shard: STORE.manifest.parquet")
 
 
 def _run(asked: argparse.Namespace) -> int:
@@ -152,7 +155,7 @@ def _worker(workshop: build.Workshop, items: Sequence[Item]) -> Callable[[int], 
 
 
 COMMAND = Command(
-    "turn recordings of speech and motion into a store to train on", _arguments, _run,
+    "build a training store from recordings of speech and motion", _arguments, _run,
     examples=("build performer --preset tiny --out store", "build folder --source DIR --out store",
               "build beat --source DIR --out store --workers 4", "build beat --source DIR --out store --ray auto",
               "build beat --source DIR --out store --shard 2/8"))

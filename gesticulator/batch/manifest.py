@@ -211,7 +211,7 @@ def _arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("manifest", nargs="+", type=Path, metavar="MANIFEST", help="manifests of a batch or of its shards")
     p.add_argument("-o", "--output", type=Path, metavar="FILE", help="write all rows to one manifest "
                    "(.parquet, .jsonl)")
-    p.add_argument("--failed", action="store_true", help="list what failed, and why")
+    p.add_argument("--failed", action="store_true", help="list the failures and their reasons")
 
 
 def _run(asked: argparse.Namespace) -> int:
@@ -231,6 +231,6 @@ def _worst(rows: Iterable[ManifestRow]) -> Iterator[ManifestRow]:
 
 
 COMMAND = Command(
-    "join the manifests of a batch, and show what was done and what failed", _arguments, _run,
+    "join the manifests of a batch and show what succeeded and failed", _arguments, _run,
     examples=("manifest out/manifest.parquet", "manifest out/manifest.1-of-2.parquet out/manifest.2-of-2.parquet "
               "-o out/manifest.parquet --failed"))

@@ -16,11 +16,11 @@ __all__ = ["BUILD", "BUNDLE", "TRAIN"]
 
 def _arguments(p: argparse.ArgumentParser) -> None:
     verbs = p.add_subparsers(dest="what", required=True, metavar="inspect|silent|upgrade")
-    inspect = verbs.add_parser("inspect", help="what a bundle holds, its sizes and hashes, what it was trained on")
-    inspect.add_argument("bundle", nargs="?", metavar="BUNDLE", help="its folder (the shipped one)")
-    inspect.add_argument("--settings", action="store_true", help="show every setting too")
+    inspect = verbs.add_parser("inspect", help="show the content, sizes, hashes and training data of a bundle")
+    inspect.add_argument("bundle", nargs="?", metavar="BUNDLE", help="folder of the bundle (default: the shipped one)")
+    inspect.add_argument("--settings", action="store_true", help="also show every setting")
     silent.arguments(verbs.add_parser("silent", help="list or edit the silent lexemes (RG 6.4.1)"))
-    upgrade = verbs.add_parser("upgrade", help="write a bundle of an older format as one of today's")
+    upgrade = verbs.add_parser("upgrade", help="convert a bundle of an older format to the current one")
     upgrade.add_argument("bundle", type=Path, metavar="OLD")
     upgrade.add_argument("out", type=Path, metavar="NEW")
 
@@ -80,6 +80,6 @@ def _settings(tree: dict[str, Any], path: str = "") -> list[str]:
 
 
 BUNDLE = Command(
-    "look into a bundle, edit its silent lexemes, or upgrade an old one", _arguments, _run,
+    "inspect a bundle, edit its silent lexemes, or upgrade an old one", _arguments, _run,
     examples=("bundle inspect", "bundle inspect bundle --settings", "bundle silent bundle --set 3,7,9",
               "bundle silent --add 12 --out mine", "bundle upgrade old new"))

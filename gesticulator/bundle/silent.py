@@ -91,12 +91,12 @@ def rewritten_copy(folder: Path, target: Path, silent: Iterable[int]) -> None:
 
 def arguments(p: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    p.add_argument("bundle", nargs="?", metavar="BUNDLE", help="its folder (the shipped one)")
-    p.add_argument("--set", metavar="3,7,9", help="these and no others")
-    p.add_argument("--automatic", action="store_true", help="those that training found, as before any edit")
-    p.add_argument("--add", metavar="3,7,9", default="", help="these too")
-    p.add_argument("--remove", metavar="3,7,9", default="", help="not these")
-    p.add_argument("--out", type=Path, metavar="DIR", help="leave BUNDLE alone and write an edited copy here")
+    p.add_argument("bundle", nargs="?", metavar="BUNDLE", help="folder of the bundle (default: the shipped one)")
+    p.add_argument("--set", metavar="3,7,9", help="use exactly these")
+    p.add_argument("--automatic", action="store_true", help="restore those that training detected")
+    p.add_argument("--add", metavar="3,7,9", default="", help="add these")
+    p.add_argument("--remove", metavar="3,7,9", default="", help="remove these")
+    p.add_argument("--out", type=Path, metavar="DIR", help="write an edited copy here instead of changing BUNDLE")
 
 
 def run(asked: argparse.Namespace) -> int:

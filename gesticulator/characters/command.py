@@ -11,8 +11,8 @@ from gesticulator.cli import Command
 def arguments(p: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
     p.add_argument("character", metavar="FILE", help="a character: .bvh, .glb, .gltf, .vrm or .fbx")
-    p.add_argument("--mapping", metavar="FILE.json", help="check this mapping instead of searching")
-    p.add_argument("--save-mapping", metavar="FILE.json", help="write what was found, to correct it")
+    p.add_argument("--mapping", metavar="FILE.json", help="check this mapping instead of identifying the joints")
+    p.add_argument("--save-mapping", metavar="FILE.json", help="write the joint mapping, to correct it")
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -32,7 +32,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 COMMAND = Command(
-    "which joints of a character are which, and how sure that is", arguments, run,
+    "identify the joints of a character, with the confidence of each", arguments, run,
     examples=(
         "character rig.glb",
         "character rig.fbx --save-mapping rig.json",

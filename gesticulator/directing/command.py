@@ -10,17 +10,17 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from gesticulator.cli import Command
 
-_BUNDLE_HELP = "a trained bundle (the shipped one)"
+_BUNDLE_HELP = "folder of trained weights (default: the shipped ones)"
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
     """What the command takes."""
     verbs = p.add_subparsers(dest="what", required=True, metavar="check|names|convert|schema")
-    check = verbs.add_parser("check", help="say what is wrong with a plan, with its line, or what is edited in it")
+    check = verbs.add_parser("check", help="report the errors of a plan with their lines, or its edits")
     check.add_argument("plan", metavar="PLAN", help="a plan, .json or .bml")
-    names = verbs.add_parser("names", help="the gestures that can be asked for, and the lexemes with their names")
+    names = verbs.add_parser("names", help="list the named gestures and the names of the lexemes")
     names.add_argument("--bundle", metavar="DIR", help=_BUNDLE_HELP)
-    convert = verbs.add_parser("convert", help="from JSON to BML or back")
+    convert = verbs.add_parser("convert", help="convert JSON to BML or back")
     convert.add_argument("plan", metavar="PLAN", help="a plan, .json or .bml")
     convert.add_argument("out", type=Path, metavar="OUT", help="the file to write, .json or .bml")
     verbs.add_parser("schema", help="print the JSON Schema of plans")
@@ -76,5 +76,5 @@ def _convert(source: str, target: Path) -> None:
 
 
 COMMAND = Command(
-    "check a gesture plan, list the names it can use, turn it into BML and back", arguments, run,
+    "check a gesture plan, list the gesture names, convert it to BML and back", arguments, run,
     examples=("plan names", "plan check plan.json", "plan convert plan.json plan.bml", "plan schema"))

@@ -22,32 +22,33 @@ def arguments(p: argparse.ArgumentParser) -> None:
     from gesticulator.serve.settings import ServerLimits
 
     plain = ServerLimits()
-    where = p.add_argument_group("where it listens, and who may come")
+    where = p.add_argument_group("address and access")
     where.add_argument("--host", default="127.0.0.1", help="address to listen on (default 127.0.0.1, this machine)")
-    where.add_argument("--port", type=int, default=8765, help="default 8765; 0 for any that is free")
-    where.add_argument("--origin", action="append", default=[], metavar="URL", help="a web page's origin that may "
-                       "connect, such as https://example.org; pages of this machine may; may be given several times")
+    where.add_argument("--port", type=int, default=8765, help="port (default 8765; 0 chooses a free one)")
+    where.add_argument("--origin", action="append", default=[], metavar="URL",
+                       help="origin of web pages that may connect, such as https://example.org (pages on this machine "
+                       "always may); can be repeated")
     where.add_argument("--token-file", metavar="FILE", help="a file with the token that clients must send (or set "
                        f"{TOKEN_VARIABLE})")
-    where.add_argument("--no-token", action="store_true", help="let everybody in who can reach another --host")
+    where.add_argument("--no-token", action="store_true", help="require no token for another --host")
     limits = p.add_argument_group("limits of each worker")
     limits.add_argument("--streams", type=int, default=plain.streams, metavar="N",
-                        help=f"streams at a time (default {plain.streams})")
+                        help=f"maximum number of streams (default {plain.streams})")
     limits.add_argument("--stream-seconds", type=float, default=plain.stream_seconds, metavar="S",
-                        help=f"sound that a stream may have (default {plain.stream_seconds:g})")
+                        help=f"maximum duration of a stream (default {plain.stream_seconds:g})")
     limits.add_argument("--waiting-seconds", type=float, default=plain.waiting_seconds, metavar="S",
-                        help=f"sound that may wait to be worked on (default {plain.waiting_seconds:g})")
+                        help=f"maximum of waiting audio (default {plain.waiting_seconds:g})")
     limits.add_argument("--message-bytes", type=int, default=plain.message_bytes, metavar="N",
-                        help=f"longest message (default {plain.message_bytes})")
+                        help=f"maximum message length (default {plain.message_bytes})")
     limits.add_argument("--unread-bytes", type=int, default=plain.unread_bytes, metavar="N",
-                        help=f"poses that a client may leave unread (default {plain.unread_bytes})")
+                        help=f"maximum of unread poses (default {plain.unread_bytes})")
     limits.add_argument("--drain-seconds", type=float, default=plain.drain_seconds, metavar="S",
-                        help=f"how long streams may go on after SIGTERM (default {plain.drain_seconds:g})")
-    p.add_argument("--workers", type=int, default=1, metavar="N", help="processes, one for each core (default 1)")
-    p.add_argument("--vmc", metavar="HOST:PORT", help="also send the first stream's poses by VMC, such as "
-                   "127.0.0.1:39539")
-    p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
-    p.add_argument("--threads", type=int, default=1, metavar="N", help="threads of each worker (default 1)")
+                        help=f"time for open streams after SIGTERM (default {plain.drain_seconds:g})")
+    p.add_argument("--workers", type=int, default=1, metavar="N", help="number of processes, one per core (default 1)")
+    p.add_argument("--vmc", metavar="HOST:PORT",
+                   help="also send the poses of the first stream by VMC, such as 127.0.0.1:39539")
+    p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    p.add_argument("--threads", type=int, default=1, metavar="N", help="torch threads per worker (default 1)")
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -80,7 +81,7 @@ def read_token(asked: argparse.Namespace) -> str:
 
 
 COMMAND = Command(
-    "answer sound with poses, live, over a WebSocket", arguments, run,
+    "answer audio with poses, live, over a WebSocket", arguments, run,
     examples=(
         "serve",
         "serve --port 9000 --workers 4",
@@ -91,11 +92,11 @@ COMMAND = Command(
 
 def live_arguments(p: argparse.ArgumentParser) -> None:
     """Add what the verb `live` takes."""
-    p.add_argument("--port", type=int, default=8765, help="default 8765; 0 for any that is free")
-    p.add_argument("--no-browser", action="store_true", help="do not open the page, only serve it")
+    p.add_argument("--port", type=int, default=8765, help="port (default 8765; 0 chooses a free one)")
+    p.add_argument("--no-browser", action="store_true", help="serve the page without opening it")
     p.add_argument("--vmc", metavar="HOST:PORT", help="also send the poses by VMC, such as 127.0.0.1:39539")
-    p.add_argument("--bundle", metavar="DIR", help="a trained bundle (default: the one that is shipped)")
-    p.add_argument("--threads", type=int, default=1, metavar="N", help="threads (default 1)")
+    p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    p.add_argument("--threads", type=int, default=1, metavar="N", help="torch threads (default 1)")
 
 
 def run_live(asked: argparse.Namespace) -> int:
@@ -109,7 +110,7 @@ def run_live(asked: argparse.Namespace) -> int:
 
 
 LIVE = Command(
-    "open a page that gestures to your microphone, or to a recording", live_arguments, run_live,
+    "open a page that gestures to your microphone or to a recording", live_arguments, run_live,
     examples=(
         "live",
         "live --port 9000 --no-browser",

@@ -31,10 +31,10 @@ SHOWN = (".glb", ".gltf", ".vrm")
 def arguments(p: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     p.usage = f"{p.prog} SPEECH [options]"
-    p.add_argument("speech", nargs="*", metavar="SPEECH", help="a sound file, as of gesticulator infer")
-    page = p.add_argument_group("the page")
-    page.add_argument("--port", type=int, default=0, metavar="N", help="serve on this port of 127.0.0.1 (default: any)")
-    page.add_argument("--no-browser", action="store_true", help="print the address, and open no window")
+    p.add_argument("speech", nargs="*", metavar="SPEECH", help="an audio file, as for gesticulator infer")
+    page = p.add_argument_group("page")
+    page.add_argument("--port", type=int, default=0, metavar="N", help="port on 127.0.0.1 (default: any free one)")
+    page.add_argument("--no-browser", action="store_true", help="print the address instead of opening a window")
     page.add_argument("--beside", choices=INTERPRETERS, metavar="NAME", help="a second take beside it, whose lexemes "
                       f"this interpreter chooses: {', '.join(INTERPRETERS)}")
     performance_arguments(p)
@@ -135,7 +135,7 @@ def _serve(server: PageServer, asked: argparse.Namespace) -> None:
 
 
 COMMAND = Command(
-    "a page that shows a performance and edits its plan, with the models behind it", arguments, run,
+    "open a page that plays a performance and edits its plan", arguments, run,
     examples=(
         "view talk.flac",
         "view talk.flac --text talk.txt --character rig.vrm",

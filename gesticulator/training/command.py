@@ -34,24 +34,25 @@ class _List(argparse.Action):
 def arguments(p: argparse.ArgumentParser) -> None:
     """What the command takes."""
     p.add_argument("--data", required=True, metavar="STORE", help="a store made by gesticulator build")
-    p.add_argument("--out", required=True, metavar="BUNDLE", help="the folder to write the bundle to")
-    p.add_argument("--preset", default="default", help="settings that belong together (--list shows them)")
+    p.add_argument("--out", required=True, metavar="BUNDLE", help="output folder for the bundle")
+    p.add_argument("--preset", default="default", help="a set of settings (--list shows them)")
     p.add_argument("--speech", action="append", default=[], metavar="DIR",
-                   help="a folder of more sound (no motion, no text) for the speech encoder's first stage")
+                   help="folder of additional audio (no motion, no text) for the first stage of the speech encoder")
     p.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="settings",
                    help="change a setting of the preset, for example generator.lstm_width=320")
-    p.add_argument("--work", metavar="DIR", help="where stages are kept (default: BUNDLE.work); resumed when there")
+    p.add_argument("--work", metavar="DIR",
+                   help="work folder for finished stages, reused if it exists (default: BUNDLE.work)")
     p.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
-    p.add_argument("--threads", type=int, help="threads of torch, of each process (default: all cores)")
+    p.add_argument("--threads", type=int, help="torch threads per process (default: all cores)")
     p.add_argument("--precision", default="float32", choices=("float32", "bfloat16"),
-                   help="bfloat16: mixed precision, on a GPU")
+                   help="bfloat16 is mixed precision, on a GPU (default float32)")
     p.add_argument("--corpus-memory", type=float, default=4.0, metavar="GB",
-                   help="a corpus that would take more memory stays on the disk (default 4)")
-    p.add_argument("--stage", metavar="STAGE", help="train this stage (and what it needs) and stop")
+                   help="read the corpus from disk if it takes more memory than this (default 4)")
+    p.add_argument("--stage", metavar="STAGE", help="train this stage and those it needs, then stop")
     p.add_argument("--redo", action="append", default=[], metavar="STAGE", help="train this stage again")
-    p.add_argument("--seed", type=int, help="the seed of the run")
-    p.add_argument("--quiet", action="store_true", help="no progress")
-    p.add_argument("--list", action=_List, nargs=0, help="show the presets and the stages and stop")
+    p.add_argument("--seed", type=int, help="random seed")
+    p.add_argument("--quiet", action="store_true", help="print no progress")
+    p.add_argument("--list", action=_List, nargs=0, help="list the presets and the stages and exit")
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -99,7 +100,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 COMMAND = Command(
-    "train a bundle from a store: every stage, resumable", arguments, run,
+    "train a bundle from a store; interrupted runs resume", arguments, run,
     examples=("train --data store --out bundle", "train --data store --out bundle --preset tiny",
               "train --data store --out bundle --set generator.lstm_width=320 --seed 2",
               "train --data store --out bundle --stage generator",

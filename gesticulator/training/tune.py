@@ -124,17 +124,18 @@ def figure_of(config: Config, store: Store, work: Path, stage: str, figure: str,
 
 def _arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--data", required=True, metavar="STORE", help="a store made by gesticulator build")
-    p.add_argument("--work", required=True, metavar="DIR", help="where stages and the search are kept")
-    p.add_argument("--stage", required=True, metavar="STAGE", help="what is trained (gesticulator train --list)")
-    p.add_argument("--figure", required=True, metavar="NAME", help="of its validation, such as nll")
-    p.add_argument("--highest", action="store_true", help="more of it is better")
+    p.add_argument("--work", required=True, metavar="DIR", help="work folder for stages and the search")
+    p.add_argument("--stage", required=True, metavar="STAGE", help="the stage to train (gesticulator train --list)")
+    p.add_argument("--figure", required=True, metavar="NAME", help="the validation figure to optimise, such as nll")
+    p.add_argument("--highest", action="store_true", help="maximise the figure instead of minimising it")
     p.add_argument("--search", required=True, action="append", metavar="PATH=RANGE", dest="ranges",
-                   help="a setting and where to look: LOW..HIGH, LOW..HIGH:log, or A,B,C")
-    p.add_argument("--trials", type=int, default=20, metavar="N", help="in all, those of before included (20)")
-    p.add_argument("--preset", default="default", help="what is changed")
+                   help="a setting and its range: LOW..HIGH, LOW..HIGH:log, or A,B,C")
+    p.add_argument("--trials", type=int, default=20, metavar="N",
+                   help="total number of trials, including earlier ones (default 20)")
+    p.add_argument("--preset", default="default", help="the preset to start from")
     p.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="settings",
                    help="change a setting of the preset, for every trial")
-    p.add_argument("--seed", type=int, default=1, help="of what is tried (1)")
+    p.add_argument("--seed", type=int, default=1, help="seed of the search (default 1)")
 
 
 def _run(asked: argparse.Namespace) -> int:
@@ -171,7 +172,7 @@ def report(found: Sequence[tuple[float, Settings]], stage: str, figure: str) -> 
 
 
 COMMAND = Command(
-    "search for settings with which a stage does best on the validation split", _arguments, _run,
+    "search for the settings of a stage that are best on the validation split", _arguments, _run,
     examples=("tune --data STORE --work DIR --stage interpreter --figure nll --search schedules.interpreter.rate="
               "1e-4..1e-2:log --trials 20",
               "tune --data STORE --work DIR --stage lexicon --figure quantised --search lexicon.size=25,50,100"))

@@ -101,16 +101,18 @@ GROUPS: dict[str, Callable[[Acceptance], tuple[list[Clause], list[Table]]]] = {
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What the probe takes."""
     add = parser.add_argument
-    add("--bundle", type=Path, metavar="DIR", help="default: the shipped one")
-    add("--store", metavar="STORE", help="its test split is the corpus, its training split that of unit selection")
+    add("--bundle", type=Path, metavar="DIR", help="bundle (default: the shipped one)")
+    add("--store", metavar="STORE",
+        help="store whose test split is the corpus and whose training split is used for unit selection")
     add("--system", action="append", default=[], metavar="NAME=DIR",
         help="another bundle, such as the paper's regressing generator, or motion files (take.bvh, RECORDING.bvh)")
-    add("--renderings", type=int, default=8, metavar="N", help="seeds of the real take's voice (8)")
+    add("--renderings", type=int, default=8, metavar="N", help="seeds for the real recording's voice (default 8)")
     add("--only", nargs="+", choices=sorted(GROUPS), metavar="GROUP",
-        help=f"run these alone: {', '.join(GROUPS)}")
-    add("--limit", type=int, metavar="N", help="recordings of the test split at most")
-    add("--work", type=Path, metavar="DIR", help="renderings and units are kept there (default: STORE.work)")
-    add("--write", type=Path, metavar="DIR", help="also write ours as DIR/VOICE.SEED.bvh, to be a --system later")
+        help=f"run only these: {', '.join(GROUPS)}")
+    add("--limit", type=int, metavar="N", help="maximum number of test recordings")
+    add("--work", type=Path, metavar="DIR", help="work folder for renderings and units (default: STORE.work)")
+    add("--write", type=Path, metavar="DIR",
+        help="also write our motion as DIR/VOICE.SEED.bvh, for use as a --system later")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:

@@ -72,14 +72,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, a bundle, its work folder, and how much is measured."""
     EvalContext.arguments(parser)
     add = parser.add_argument
-    add("--renderings", type=int, default=1, metavar="N", help="seeds that every policy is played with (1)")
-    add("--seconds", type=float, default=40.0, metavar="S", help="of each recording that are played (40)")
-    add("--split", default="test", choices=("val", "test"), help="val: to choose beta by")
+    add("--renderings", type=int, default=1, metavar="N", help="seeds per policy (default 1)")
+    add("--seconds", type=float, default=40.0, metavar="S", help="seconds of each recording (default 40)")
+    add("--split", default="test", choices=("val", "test"), help="split to use; val to choose beta")
     add("--control-steps", type=int, default=300, metavar="N",
-        help="steps of the two reward models that are taught with right and rolled sound (300; 0 for none)")
-    add("--exchange", action="store_true", help="teach critics with the judge, to be judged by the training reward "
-        "(minutes; kept in the work folder, and used from then on)")
-    add("--json", type=Path, metavar="FILE", help="the clauses as a list, such as docs/results/racer_acceptance.json")
+        help="training steps of the two reward models with correct and shifted audio (default 300; 0 for none)")
+    add("--exchange", action="store_true",
+        help="also train critics on the judge and evaluate them with the training reward (minutes; stored in the work "
+        "folder and reused)")
+    add("--json", type=Path, metavar="FILE",
+        help="output file for the list of criteria, such as docs/results/racer_acceptance.json")
 
 
 @dataclass(frozen=True)
