@@ -60,6 +60,21 @@ def refused(path: Path, *words: str) -> None:
         assert word in line
 
 
+def test_twenty_decibels_are_ten_times_the_amplitude_in_a_file_and_in_a_stream() -> None:
+    wave = 0.05 * np.sin(np.arange(16000, dtype=np.float32) / 7)
+    np.testing.assert_allclose(amplified(Speech(wave, 16000), 20.0).samples, 10 * wave, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(amplified(Speech(wave, 16000), -20.0).samples, wave / 10, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(SampleFeed(16000, 20.0).take(wave), 10 * wave, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(("kind", "half"), [(np.int16, 2**14), (np.int32, 2**30), (np.uint8, 64)])
+def test_half_of_full_scale_is_a_half_whatever_the_type(kind: type, half: int) -> None:
+    middle = 128 if kind is np.uint8 else 0
+    samples = np.full(8000, middle + half, kind)
+    np.testing.assert_allclose(as_speech(samples, 16000).samples, 0.5)
+    np.testing.assert_allclose(SampleFeed(16000).take(samples), 0.5)
+
+
 @pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
 @pytest.mark.parametrize("rate", [8000, 16000, 44100, 48000])
 @pytest.mark.parametrize("channels", [1, 2])
@@ -465,18 +480,3 @@ def test_a_recording_that_is_too_low_is_told_its_gain() -> None:
         # Loud frames are at -26 dBFS, the usual level, so the gain is what was lost.
         assert f"at {-26 + gain} dBFS" in note and f"--gain {-gain}" in note
     assert "silence" in str(level_note(Speech(np.zeros(16000, np.float32), 16000)))
-
-
-def test_twenty_decibels_are_ten_times_the_amplitude_in_a_file_and_in_a_stream() -> None:
-    wave = 0.05 * np.sin(np.arange(16000, dtype=np.float32) / 7)
-    np.testing.assert_allclose(amplified(Speech(wave, 16000), 20.0).samples, 10 * wave, rtol=1e-5, atol=1e-7)
-    np.testing.assert_allclose(amplified(Speech(wave, 16000), -20.0).samples, wave / 10, rtol=1e-5, atol=1e-7)
-    np.testing.assert_allclose(SampleFeed(16000, 20.0).take(wave), 10 * wave, rtol=1e-5, atol=1e-7)
-
-
-@pytest.mark.parametrize(("kind", "half"), [(np.int16, 2**14), (np.int32, 2**30), (np.uint8, 64)])
-def test_half_of_full_scale_is_a_half_whatever_the_type(kind: type, half: int) -> None:
-    middle = 128 if kind is np.uint8 else 0
-    samples = np.full(8000, middle + half, kind)
-    np.testing.assert_allclose(as_speech(samples, 16000).samples, 0.5)
-    np.testing.assert_allclose(SampleFeed(16000).take(samples), 0.5)

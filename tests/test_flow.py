@@ -95,6 +95,50 @@ def drawn(generator: FlowGenerator, lexeme: int, side: float, gains: tuple[float
     return found
 
 
+def test_squeezing_is_undone_and_held_within_what_was_done() -> None:
+    motion = swings(50, False)["motion"].flatten(0, 1)
+    generator = made(motion)
+    low, high = generator.basis.limits
+    y = low + (high - low) * torch.rand(40, len(low))
+    torch.testing.assert_close(generator.stretch(generator.squeeze(y)), y, atol=1e-4, rtol=1e-4)
+    assert (generator.stretch(100 * torch.ones(1, len(low))) <= high).all()
+
+
+def test_a_shift_is_taken_back_along_a_quintic() -> None:
+    """Of a block of four frames: 1 - (10 x^3 - 15 x^4 + 6 x^5) at its quarters."""
+    torch.testing.assert_close(_fade(4, torch.zeros(1)), torch.tensor([0.896484375, 0.5, 0.103515625, 0.0]))
+
+
+def test_drawing_follows_the_field_that_was_trained() -> None:
+    """Heun's method over `FlowHead` itself, context by context, against the head that drawing uses: also after the
+    weights have changed."""
+    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
+    contexts = torch.randn(3, CONFIG.context + generator.basis.width, generator=torch.manual_seed(1))
+    gains, noise = torch.rand(2, generator.basis.width), torch.randn(4, generator.basis.width)
+
+    def slowly(steps: int) -> torch.Tensor:
+        def v(u: torch.Tensor, time: float) -> torch.Tensor:
+            at = FlowTime.of(torch.full((len(u), 1), time))
+            one, *others = (generator.head(u, at, generator.head.conditions(own.expand(len(u), -1)))
+                            for own in contexts)
+            return one + sum(gain * (one - other) for gain, other in zip(gains, others, strict=True))
+
+        u = noise
+        for i in range(steps):
+            first = v(u, i / steps)
+            u = u + (first + v(u + first / steps, (i + 1) / steps)) / 2 / steps
+        return generator.stretch(u)
+
+    for seed in range(2):
+        with torch.no_grad():
+            for weight in generator.head.parameters():
+                weight.copy_(0.3 * torch.randn(weight.shape, generator=torch.manual_seed(seed)))
+            wanted = slowly(3)
+            found = generator.draw(contexts, gains, noise, 3)
+        assert wanted.std() > 0.1
+        torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-3)
+
+
 def test_it_draws_either_side_and_never_the_mean() -> None:
     """A regression would draw 0, which nobody ever does."""
     found = drawn(trained(heard=False, named=False), 0, 0.0)
@@ -117,20 +161,6 @@ def test_it_hears_the_side_and_guidance_goes_beyond() -> None:
     assert (drawn(generator, 0, -1.0) < -0.5).mean() > 0.9
     faint = [(drawn(generator, 0, 0.08, (gain, 0.0)) > 0).mean() for gain in (0.0, 2.0)]
     assert faint[1] > faint[0]
-
-
-def test_squeezing_is_undone_and_held_within_what_was_done() -> None:
-    motion = swings(50, False)["motion"].flatten(0, 1)
-    generator = made(motion)
-    low, high = generator.basis.limits
-    y = low + (high - low) * torch.rand(40, len(low))
-    torch.testing.assert_close(generator.stretch(generator.squeeze(y)), y, atol=1e-4, rtol=1e-4)
-    assert (generator.stretch(100 * torch.ones(1, len(low))) <= high).all()
-
-
-def test_a_shift_is_taken_back_along_a_quintic() -> None:
-    """Of a block of four frames: 1 - (10 x^3 - 15 x^4 + 6 x^5) at its quarters."""
-    torch.testing.assert_close(_fade(4, torch.zeros(1)), torch.tensor([0.896484375, 0.5, 0.103515625, 0.0]))
 
 
 def test_what_no_source_has_weighs_nothing() -> None:
@@ -225,36 +255,6 @@ def test_who_forgets_is_told_the_last_frames_alone() -> None:
     assert not torch.equal(context(true, False, 0.0), context(other, False, 0.0))
     assert not torch.equal(context(true, False, 0.0), context(true, False, 1.0))
     assert not torch.equal(context(true, True, 0.0), context(true + 1.0, True, 0.0)), "where the body is it must know"
-
-
-def test_drawing_follows_the_field_that_was_trained() -> None:
-    """Heun's method over `FlowHead` itself, context by context, against the head that drawing uses: also after the
-    weights have changed."""
-    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
-    contexts = torch.randn(3, CONFIG.context + generator.basis.width, generator=torch.manual_seed(1))
-    gains, noise = torch.rand(2, generator.basis.width), torch.randn(4, generator.basis.width)
-
-    def slowly(steps: int) -> torch.Tensor:
-        def v(u: torch.Tensor, time: float) -> torch.Tensor:
-            at = FlowTime.of(torch.full((len(u), 1), time))
-            one, *others = (generator.head(u, at, generator.head.conditions(own.expand(len(u), -1)))
-                            for own in contexts)
-            return one + sum(gain * (one - other) for gain, other in zip(gains, others, strict=True))
-
-        u = noise
-        for i in range(steps):
-            first = v(u, i / steps)
-            u = u + (first + v(u + first / steps, (i + 1) / steps)) / 2 / steps
-        return generator.stretch(u)
-
-    for seed in range(2):
-        with torch.no_grad():
-            for weight in generator.head.parameters():
-                weight.copy_(0.3 * torch.randn(weight.shape, generator=torch.manual_seed(seed)))
-            wanted = slowly(3)
-            found = generator.draw(contexts, gains, noise, 3)
-        assert wanted.std() > 0.1
-        torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-3)
 
 
 def test_what_is_given_once_holds_for_all() -> None:

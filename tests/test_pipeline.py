@@ -58,6 +58,17 @@ def without(bundle: Bundle, *parts: str) -> Bundle:
     return kept.with_parts(**dict.fromkeys(set(parts) - {"text"}))
 
 
+def test_a_rest_closes_half_of_the_way_with_every_block_and_never_swings() -> None:
+    last = torch.tensor([[[1.0, -2.0]]])
+    # Generated: a swing about (3, 0), the same in every block.
+    swing = torch.tensor([[[4.0, 1.0], [2.0, -1.0], [4.0, 1.0], [2.0, -1.0]]])
+    first = approach_rest(last, swing, 0.5)
+    torch.testing.assert_close(first, torch.tensor([[[1.25, -1.75], [1.5, -1.5], [1.75, -1.25], [2.0, -1.0]]]))
+    for _ in range(12):
+        last = approach_rest(last, swing, 0.5)[:, -1:]
+    torch.testing.assert_close(last, torch.tensor([[[3.0, 0.0]]]), atol=2e-3, rtol=0)
+
+
 def test_without_words_the_ear_alone_decides(system: Gesticulator) -> None:
     bundle = system.bundle
     assert system.interpreter("lstm") is bundle.interpreter
@@ -243,14 +254,3 @@ def test_joints_that_no_data_moved_stay_where_the_mean_has_them(system: Gesticul
     # The seed is the rest pose; after the first block it is the mean pose to the end.
     np.testing.assert_allclose(poses[20:], np.broadcast_to(poses[20], poses[20:].shape), atol=1e-6)
     assert np.ptp(made.motion.rotations[20:, 3], axis=0).max() > 1e-3
-
-
-def test_a_rest_closes_half_of_the_way_with_every_block_and_never_swings() -> None:
-    last = torch.tensor([[[1.0, -2.0]]])
-    # Generated: a swing about (3, 0), the same in every block.
-    swing = torch.tensor([[[4.0, 1.0], [2.0, -1.0], [4.0, 1.0], [2.0, -1.0]]])
-    first = approach_rest(last, swing, 0.5)
-    torch.testing.assert_close(first, torch.tensor([[[1.25, -1.75], [1.5, -1.5], [1.75, -1.25], [2.0, -1.0]]]))
-    for _ in range(12):
-        last = approach_rest(last, swing, 0.5)[:, -1:]
-    torch.testing.assert_close(last, torch.tensor([[[3.0, 0.0]]]), atol=2e-3, rtol=0)
