@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import Field, fields
+from typing import TYPE_CHECKING, Any, cast
 
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
 from gesticulator.cli import PROGRAM
-from gesticulator.options import FPS, RANGES
-from gesticulator.plan.plan import ENERGIES, HANDS
+from gesticulator.options import RANGES, Flag, InferenceOptions
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def number(name: str) -> Callable[[str], float]:
-    """Reads the argument --NAME, in its range of `gesticulator.performance.RANGES`."""
+    """Reads the argument --NAME, in its range of `gesticulator.options.RANGES`."""
     return lambda text: RANGES[name].parse(f"--{name}", text)
 
 
@@ -53,57 +54,26 @@ def _cue(text: str) -> GestureCue:
     return GestureCue(gesture, at)
 
 
+_PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue}
+"""Field -> reads its value, where that is neither a number nor a word."""
+_GROUPS = {
+    "audio and transcript": "",
+    "motion": "VALUE is low, mid or high, a number, or a CSV file with the columns time and value.",
+}
+"""Heading of a group of options -> the line below it."""
+
+
 def performance_arguments(p: argparse.ArgumentParser) -> None:
-    """Add what tells how a recording is performed, whatever is made of it."""
-    heard = p.add_argument_group("audio and transcript")
-    heard.add_argument("--text", metavar="FILE",
-                       help="transcript: plain text, TextGrid, SRT, VTT or JSON with word times; or a folder of "
-                       "transcripts named like the recordings")
-    heard.add_argument("--gain", type=number("gain"), default=0.0, metavar="DB",
-                       help="gain applied to the recording, decibels (default 0)")
-    heard.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
-    style = p.add_argument_group("motion", "VALUE is low, mid or high, a number, or a CSV file with the columns "
-                                 "time and value.")
-    style.add_argument("--speaker", metavar="NAME",
-                       help="style of movement: a speaker of the bundle (see --list speakers)")
-    style.add_argument("--hand-height", metavar="VALUE", help="height of the right hand above the hips, metres")
-    style.add_argument("--hand-speed", metavar="VALUE", help="mean speed of the hands, metres per second")
-    style.add_argument("--hand-radius", metavar="VALUE",
-                       help="mean distance of the hands from the body's vertical axis, metres")
-    style.add_argument("--activity", type=number("activity"), metavar="0..1",
-                       help="share of the speaking time that is gestured; 0 rests throughout, 1 is unrestricted "
-                       "(default 1)")
-    style.add_argument("--interpreter", choices=INTERPRETERS, help="the model that chooses the lexemes: " + ", ".join(
-        f"{name} ({entry.about})" for name, entry in INTERPRETERS.items()))
-    style.add_argument("--temperature", type=number("temperature"), metavar="T",
-                       help="randomness of the choice of lexemes; 0 always takes the most likely")
-    style.add_argument("--beta", type=number("beta"), metavar="B",
-                       help="with --interpreter advantage: how strongly the learned reward biases the choice; 0 is "
-                       "the same as lstm")
-    style.add_argument("--seed", type=number("seed"), default=0, metavar="N",
-                       help="random seed; the same seed gives the same bytes (default 0)")
-    style.add_argument("--variation", type=number("variation"), default=0, metavar="N",
-                       help="another rendering of the same beats and lexemes (default 0)")
-    style.add_argument("--legs", action="store_true",
-                       help="add standing legs (54 joints): weight shifts, planted feet")
-    style.add_argument("--seated", action="store_true", help="seat the character, with still legs and hips (54 joints)")
-    style.add_argument("--intensity", type=number("intensity"), default=1.0, metavar="0..2",
-                       help="size of the gestures; at 0 the hands hang (default 1)")
-    style.add_argument("--energy", choices=tuple(ENERGIES), default="neutral",
-                       help="scales intensity and activity: calm is 0.6 of both, lively 1.5 of intensity")
-    style.add_argument("--handedness", choices=HANDS,
-                       help="preferred hand; with both, each hand takes part in the strokes of the other")
-    style.add_argument("--mirror", action="store_true", help="exchange left and right")
-    style.add_argument("--hold-still", type=_seconds, action="append", default=[], metavar="FROM-TO",
-                       help="rest the hands during these seconds, such as 3.2-5.0; can be repeated")
-    style.add_argument("--cue", type=_cue, action="append", default=[], metavar="WORD=GESTURE",
-                       help='a gesture at a word or a time: hello=wave, hello:2=wave at the second "hello", 2.5=shrug '
-                       "(gesticulator plan names lists the gestures)")
-    style.add_argument("--plan", metavar="FILE",
-                       help="render a gesture plan (.json, .bml): unchanged blocks are replayed, edited ones sampled "
-                       "again; --seed is ignored")
-    style.add_argument("--fps", type=number("fps"), default=FPS, metavar="N",
-                       help=f"frames per second of the motion (default {FPS:g})")
+    """Add the options of a performance (the fields of `InferenceOptions` that have a flag), of the character and of
+    the run."""
+    groups = {name: p.add_argument_group(name, about or None) for name, about in _GROUPS.items()}
+    audio = groups["audio and transcript"]
+    audio.add_argument("--text", metavar="FILE", help="transcript: plain text, TextGrid, SRT, VTT or JSON with word "
+                       "times; or a folder of transcripts named like the recordings")
+    audio.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
+    for field in fields(InferenceOptions):
+        if "flag" in field.metadata:
+            _add_option(groups[field.metadata["flag"].group], field, field.metadata["flag"])
     body = p.add_argument_group("character", "Your own character, from Mixamo, VRM, Unreal, Blender or "
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
@@ -122,6 +92,63 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
 
 
+def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: Flag) -> None:
+    """Add the option of one field."""
+    name = f"--{(flag.name or field.name).replace('_', '-')}"
+    text, more = flag.help, dict[str, Any](dest=field.name, default=[] if flag.many else field.default)
+    if flag.metavar is None:
+        group.add_argument(name, action="store_true", help=text, **more)
+        return
+    if field.name == "interpreter":
+        more["choices"] = tuple(INTERPRETERS)
+        text += ": " + ", ".join(f"{one} ({entry.about})" for one, entry in INTERPRETERS.items())
+    elif flag.choices:
+        more["choices"] = flag.choices
+    else:
+        more["metavar"] = flag.metavar
+    if field.name in RANGES:
+        more["type"] = number(field.name)
+    elif field.name in _PARSERS:
+        more["type"] = _PARSERS[field.name]
+    if flag.many:
+        more["action"] = "append"
+    group.add_argument(name, help=text, **more)
+
+
+def check_choices(asked: argparse.Namespace) -> None:
+    """`InputError` for a speaker that the bundle does not have and a --beta that nothing reads, before models load."""
+    if asked.beta is not None and (asked.interpreter is None or not INTERPRETERS[asked.interpreter].prior):
+        steered = ", ".join(name for name, entry in INTERPRETERS.items() if entry.prior)
+        raise InputError(f"--beta {asked.beta:g}", f"is read by the interpreter {steered} alone",
+                         f"add --interpreter {steered}, or leave it out")
+    if asked.speaker is not None:
+        from gesticulator.bundle.bundle import SHIPPED, read_index
+
+        speakers = read_index(asked.bundle or SHIPPED)["speakers"]
+        if asked.speaker not in speakers:
+            near = difflib.get_close_matches(asked.speaker, speakers, 1)
+            raise InputError(f"--speaker {shown(asked.speaker)}", "is not in the bundle",
+                             (f"did you mean {near[0]}? " if near else "") + f"choose among {', '.join(speakers)}")
+
+
+def check_cues(system: Gesticulator, asked: argparse.Namespace) -> None:
+    """`InputError` for a cue whose gesture has no such name, before any recording is done."""
+    from gesticulator.plan.plan import GESTURES
+
+    unknown = [cue.gesture for cue in asked.cues if cue.gesture not in GESTURES]
+    if unknown:
+        from gesticulator.directing.lexeme_names import lexeme_names
+
+        names = [one.name for one in lexeme_names(system.bundle)]
+        for gesture in unknown:
+            if gesture not in names:
+                near = difflib.get_close_matches(gesture, [*GESTURES, *names], 1)
+                raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture",
+                                 (f"did you mean {near[0]}? " if near else "")
+                                 + f"choose among {', '.join(GESTURES)}, or a name of the lexicon "
+                                 "(gesticulator plan names)")
+
+
 def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls | None:
     """What the command asks of the style; None when it asks nothing."""
     from data_module.controls import controls_from
@@ -136,13 +163,13 @@ def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls 
 
 
 def asked_options(asked: argparse.Namespace, controls: Controls | None, legs: bool) -> InferenceArguments:
-    """What the command asks of a performance."""
-    return {"speaker": asked.speaker, "interpreter": asked.interpreter, "seed": int(asked.seed),
-            "variation": int(asked.variation), "temperature": asked.temperature, "beta": asked.beta,
-            "activity": asked.activity, "fps": asked.fps, "gain": asked.gain, "controls": controls,
-            "intensity": asked.intensity, "mirror": asked.mirror, "energy": asked.energy,
-            "handedness": asked.handedness, "hold_still": tuple(asked.hold_still), "cues": tuple(asked.cue),
-            "plan": asked_plan(asked), "legs": legs, "seated": asked.seated}
+    """The options that the command line sets, as keyword arguments. controls: what `asked_controls` gave; legs:
+    whether the character has legs."""
+    values = {field.name: getattr(asked, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}
+    values.update({name: tuple(value) for name, value in values.items() if isinstance(value, list)})
+    values.update(dict.fromkeys(("hand_height", "hand_speed", "hand_radius")), controls=controls, legs=legs,
+                  plan=asked_plan(asked))
+    return cast("InferenceArguments", values)
 
 
 def asked_plan(asked: argparse.Namespace) -> GesturePlan | None:

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import logging
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
@@ -22,6 +25,7 @@ from data_module.errors import InputError, complain, one_line_errors
 
 PROGRAM = "gesticulator"
 GROUP = "gesticulator.commands"
+LOG_LEVELS = {"error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO, "debug": logging.DEBUG}
 DEFAULT = "infer"
 """What is meant when the first word is no verb: `gesticulator speech.wav -o gesture.bvh`."""
 
@@ -32,7 +36,14 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise the message as an `InputError` (instead of printing the whole usage)."""
         subject, found, wrong = message.partition(": ")
-        raise InputError(subject if found else "arguments", wrong or message, f"see {self.prog} --help")
+        near = self._nearest(wrong) if subject == "unrecognized arguments" else ""
+        raise InputError(subject if found else "arguments", wrong or message,
+                         (f"did you mean {near}? " if near else "") + f"see {self.prog} --help")
+
+    def _nearest(self, arguments: str) -> str:
+        """The option that the first unknown one looks like, or ""."""
+        unknown = next((word.partition("=")[0] for word in arguments.split() if word.startswith("--")), "")
+        return next(iter(difflib.get_close_matches(unknown, list(self._option_string_actions), 1)), "")
 
 
 @dataclass(frozen=True)
@@ -55,15 +66,29 @@ class Command:
         parser = Parser(program, description=self.summary, epilog=epilog, allow_abbrev=False,
                         formatter_class=argparse.RawDescriptionHelpFormatter)
         self.arguments(parser)
+        parser.add_argument("--log-level", choices=tuple(LOG_LEVELS), default="info",
+                            help="error: no warnings; debug: tracebacks of errors too (default info)")
         return parser
 
     def main(self, program: str, argv: Sequence[str] | None = None) -> int:
         """Parse and run; exit code 2 with one line for bad input."""
         steady_streams()
         with one_line_errors(PROGRAM):
-            code = self.run(self.parser(program).parse_args(argv))
+            arguments = self.parser(program).parse_args(argv)
+            logging.getLogger("gesticulator").setLevel(LOG_LEVELS[arguments.log_level])
+            code = self._run(arguments)
             sys.stdout.flush()  # so that a full disk or a closed pipe is met here
             return code
+
+
+    def _run(self, arguments: argparse.Namespace) -> int:
+        if arguments.log_level != "debug":
+            return self.run(arguments)
+        try:
+            return self.run(arguments)
+        except (InputError, OSError):
+            traceback.print_exc()
+            raise
 
 
 def steady_streams() -> None:
@@ -99,6 +124,8 @@ def our_warnings() -> Iterator[None]:
 
 
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
+    if not logging.getLogger("gesticulator").isEnabledFor(logging.WARNING):
+        return
     complain(f"{PROGRAM}: warning: {' '.join(str(message).split())}")
 
 
@@ -148,7 +175,9 @@ def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
     if DEFAULT in known:
         text += f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n"
         lines += f"\n\nFor a recording named like a verb, include its folder: ./{DEFAULT}"
-    return f"{text}\n{lines}\n"
+    ends = (f"\n{program} --version prints the version; eval \"$({program} --completion bash)\" completes verbs and "
+            "options in a shell (bash, zsh, fish)") if DEFAULT in known else ""
+    return f"{text}\n{lines}\n{ends}\n" if ends else f"{text}\n{lines}\n"
 
 
 def _usable(points: Mapping[str, EntryPoint]) -> dict[str, Command]:
@@ -171,6 +200,33 @@ def _check_is_no_verb(word: str, verbs: Sequence[str]) -> None:
                          + f"verbs are {', '.join(verbs)}")
 
 
+SHELLS = ("bash", "zsh", "fish")
+
+
+def _completion(arguments: Sequence[str]) -> str:
+    """What a shell evaluates to complete verbs and options; `InputError` for another shell, or without argcomplete."""
+    if len(arguments) != 1 or arguments[0] not in SHELLS:
+        raise InputError("--completion", "needs the name of a shell", f"choose among {', '.join(SHELLS)}")
+    if find_spec("argcomplete") is None:
+        raise InputError("--completion", "needs argcomplete, which is not installed",
+                         'pip install "gesticulator[completion]"')
+    import argcomplete
+
+    return str(argcomplete.shellcode([PROGRAM], shell=arguments[0]))
+
+
+def _complete() -> None:
+    """Answer a shell that asks what the command line could go on with; never returns where argcomplete is there."""
+    if find_spec("argcomplete") is not None:
+        import argcomplete
+
+        parser = Parser(PROGRAM, allow_abbrev=False)
+        verbs = parser.add_subparsers()
+        for name, command in _usable(installed()).items():
+            command.arguments(verbs.add_parser(name))
+        argcomplete.autocomplete(parser)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Hand the arguments to the verb that is named first."""
     steady_streams()
@@ -181,11 +237,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     with one_line_errors(PROGRAM):
+        if "_ARGCOMPLETE" in os.environ:
+            _complete()
+        if arguments[:1] == ["--completion"]:
+            print(_completion(arguments[1:]), end="")
+            return 0
         if not arguments or arguments[0] in ("-h", "--help"):
             print(usage(_usable(installed())), end="", flush=True)
             return 0 if arguments else 2
         points = installed()
-        verb, program = DEFAULT, PROGRAM
+        verb, program = DEFAULT, f"{PROGRAM} {DEFAULT}"
         if arguments[0] in points:
             verb = arguments.pop(0)
             program = f"{PROGRAM} {verb}"

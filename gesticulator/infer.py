@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
-from gesticulator.arguments import asked_controls, asked_plan, performance_arguments
+from gesticulator.arguments import asked_controls, asked_plan, check_choices, check_cues, performance_arguments
 from gesticulator.batch.jobs import Job, is_folder, plan
 from gesticulator.batch.one import check_job, perform, retargeter_for
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
@@ -66,6 +66,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     """Do every recording; exit code 0, 1 where a part of them failed, 2 where none could be done."""
     jobs = [] if asked.list else _plan(asked)
+    check_choices(asked)
     if not asked.list and (asked.manifest or asked.shard or asked.ray):
         return _run_batch(jobs, asked)
     retargeter = None if asked.list else retargeter_for(asked)
@@ -80,7 +81,7 @@ def run(asked: argparse.Namespace) -> int:
                 system = Gesticulator.from_pretrained(asked.bundle)
                 if asked.list:
                     return _list(system, asked.list)
-                system.speaker_index(asked.speaker)
+                check_cues(system, asked)
                 controls = asked_controls(system, asked)
                 done = sum(_went_well(partial(perform, job, system, asked, controls, retargeter), alone)
                            for job in ready)
@@ -103,7 +104,7 @@ def _worker(jobs: Sequence[Job], asked: argparse.Namespace) -> Callable[[int], f
     retargeter = retargeter_for(asked)
     with limited_threads(int(asked.threads)):
         system = Gesticulator.from_pretrained(asked.bundle)
-    system.speaker_index(asked.speaker)
+    check_cues(system, asked)
     controls = asked_controls(system, asked)
     silent = argparse.Namespace(**{**vars(asked), "quiet": True})
 

@@ -5,16 +5,17 @@ Nothing heavy is imported, so that the command line checks its numbers before nu
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias, TypedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
 from data_module.errors import InputError
 from gesticulator.plan.plan import ENERGIES, HANDS
 
 if TYPE_CHECKING:
-
     from data_module.controls import Controls, Curve
     from gesticulator.plan.plan import GestureCue, GesturePlan
     from interpreters.base import LexemeInterpreter
@@ -72,62 +73,91 @@ RANGES = {
 
 
 @dataclass(frozen=True)
+class Flag:
+    """How a field of `InferenceOptions` is set on the command line; without one it cannot be.
+
+    help: one line. metavar: what stands for the value, or None for a field that is true or false. choices: the words
+    that it may be. many: the option may be given several times. name: the option, where it is not the field's name.
+    group: the heading that it stands under.
+    """
+
+    help: str
+    metavar: str | None = None
+    choices: tuple[str, ...] = ()
+    many: bool = False
+    name: str = ""
+    group: str = "motion"
+
+
+def _option(default: Any, text: str, metavar: str | None = None, **more: Any) -> Any:
+    return field(default=default, metadata={"flag": Flag(text, metavar, **more)})
+
+
+@dataclass(frozen=True)
 class InferenceOptions:
-    """What is asked of a performance; what is None is the bundle's own choice. `InputError` for a value out of range.
+    """Everything that can be asked of a performance, the one place where options are written: the command line is
+    made from these fields. None leaves a choice to the bundle. `InputError` for a value out of range.
 
     A hand control is "low", "mid" or "high" (quantiles of the training data), a number in its unit, a `Curve` over
     time, or the path of a CSV file with the columns time and value (RG 7.2.1).
     """
 
-    speaker: str | None = None
-    """Whose habits of moving: a performer of the bundle (`Gesticulator.speakers`), not a voice."""
-    interpreter: str | LexemeInterpreter | None = None
+    speaker: str | None = _option(None, "performer whose way of moving to use (see --list speakers)", "NAME")
+    """The performer whose way of moving to use (`Gesticulator.speakers`); it is not a voice."""
+    interpreter: str | LexemeInterpreter | None = _option(None, "what chooses the lexemes", "NAME")
     """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "advantage", "statistical") or an
-    object."""
-    seed: int = 0
+    object (`interpreters.base.LexemeInterpreter`)."""
+    seed: int = _option(0, "the same seed gives the same bytes (default 0)", "N")
     """The same seed, bundle and speech give the same performance."""
-    variation: int = 0
-    """The same beats and lexemes, drawn in another manner; 0 is the seed's own."""
-    temperature: float | None = None
+    variation: int = _option(0, "another rendering of the same beats and lexemes (default 0)", "N")
+    """Another rendering of the same beats and lexemes; 0 is the first."""
+    temperature: float | None = _option(None, "how freely lexemes are sampled; 0 always takes the likeliest", "T")
     """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
-    beta: float | None = None
-    """Of the interpreter "advantage": how far lexemes are drawn to what the reward says they are worth, 0 to 20. 0
-    gives exactly the lexemes of "lstm"; a lexeme of one standard deviation above the mean is e^beta times likelier."""
-    activity: float | None = None
-    """How much of the time of speech to gesture in, 0 (stillness) to 1 (all of it); bundles that know no rest by
+    beta: float | None = _option(None, "with --interpreter advantage: how strongly the learned reward biases the "
+                                 "choice; 0 is the same as lstm", "B")
+    """With the interpreter "advantage": how strongly the learned reward biases the choice, 0 to 20. 0 gives exactly
+    the lexemes of "lstm"; a lexeme one standard deviation above the mean is e^beta times likelier."""
+    activity: float | None = _option(None, "share of the time of speech with gestures; 0 is stillness, 1 never holds "
+                                     "back", "0..1")
+    """Share of the time of speech in which to gesture, 0 (stillness) to 1 (all of it). Bundles that do not rest by
     phrases (silence.rest=decay) take it as the threshold of their gate."""
-    fps: float = FPS
+    fps: float = _option(FPS, f"frames per second of the motion (default {FPS:g})", "N")
     """Frames per second of the motion, 1 to 1000."""
-    gain: float = 0.0
+    gain: float = _option(0.0, "amplify the recording first, in decibels (default 0)", "DB", group="audio and transcript")
     """Decibels by which the recording is amplified first, -70 to 70; beyond full scale it is clipped."""
-    hand_height: HandControl = None
-    """Height of the right hand over the hips, metres."""
-    hand_speed: HandControl = None
+    hand_height: HandControl = _option(None, "height of the right hand above the hips, metres", "VALUE")
+    """Height of the right hand above the hips, metres."""
+    hand_speed: HandControl = _option(None, "mean speed of the hands, metres per second", "VALUE")
     """Mean speed of both hands, metres per second."""
-    hand_radius: HandControl = None
+    hand_radius: HandControl = _option(None, "mean distance of the hands from the body's axis, metres", "VALUE")
     """Mean horizontal distance of both hands from the body's axis, metres."""
     controls: Controls | None = None
     """The three hand controls in one object, instead of them."""
-    intensity: float = 1.0
-    """How large gestures are, 0 (the hands hang) to 2; 1 as they are drawn
-    (`gesticulator.directing.shaping`)."""
-    mirror: bool = False
+    intensity: float = _option(1.0, "size of the gestures; at 0 the hands hang (default 1)", "0..2")
+    """Size of the gestures, 0 (the hands hang) to 2; 1 is as generated (`gesticulator.directing.shaping`)."""
+    mirror: bool = _option(False, "exchange left and right")
     """Exchange left and right."""
-    energy: str = "neutral"
+    energy: str = _option("neutral", "on top of intensity and activity: calm multiplies both by .6, lively multiplies "
+                          "intensity by 1.5", "NAME", choices=tuple(ENERGIES))
     """"calm", "neutral" or "lively": a named combination of intensity and activity, on top of them."""
-    handedness: str | None = None
-    """Which hand is preferred: "left", "right", or "both", where each takes part in the other's strokes."""
-    hold_still: tuple[tuple[float, float], ...] = ()
+    handedness: str | None = _option(None, "preferred hand; with both, each hand joins in the strokes of the other",
+                                     "HAND", choices=HANDS)
+    """Preferred hand: "left", "right", or "both", where each joins in the strokes of the other."""
+    hold_still: tuple[tuple[float, float], ...] = _option(
+        (), "seconds in which the hands rest, such as 3.2-5.0; may be given several times", "FROM-TO", many=True)
     """Ranges of seconds, each from and to, in which the hands rest."""
-    cues: tuple[GestureCue, ...] = ()
+    cues: tuple[GestureCue, ...] = _option(
+        (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug; may be given "
+        "several times (gesticulator plan names lists the gestures)", "WORD=GESTURE", many=True, name="cue")
     """Gestures asked for at words or times."""
-    plan: GesturePlan | None = None
-    """Render this plan: what was drawn is replayed, what was edited is drawn anew. Seed, variation, speaker,
+    plan: GesturePlan | None = _option(None, "render a gesture plan (.json, .bml): unchanged blocks are replayed, "
+                                       "edited ones are generated again; --seed has no effect", "FILE")
+    """Render this plan: unchanged blocks are replayed, edited ones are generated again. Seed, variation, speaker,
     interpreter and controls are the plan's."""
-    legs: bool = False
-    """Give her legs to stand on (54 joints): the weight shifts, the feet are planted (`gesticulator.body.stance`)."""
-    seated: bool = False
-    """Let her sit: with legs, they and the hips quite still."""
+    legs: bool = _option(False, "add legs (54 joints): the weight shifts, the feet stay planted")
+    """Add legs (54 joints): the weight shifts, the feet stay planted (`gesticulator.body.stance`)."""
+    seated: bool = _option(False, "sit on a chair, legs and hips still (54 joints)")
+    """Sit: with legs, they and the hips stay still."""
 
     def __post_init__(self) -> None:
         for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain"):
@@ -143,6 +173,17 @@ class InferenceOptions:
         for begin, stop in self.hold_still:
             if not 0 <= begin < stop < math.inf:
                 raise InputError(f"hold_still {begin:g}-{stop:g}", "is no range of seconds", "write it as 3.2-5.0")
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> InferenceOptions:
+        """From keyword arguments; TypeError with the nearest name for one that is no option."""
+        known = [one.name for one in fields(cls)]
+        for name in options:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, 1)
+                raise TypeError(f"{name} is not an option" + (f"; did you mean {near[0]}?" if near else
+                                                              f"; choose among {', '.join(known)}"))
+        return cls(**options)
 
     @property
     def energy_share(self) -> float:

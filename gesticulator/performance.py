@@ -88,6 +88,22 @@ class Performance:
             raise ValueError(f"blocks from {self.blocks.edges[0]} to {self.blocks.edges[-1]} s do not tile "
                              f"{self.speech.duration} s of sound")
 
+    def __repr__(self) -> str:
+        settings = self.made_by.get("settings", {})
+        by = ", ".join(str(settings[name]) for name in ("speaker", "interpreter") if settings.get(name))
+        return (f"<Performance of {self.sound_name or 'samples'}: {self.duration:.1f} s, {len(self.blocks)} blocks, "
+                f"{len(self.motion)} frames of {len(self.joints)} joints at {self.fps:g} fps"
+                + (f", by {by}>" if by else ">"))
+
+    def _repr_html_(self) -> str:
+        """The figure and its sound, for a notebook: the preview page in a frame."""
+        from html import escape
+
+        from gesticulator.export.html import page
+
+        return (f'<iframe srcdoc="{escape(page({"take": self}, self.sound_name or "take"))}" width="100%" '
+                'height="480" style="border: 0"></iframe>')
+
     @property
     def duration(self) -> float:
         """Seconds of sound."""

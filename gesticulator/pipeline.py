@@ -137,7 +137,7 @@ class Gesticulator:
         >>> g = Gesticulator.from_pretrained()
         >>> g("speech.wav", text="Hello there", hand_height="low", seed=3).save("gesture.bvh")
         """
-        asked = InferenceOptions(**options)
+        asked = InferenceOptions.of(options)
         if isinstance(speech, list | tuple):
             if encoded is not None:
                 raise InputError("encoded", "is one for several recordings", "give one recording")
@@ -180,7 +180,7 @@ class Gesticulator:
         """
         from gesticulator.stream import Stream
 
-        asked = InferenceOptions(**options)
+        asked = InferenceOptions.of(options)
         if text and not self.reads_text:
             raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
         cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder() if text else None,
@@ -270,6 +270,10 @@ class Gesticulator:
         elif text is not None:
             spoken, note = self.read(spoken, text)
             notes = (note,)
+        if options.plan is None and (options.cues or options.hold_still):
+            from gesticulator.directing.mismatches import without_mismatches
+
+            options = without_mismatches(options, spoken.words or (), spoken.duration)
         made = self._perform(spoken, options, encoded, on_block)
         name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
         return replace(made, notes=notes, sound_name=name)

@@ -63,7 +63,7 @@ def test_a_recording_becomes_motion_page_and_plan(recording: Path, tiny_bundle: 
     assert any(b["silent"] for b in blocks) and not all(b["silent"] for b in blocks)
     assert "<html" in out[".html"].read_text()[:2000].lower()
     summary = capsys.readouterr().out
-    assert summary.count("\n") == 1 and "8.0 s" in summary and "real-time factor" in summary
+    assert summary.count("\n") == 2 and "8.0 s" in summary and "real-time factor" in summary
 
 
 def test_the_same_seed_gives_the_same_bytes_in_another_process(recording: Path, tiny_bundle: Path, tmp_path: Path

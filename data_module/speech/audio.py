@@ -11,7 +11,7 @@ import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias, cast
@@ -45,8 +45,9 @@ from data_module.speech.sound_files import (
 )
 from data_module.types import Samples, Speech
 
-SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any]"
-"""A recording: a `Speech`, a sound file by its path or as a binary stream, or samples [n] or [n, channels]."""
+SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any] | Mapping[str, Any]"
+"""A recording: a `Speech`, a sound file by its path or as a binary stream, samples [n] or [n, channels], or what data
+sets of Hugging Face give: {"array": samples, "sampling_rate": hertz}."""
 
 SAMPLE_RATE = 16000
 """Hertz of every `Speech` that this module returns."""
@@ -131,6 +132,13 @@ def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
         if sample_rate is not None:
             raise InputError("sample_rate", "is given beside a recording that knows its own", "leave it out")
         return given if isinstance(given, Speech) else load_speech(cast("str | BinaryIO", given))
+    if isinstance(given, Mapping):
+        if not {"array", "sampling_rate"} <= set(given):
+            raise InputError("speech", "is a mapping without array and sampling_rate",
+                             'give {"array": samples, "sampling_rate": hertz}')
+        if sample_rate is not None:
+            raise InputError("sample_rate", "is given beside a recording that knows its own", "leave it out")
+        return as_speech(given["array"], given["sampling_rate"])
     if sample_rate is None:
         raise InputError("sample_rate", "is lacking", "give it with the samples: g(samples, 16000)")
     _check_rate(sample_rate)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -56,6 +57,15 @@ class Transcript:
     cues: tuple[Word, ...] = ()
     guessed: int = 0
     notes: tuple[str, ...] = ()
+
+
+MOST_WORDS = 8.0
+"""Words a second; fast talkers reach five or six."""
+_ENGLISH_ONLY = "the aligner reads English only"
+
+
+class TranscriptWarning(UserWarning):
+    """A transcript that may be of another recording."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +136,25 @@ def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Tim
         guessed = len(words) if told else 0
         how = "guessed" if told else "heard"
     count = _spoken(words)
+    doubt = _doubt(transcript, count, told, speech.duration)
+    if doubt:
+        _warn(transcript.source, doubt)
     note = "; ".join([_summary(count, how, guessed, told), *transcript.notes])
     return replace(speech, words=words), Timing(count, how, guessed, note)
+
+
+def _doubt(transcript: Transcript, count: int, told: str, duration: float) -> str:
+    """Why a transcript may be of another recording; "" where nothing speaks for it. count: its words; told: why times
+    were guessed; duration: seconds of sound."""
+    if transcript.timing == "none" and told and told != _ENGLISH_ONLY:
+        return told
+    if count > MOST_WORDS * duration + 2:
+        return f"{count} words in {duration:.1f} s are more than anybody says"
+    return ""
+
+
+def _warn(source: str, doubt: str) -> None:
+    warnings.warn(TranscriptWarning(f"{source}: {doubt}; is it the transcript of this recording?"), stacklevel=3)
 
 
 def _summary(count: int, how: How, guessed: int, told: str) -> str:
@@ -221,6 +248,8 @@ def _within(transcript: Transcript, duration: float) -> Transcript:
     if not _spoken(words):
         raise InputError(transcript.source, f"all its words come after the end of the recording ({duration:.1f} s)",
                          "give the transcript of this recording, its times in seconds")
+    if lost > _spoken(words):
+        _warn(transcript.source, f"{lost} of its {lost + _spoken(words)} words come after the end of the recording")
     note = f"{lost} {'word' if lost == 1 else 'words'} after the end of the recording left out"
     return replace(transcript, words=words, cues=cues, notes=(*transcript.notes, note))
 
@@ -249,6 +278,6 @@ def _in_cues(speech: Speech, cues: Sequence[Word]) -> tuple[tuple[Word, ...], in
 def _without_times(speech: Speech, text: str) -> tuple[tuple[Word, ...], str]:
     """The words of a plain text, and why their times are a guess ("" where they were heard)."""
     if not aligner.can_follow(text):
-        return aligner.shared_out(speech, aligner.written_words(text)), "the aligner reads English only"
+        return aligner.shared_out(speech, aligner.written_words(text)), _ENGLISH_ONLY
     found = aligner.alignment(speech, text, warn=False)
     return found.words, found.doubt

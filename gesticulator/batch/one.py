@@ -102,6 +102,9 @@ def _say_done(job: Job, asked: argparse.Namespace, done: _Done, written: Sequenc
               f"{len(set(done.lexemes))} of {done.lexicon} lexemes, "
               f"real-time factor {done.factor:.3f} -> {', '.join(map(str, written))}"
               + "".join(f"\n  {note}" for note in notes), flush=True)
+        for page in written:
+            if page.suffix.lower() == ".html":
+                print(f"  open {page} in a browser to watch it", flush=True)
 
 
 def _in_pieces(job: Job, asked: argparse.Namespace, system: Gesticulator) -> bool:
@@ -109,7 +112,7 @@ def _in_pieces(job: Job, asked: argparse.Namespace, system: Gesticulator) -> boo
     whole, and files that can be written so."""
     from gesticulator.batch.long import can_be_done
 
-    whole = asked.character, asked.plan, asked.text, asked.cue or None
+    whole = asked.character, asked.plan, asked.text, asked.cues or None
     return (whole == (None,) * len(whole) and all(target.suffix.lower() in STREAMED for target in job.targets)
             and can_be_done(system.bundle))
 

@@ -89,8 +89,8 @@ def _time_of(cue: GestureCue, words: Sequence[Word], duration: float) -> float:
             raise InputError(f"cue at {cue.time:g} s", f"is not in the {duration:.2f} s of the sound",
                              "choose a time in it")
         return float(cue.time)
-    wanted = _plain(cue.word or "")
-    said = [word for word in words if _plain(word.text) == wanted]
+    wanted = plain_word(cue.word or "")
+    said = [word for word in words if plain_word(word.text) == wanted]
     if not words:
         raise InputError(f"cue at the word {shown(cue.word)}", "needs the words", "give them with --text, or a time")
     if len(said) < cue.occurrence:
@@ -101,12 +101,13 @@ def _time_of(cue: GestureCue, words: Sequence[Word], duration: float) -> float:
     return word.start + (word.end - word.start) / 3.0
 
 
-def _plain(text: str) -> str:
+def plain_word(text: str) -> str:
+    """A word without punctuation and capitals, as cues are compared."""
     return text.strip(_PUNCTUATION).casefold()
 
 
 def _listed(words: Sequence[Word]) -> str:
-    every = list(dict.fromkeys(_plain(word.text) for word in words if _plain(word.text)))
+    every = list(dict.fromkeys(plain_word(word.text) for word in words if plain_word(word.text)))
     return ", ".join(every[:30]) + (" ..." if len(every) > 30 else "")
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
-from gesticulator.arguments import asked_controls, performance_arguments
+from gesticulator.arguments import asked_controls, check_choices, performance_arguments
 from gesticulator.batch.jobs import STDIN, Job
 from gesticulator.batch.one import load, performed
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
@@ -45,6 +45,7 @@ def run(asked: argparse.Namespace) -> int:
     from gesticulator.serve.page_server import PageServer
 
     job = _job(asked)
+    check_choices(asked)
     with PageServer(asked.port) as server, our_warnings(), limited_threads(int(asked.threads)):
         _prepare(server, job, asked)
         _serve(server, asked)

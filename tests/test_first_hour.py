@@ -1,0 +1,178 @@
+"""The first hour: typing errors get a suggestion, wishes that cannot be fulfilled a warning, before models load."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from untrained import untrained
+
+from data_module.errors import InputError
+from data_module.text.transcript import TranscriptWarning, as_transcript, with_transcript
+from data_module.types import Speech, Word
+from gesticulator import cli
+from gesticulator.directing.mismatches import OptionWarning
+from gesticulator.infer import COMMAND
+from gesticulator.options import InferenceOptions
+from gesticulator.pipeline import Gesticulator
+from gesticulator.plan.plan import GestureCue
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLE = str(ROOT / "examples" / "speech.flac")
+RATE = 16000
+
+
+@pytest.fixture(scope="module")
+def g() -> Gesticulator:
+    """A bundle that was never trained, with every part."""
+    return Gesticulator(untrained())
+
+
+def voice(seconds: float = 3.0) -> np.ndarray:
+    time = np.arange(int(seconds * RATE)) / RATE
+    return (0.3 * np.sin(2 * np.pi * 140 * time) * (np.sin(2 * np.pi * 3 * time) > -0.5)).astype(np.float32)
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line with which a command is refused."""
+    with pytest.raises(SystemExit) as stopped:
+        COMMAND.main("gesticulator infer", [EXAMPLE, *arguments])
+    assert stopped.value.code == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    return line
+
+
+def test_a_misspelt_option_suggests_the_right_one_and_names_the_help_of_the_verb(
+        capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "--intesity", "0.5", "-o", "x.bvh")
+    assert "did you mean --intensity?" in line and "gesticulator infer --help" in line
+    assert "did you mean" not in refused(capsys, "--qqqqq", "-o", "x.bvh")
+    with pytest.raises(SystemExit):
+        cli.main([EXAMPLE, "--intesity", "0.5", "-o", "x.bvh"])
+    assert "gesticulator infer --help" in capsys.readouterr().err
+
+
+def test_a_misspelt_argument_of_python_suggests_the_right_one(g: Gesticulator) -> None:
+    with pytest.raises(TypeError, match=r"intesity is not an option; did you mean intensity\?"):
+        g(voice(), RATE, intesity=0.5)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="choose among speaker"):
+        InferenceOptions.of({"qqqqq": 1})
+
+
+def test_choices_are_checked_before_models_load(capsys: pytest.CaptureFixture[str], tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    def loaded(*_: object, **__: object) -> None:
+        raise AssertionError("models were loaded")
+
+    monkeypatch.setattr(Gesticulator, "from_pretrained", loaded)
+    out = str(tmp_path / "x.bvh")
+    assert "did you mean connor?" in refused(capsys, "--speaker", "connr", "-o", out)
+    assert "--interpreter advantage" in refused(capsys, "--beta", "2", "-o", out)
+    assert "--interpreter advantage" in refused(capsys, "--beta", "2", "--interpreter", "cql", "-o", out)
+    (tmp_path / "file").write_text("no folder")
+    assert "file" in refused(capsys, "-o", str(tmp_path / "file" / "x.bvh"))
+
+
+def test_a_cue_of_unknown_name_is_refused_before_any_recording_is_done(capsys: pytest.CaptureFixture[str],
+                                                                       tmp_path: Path) -> None:
+    assert "did you mean wave?" in refused(capsys, "--cue", "2.5=wavee", "-o", str(tmp_path / "x.bvh"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_recording_cannot_fulfil_is_a_warning(g: Gesticulator) -> None:
+    spoken = Speech(voice(), RATE, (Word("bread", 0.2, 0.6), Word("and", 0.7, 0.9), Word("Bread,", 1.0, 1.6)))
+    with pytest.warns(OptionWarning, match="beyond the end") as stillness:
+        g(spoken, hold_still=((2.0, 9.0), (8.0, 9.0)))
+    assert ["is cut there" in str(one.message) for one in stillness] == [True, False]
+    wave = GestureCue("wave", "bread", 2)
+    with pytest.warns(OptionWarning) as cues:
+        directed = g(spoken, cues=(wave, GestureCue("nod", "bread", 3), GestureCue("nod", "zebra")))
+    assert "spoken 2 times, and occurrence 3" in str(cues[0].message)
+    assert "zebra=nod is left out: the word is never spoken" in str(cues[1].message)
+    assert directed.options is not None and directed.options.cues == (wave,)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", OptionWarning)
+        assert np.array_equal(g(spoken, cues=(wave,)).rotations, directed.rotations)
+
+
+def test_a_cue_at_a_word_without_words_is_refused(g: Gesticulator) -> None:
+    with pytest.raises(InputError, match="needs the words"):
+        g(voice(), RATE, cues=(GestureCue("wave", "bread"),))
+
+
+@pytest.mark.parametrize(("count", "step", "doubt"), [
+    (90, 0.1, "of its 90 words come after the end"), (58, 0.05, "more than anybody says"), (10, 0.3, ""),
+])
+def test_a_transcript_of_another_recording_is_a_warning(count: int, step: float, doubt: str, tmp_path: Path) -> None:
+    speech = Speech(voice(), RATE)
+    file = tmp_path / "words.json"
+    file.write_text(json.dumps({"words": [
+        {"word": "a", "start": step * n, "end": step * (n + 1)} for n in range(count)]}))
+    with warnings.catch_warnings(record=True) as given:
+        warnings.simplefilter("always")
+        with_transcript(speech, as_transcript(file, speech))
+    lines = [str(one.message) for one in given if issubclass(one.category, TranscriptWarning)]
+    assert any(doubt in line for line in lines) if doubt else not lines
+
+
+def test_a_performance_is_one_line_and_a_figure_in_a_notebook(g: Gesticulator) -> None:
+    made = g(voice(), RATE)
+    line = repr(made)
+    assert "\n" not in line and len(line) < 200
+    assert "3.0 s" in line and f"{len(made.blocks)} blocks" in line
+    frame = made._repr_html_()
+    assert frame.startswith("<iframe srcdoc=") and "audio" in frame
+
+
+def test_what_data_sets_of_hugging_face_give_is_taken(g: Gesticulator) -> None:
+    given = g({"array": voice(), "sampling_rate": RATE, "path": "x.wav"})
+    assert np.array_equal(given.rotations, g(voice(), RATE).rotations)
+    with pytest.raises(InputError, match="without array and sampling_rate"):
+        g({"samples": voice()})
+    with pytest.raises(InputError, match="sample_rate"):
+        g({"array": voice(), "sampling_rate": RATE}, RATE)
+
+
+def test_the_summary_ends_with_the_page_to_open(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import soundfile
+
+    soundfile.write(tmp_path / "short.wav", voice(2.0), RATE)
+    page = tmp_path / "page.html"
+    assert COMMAND.main("gesticulator infer", [str(tmp_path / "short.wav"), "-o", str(tmp_path / "o.bvh"),
+                                               "--preview", str(page)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].strip() == f"open {page} in a browser to watch it"
+
+
+def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, cwd=ROOT,
+                          env={**os.environ, **environment})
+
+
+def test_log_levels_and_colours(tmp_path: Path) -> None:
+    missing = ["-m", "gesticulator", "infer", str(tmp_path / "no.wav"), "-o", str(tmp_path / "o.bvh")]
+    plain, debug = python(*missing, NO_COLOR="1"), python(*missing, "--log-level", "debug")
+    assert plain.returncode == debug.returncode == 2
+    assert plain.stderr.count("\n") == 1 and "\x1b" not in plain.stderr
+    assert "Traceback" in debug.stderr and debug.stderr.splitlines()[-1] == plain.stderr.strip()
+    assert "\x1b" not in python("-m", "gesticulator", "infer", "--help", NO_COLOR="1").stdout
+
+
+def test_a_shell_completes_verbs_and_options() -> None:
+    pytest.importorskip("argcomplete")
+    assert "gesticulator" in python("-m", "gesticulator", "--completion", "bash").stdout
+    refusal = python("-m", "gesticulator", "--completion", "tcl")
+    assert refusal.returncode == 2 and "bash, zsh, fish" in refusal.stderr
+    # argcomplete answers on file descriptor 8.
+    asked = ("import os, subprocess, sys; read, write = os.pipe(); os.dup2(write, 8); os.set_inheritable(8, True);"
+             "subprocess.run([sys.executable, '-m', 'gesticulator'], close_fds=False, stderr=subprocess.DEVNULL);"
+             "os.close(write); os.close(8); print(os.read(read, 65536).decode())")
+    line = "gesticulator infer --inten"
+    answer = python("-c", asked, _ARGCOMPLETE="1", COMP_LINE=line, COMP_POINT=str(len(line)), _ARGCOMPLETE_IFS="\n")
+    assert answer.stdout.split() == ["--intensity"]
