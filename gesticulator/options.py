@@ -89,6 +89,9 @@ class Flag:
     group: str = "motion"
 
 
+_AUDIO = "audio and transcript"
+
+
 def _option(default: Any, text: str, metavar: str | None = None, **more: Any) -> Any:
     return field(default=default, metadata={"flag": Flag(text, metavar, **more)})
 
@@ -123,7 +126,7 @@ class InferenceOptions:
     phrases (silence.rest=decay) take it as the threshold of their gate."""
     fps: float = _option(FPS, f"frames per second of the motion (default {FPS:g})", "N")
     """Frames per second of the motion, 1 to 1000."""
-    gain: float = _option(0.0, "amplify the recording first, in decibels (default 0)", "DB", group="audio and transcript")
+    gain: float = _option(0.0, "amplify the recording first, in decibels (default 0)", "DB", group=_AUDIO)
     """Decibels by which the recording is amplified first, -70 to 70; beyond full scale it is clipped."""
     hand_height: HandControl = _option(None, "height of the right hand above the hips, metres", "VALUE")
     """Height of the right hand above the hips, metres."""
