@@ -19,6 +19,8 @@ from data_module.speech.beats import BeatSettings, find_beats
 from data_module.speech.silence import silent_blocks
 from data_module.types import Array, Blocks, Motion, Samples, Speech
 
+__all__ = ["BlockSettings", "cut", "denormalise", "normalise_motion", "smooth", "stretch_speech"]
+
 METHODS = ("wsola", "phase_vocoder")
 SMOOTHING = 0.05
 """Seconds: the standard deviation of the final Gaussian (one frame at 20 fps, RG 7.1.2)."""

@@ -24,6 +24,8 @@ from data_module.motion import skeletons
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Blocks, Motion
 
+__all__ = ["Controls", "Curve", "Levels", "controls_from", "measure", "read_curve"]
+
 FEATURES = ("height", "speed", "radius")
 """Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
 vertical axis through the root (m)."""

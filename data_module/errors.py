@@ -9,6 +9,8 @@ import reprlib
 import sys
 from collections.abc import Iterator
 
+__all__ = ["InputError", "complain", "one_line_errors"]
+
 LONGEST_REASON = 500
 """Characters of what is wrong: some four lines of a terminal."""
 EXIT_BAD_INPUT = 2

@@ -32,6 +32,8 @@ from data_module.speech.audio import load_speech, write_flac
 from data_module.truth import LATER, TABLES, PlayedStroke, Truth, record
 from data_module.types import Motion, Speech, Word
 
+__all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
+
 FORMAT = 3
 """2 kept 16 joints only and does not say which were filled in; it is still read."""
 _READ = (2, FORMAT)

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 
+__all__ = ["Array", "BeatFlag", "Beats", "Blocks", "Motion", "Samples", "Skeleton", "Speech", "Word"]
+
 Array = NDArray[np.float64]
 Samples = NDArray[np.float32]
 

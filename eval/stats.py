@@ -24,6 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from data_module.types import Array
 
+__all__ = ["Interval", "mean_interval", "paired"]
+
 DRAWS = 2000
 """Redrawn sets for a mean: the third digit of the bounds is then still."""
 SET_DRAWS = 200

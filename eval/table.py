@@ -20,6 +20,8 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from eval.stats import Interval
 
+__all__ = ["Column", "Table", "load", "markdown", "publish", "save"]
+
 
 @dataclass(frozen=True)
 class Marked:

@@ -33,6 +33,8 @@ from data_module.motion.movement import PAST, MovementBasis, Pasts
 from generator.flow_head import FlowHead, FlowTime
 from generator.model import GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
 
+__all__ = ["FlowGenerator", "FlowInputs"]
+
 NearestLexeme = Callable[[Tensor], Tensor]
 """Coefficients [B, n] to the lexemes [B] nearest to them."""
 CIRCUMSTANCES = 8

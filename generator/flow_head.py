@@ -15,6 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+__all__ = ["FlowHead"]
+
 _FREQUENCIES = 8
 
 

@@ -10,6 +10,8 @@ from torch import Tensor
 from data_module.layers import masked_mean
 from data_module.parallel import batch_mean, batch_moments, shares
 
+__all__ = ["lexeme", "perceptual", "reconstruction", "style_divergence"]
+
 Encoder = Callable[[Tensor], Tensor]
 """The frozen encoder of the lexicon: blocks [B, K, D_m] to latents [B, D_s]."""
 

@@ -26,6 +26,8 @@ from data_module.settings import (
 if TYPE_CHECKING:
     from generator.losses import Encoder
 
+__all__ = ["BlockInputs", "Generator", "GeneratorConfig"]
+
 State = tuple[Tensor, Tensor]
 """Hidden and cell state of the decoder, [layers, B, width] each."""
 

@@ -23,6 +23,8 @@ from typing import NoReturn
 
 from data_module.errors import InputError, complain, one_line_errors
 
+__all__ = ["Command", "main"]
+
 PROGRAM = "gesticulator"
 GROUP = "gesticulator.commands"
 LOG_LEVELS = {"error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO, "debug": logging.DEBUG}

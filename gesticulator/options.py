@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from gesticulator.plan.plan import GestureCue, GesturePlan
     from interpreters.base import LexemeInterpreter
 
+__all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
+
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
 
 FPS = 60.0

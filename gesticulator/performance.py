@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import GesturePlan, LexemeName
 
+__all__ = ["Performance"]
+
 
 # The blocks must end where the sound ends; a cut on the frame grid may miss it by less than this.
 _END_TOLERANCE = 0.05

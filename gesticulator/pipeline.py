@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from gesticulator.stream import Stream
     from interpreters.base import LexemeInterpreter
 
+__all__ = ["Gesticulator"]
+
 R = TypeVar("R", bound=SpeechInput)
 
 

@@ -39,6 +39,8 @@ from gesticulator.options import InferenceOptions
 if TYPE_CHECKING:
     from gesticulator.directing.directions import Director
 
+__all__ = ["Stream", "StreamBlock", "StreamFrames", "StreamState"]
+
 _KNOT = 0.04
 """Seconds between the poses of idling."""
 _LONGEST = 3600.0

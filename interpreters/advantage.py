@@ -29,6 +29,8 @@ from interpreters.cql import QNetwork, QState
 from interpreters.settings import CriticConfig
 from interpreters.transformer import begin_small
 
+__all__ = ["AdvantageInterpreter", "Critics"]
+
 _MOMENTUM = 0.02
 """Share of a batch in the running spread of the advantages: the last fifty batches count."""
 

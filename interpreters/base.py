@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+__all__ = ["BlockFeatures", "LexemeInterpreter", "Scores", "select"]
+
 Scores = NDArray[np.float64]
 
 

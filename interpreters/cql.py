@@ -21,6 +21,8 @@ from interpreters.base import BlockFeatures, Scores
 from interpreters.settings import QConfig
 from interpreters.transformer import INITIAL, Head, KeyValue, Layer, begin_small, sliding, two_stream_mask
 
+__all__ = ["ConservativeQ", "QNetwork", "conservative_q_loss"]
+
 
 @dataclass(frozen=True)
 class QState:

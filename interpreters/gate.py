@@ -17,6 +17,8 @@ from data_module.layers import BlockLinear, run_lstm
 from interpreters.base import BlockFeatures
 from interpreters.settings import GateConfig
 
+__all__ = ["ActivityGate"]
+
 Hidden = tuple[Tensor, Tensor]
 
 

@@ -15,6 +15,8 @@ from interpreters.base import BlockFeatures, Scores
 from interpreters.pose import pose_of
 from interpreters.settings import LstmConfig, StyleConfig
 
+__all__ = ["LstmInterpreter", "StyleInterpreter"]
+
 Hidden = tuple[Tensor, Tensor]
 _NO_TEXT = "this interpreter reads text; take the audio-only one"
 _NO_POSE = "this interpreter sees the body; give it the block before"

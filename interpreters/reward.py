@@ -24,6 +24,8 @@ from torch.nn import functional
 from data_module.layers import masked_mean
 from interpreters.settings import LEAST_TEMPERATURE, RewardConfig
 
+__all__ = ["RewardEnsemble", "RewardModel", "contrast"]
+
 
 def contrast(motion: Tensor, audio: Tensor, temperature: Tensor | float, group: Tensor,
              rivals: Tensor | None = None) -> Tensor:

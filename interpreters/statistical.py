@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from interpreters.base import BlockFeatures, Scores
 from interpreters.settings import StatisticalConfig
 
+__all__ = ["StatisticalInterpreter"]
+
 Array = NDArray[np.float64]
 
 

@@ -9,6 +9,8 @@ from data_module.layers import convolutions, masked_mean
 from lexicon.quantizer import Quantizer
 from lexicon.settings import LexiconConfig
 
+__all__ = ["Lexicon"]
+
 
 class Lexicon(nn.Module):
     """Encoder E, codebook S and decoder D over blocks [B, K, D_m]."""

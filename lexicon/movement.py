@@ -18,6 +18,8 @@ from data_module.motion.movement import PAST, MovementBasis, Pasts
 from data_module.types import Array
 from lexicon.settings import LexiconConfig
 
+__all__ = ["MovementLexicon", "basis_for"]
+
 _TOGETHER = 8192
 """Blocks that are compared with the codebook in one go: bounds the memory."""
 

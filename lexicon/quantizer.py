@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+__all__ = ["Quantised", "Quantizer"]
+
 
 @dataclass(frozen=True)
 class Quantised:

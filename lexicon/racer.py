@@ -29,6 +29,8 @@ from data_module.layers import masked_mean
 from lexicon.quantizer import Quantizer
 from lexicon.settings import FRAMES, HALVINGS, RacerConfig
 
+__all__ = ["RacerCodec"]
+
 _LONG = 65
 """Codes of a stillness whose middle no longer sees where it begins and ends."""
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 from data_module.settings import NotNegative, SettingChoice, SettingRange, Share, Width, Widths
 
+__all__ = ["LexiconConfig", "RacerConfig"]
+
 HALVINGS = 3
 """Times that the encoder of RACER's codec halves the frame rate."""
 FRAMES = 2**HALVINGS

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
+import re
 import shutil
 from pathlib import Path
 from types import ModuleType
@@ -44,6 +46,21 @@ def test_a_page_without_a_summary_is_refused(tmp_path: Path) -> None:
     page.write_text("# Bare\n\n```sh\ngesticulator\n```\n")
     with pytest.raises(SystemExit, match=r"bare\.md"):
         make_index().summary(page)
+
+
+MODULES = sorted({name for page in (DOCS / "api").glob("*.md")
+                  for name in re.findall(r"^::: (\S+)$", page.read_text(encoding="utf-8"), re.M)})
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_modules_of_the_api_pages_say_what_is_public(name: str) -> None:
+    module = importlib.import_module(name)
+    assert module.__all__, name
+    for public in module.__all__:
+        assert not public.startswith("_")
+        value = getattr(module, public)
+        if callable(value) and getattr(value, "__module__", name) == name:
+            assert value.__doc__, f"{name}.{public} has no docstring"
 
 
 def test_the_search_works_from_a_disk(tmp_path: Path) -> None:

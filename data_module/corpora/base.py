@@ -16,6 +16,8 @@ from typing import Any, Protocol
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
 from data_module.types import Motion, Speech, Word
 
+__all__ = ["DroppedError", "Imported", "Item", "Options", "Reader", "StrokeSource"]
+
 
 @dataclass(frozen=True)
 class Options:

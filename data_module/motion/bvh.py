@@ -19,6 +19,8 @@ from data_module.files import read_text, write_text
 from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion, Skeleton
 
+__all__ = ["BvhWarning", "BvhWriter", "read_bvh", "write_bvh"]
+
 _AXES = {"Xrotation": "X", "Yrotation": "Y", "Zrotation": "Z"}
 _PLACES = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
 _WRITTEN_ORDER = "ZXY"

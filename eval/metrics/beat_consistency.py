@@ -33,6 +33,8 @@ from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
 from eval.metrics.pmb import above_chance
 
+__all__ = ["consistency"]
+
 FPS = 30.0
 """Frames a second at which the rules of BEAT are told."""
 ORDER = 7

@@ -30,6 +30,8 @@ from scipy.special import gammaln
 
 from data_module.types import Array
 
+__all__ = ["diversity", "entropy", "motion_variance"]
+
 Labels = NDArray[np.int64]
 
 

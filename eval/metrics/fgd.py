@@ -42,6 +42,8 @@ from eval import stats
 from eval.metrics.gesture_features import Features, pooled
 from eval.stats import Interval
 
+__all__ = ["fgd", "frechet_distance"]
+
 ENOUGH = 5
 """Windows for each feature, at least: "several times 32" for 32 features."""
 DRAWS = 200

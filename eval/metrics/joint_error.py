@@ -36,6 +36,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
 
+__all__ = ["JointError", "joint_error", "motion_error"]
+
 MILLIMETRES = 1000.0
 """Per metre."""
 _SAME_BONE = 1e-6  # metres

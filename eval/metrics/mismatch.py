@@ -29,6 +29,8 @@ import numpy as np
 from data_module.types import Array
 from eval.stats import Interval, mean_interval
 
+__all__ = ["Mismatch", "mismatch"]
+
 DRAWS = 9999
 """Assignments drawn, where there are more than `EVERY` in all."""
 EVERY = 5040

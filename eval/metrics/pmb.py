@@ -34,6 +34,8 @@ from numpy.typing import NDArray
 from data_module.speech.onsets import merged
 from data_module.types import Array
 
+__all__ = ["above_chance", "chance", "delta_curve", "matched", "pmb"]
+
 DELTA = 0.1
 """Seconds: the tolerance that tells most; the papers print 0.2."""
 DELTAS = (0.025, 0.05, 0.075, 0.1, 0.125, 0.15, 0.175, 0.2, 0.25, 0.3)

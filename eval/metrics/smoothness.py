@@ -34,6 +34,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
 
+__all__ = ["Smoothness", "motion_smoothness", "smoothness"]
+
 HANDS = ("RightHand", "LeftHand")
 BIN = 0.05
 """m/s: width of a bin of speeds."""

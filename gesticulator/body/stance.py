@@ -30,6 +30,8 @@ from data_module.motion.standing_legs import bent_leg, leg_lengths
 from data_module.types import Array, Motion, Skeleton
 from gesticulator.body.life import breath, noise, normal, uniform, weight_shifts
 
+__all__ = ["Stance", "seated", "with_legs"]
+
 SIDES = (("Left", 1.0), ("Right", -1.0))
 """Each foot, and the sign of its side (her left is +X)."""
 

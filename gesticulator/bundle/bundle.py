@@ -57,6 +57,8 @@ if TYPE_CHECKING:
     BlockLexicon = Lexicon | MovementLexicon
     Tokens = Lexicon | MovementLexicon | RacerCodec
 
+__all__ = ["Bundle", "load"]
+
 FORMAT = 6
 """Format 5 had another flow head; format 4 knew no lexicon of movements, no flow head and no fingers; format 3 had
 other names of settings and tensors and no resting distances (see `gesticulator.bundle.upgrade`)."""

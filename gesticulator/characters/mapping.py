@@ -13,6 +13,8 @@ from data_module.files import read_text, write_text
 from data_module.motion.skeletons import FINGER_JOINTS, LEG_JOINTS
 from gesticulator.characters.rig import Character
 
+__all__ = ["RigMapping", "load_mapping", "save_mapping"]
+
 FORMAT = 1
 """Number of the file's format."""
 SIDES = ("Left", "Right")

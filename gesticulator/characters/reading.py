@@ -12,6 +12,8 @@ from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import RigMapping, check, load_mapping, save_mapping
 from gesticulator.characters.rig import Character
 
+__all__ = ["READERS", "read_character"]
+
 READERS = {
     ".bvh": "gesticulator.characters.bvh_rig:read_bvh_character",
     ".glb": "gesticulator.characters.gltf_rig:read_gltf_character",

@@ -15,6 +15,8 @@ from data_module.types import Array
 if TYPE_CHECKING:
     pass
 
+__all__ = ["Character", "CharacterMotion"]
+
 
 @dataclass(frozen=True)
 class Character:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from gesticulator.characters.rig import CharacterMotion
     from gesticulator.performance import Performance
 
+__all__ = ["write_comparison", "write_preview"]
+
 LONG = 600.0
 """Seconds of sound above which the page holds `LONG_FPS` frames of motion a second, so that it still opens well: an
 hour is then about 40 MB, of which half is the sound."""

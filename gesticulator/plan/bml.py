@@ -27,6 +27,8 @@ from gesticulator.plan.schema import read_as
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
 
+__all__ = ["parse_bml", "read_any_plan", "write_bml"]
+
 NAMESPACE = "http://www.bml-initiative.org/bml/bml-1.0"
 OURS = "urn:gesticulator:plan:1"
 _ATTRIBUTES = ("silent", "locked", "intensity", "mirror", "draw", "flag")

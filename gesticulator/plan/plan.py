@@ -27,6 +27,9 @@ from gesticulator.plan.schema import PRIVATE, read_as, schema_of, to_plain
 if TYPE_CHECKING:
     from data_module.types import Speech
 
+__all__ = ["GESTURES", "BlockDraw", "GestureCue", "GesturePlan", "LexemeChoice", "PlanBlock", "PlanKnobs", "PlanSound",
+           "PlanWord", "check_plan", "edited_blocks", "read_plan", "write_plan_file"]
+
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
 """Energy -> what intensity and activity are multiplied by: calm is smaller gestures in six tenths of the phrases."""
 

@@ -29,6 +29,8 @@ from data_module.files import rename
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import distributed
 
+__all__ = ["FitOptions", "Task", "fit"]
+
 Batch = dict[str, Tensor]
 MakeBatch = Callable[[np.random.Generator], Batch]
 Losses = Callable[[Batch, float], dict[str, Tensor]]
