@@ -30,6 +30,20 @@ def pytest_configure(config: pytest.Config) -> None:
         librosa.pyin(sound, fmin=60, fmax=400, sr=16000)
 
 
+SLOW_FIXTURES = {"tiny_bundle", "tiny_movement_bundle"}
+"""What takes half a minute or more to make."""
+SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
+"""FILE::FUNCTION of the other tests that took more than two seconds (pytest --durations=0)."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what is slow, so that `pytest -m "not slow"` is done in three minutes."""
+    for item in items:
+        name = f"{item.path.name}::{getattr(item, 'originalname', item.name)}"
+        if name in SLOW or SLOW_FIXTURES & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session")
 def outside_data() -> Path:
     """The folder that holds strokes/, speech/, takes/ and fgd/; the test is skipped where it is not to be had."""
