@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from data_module.errors import InputError, shown
 from gesticulator.cli import PROGRAM
-from gesticulator.options import RANGES, Flag, InferenceOptions
+from gesticulator.options import RANGES, InferenceOptions, OptionFlag
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
@@ -92,7 +92,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
 
 
-def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: Flag) -> None:
+def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionFlag) -> None:
     """Add the option of one field."""
     name = f"--{(flag.name or field.name).replace('_', '-')}"
     text, more = flag.help, dict[str, Any](dest=field.name, default=[] if flag.many else field.default)

@@ -75,7 +75,7 @@ RANGES = {
 
 
 @dataclass(frozen=True)
-class Flag:
+class OptionFlag:
     """How a field of `InferenceOptions` is set on the command line; without one it cannot be.
 
     help: one line. metavar: what stands for the value, or None for a field that is true or false. choices: the words
@@ -95,7 +95,7 @@ _AUDIO = "audio and transcript"
 
 
 def _option(default: Any, text: str, metavar: str | None = None, **more: Any) -> Any:
-    return field(default=default, metadata={"flag": Flag(text, metavar, **more)})
+    return field(default=default, metadata={"flag": OptionFlag(text, metavar, **more)})
 
 
 @dataclass(frozen=True)
