@@ -109,21 +109,21 @@ class InferenceOptions:
 
     speaker: str | None = _option(None, "performer whose way of moving to use (see --list speakers)", "NAME")
     """The performer whose way of moving to use (`Gesticulator.speakers`); it is not a voice."""
-    interpreter: str | LexemeInterpreter | None = _option(None, "what chooses the lexemes", "NAME")
+    interpreter: str | LexemeInterpreter | None = _option(None, "the model that chooses the lexemes", "NAME")
     """What chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "advantage", "statistical") or an
     object (`interpreters.base.LexemeInterpreter`)."""
     seed: int = _option(0, "the same seed gives the same bytes (default 0)", "N")
     """The same seed, bundle and speech give the same performance."""
     variation: int = _option(0, "another rendering of the same beats and lexemes (default 0)", "N")
     """Another rendering of the same beats and lexemes; 0 is the first."""
-    temperature: float | None = _option(None, "how freely lexemes are sampled; 0 always takes the likeliest", "T")
+    temperature: float | None = _option(None, "randomness of the choice of lexemes; 0 takes the most likely", "T")
     """How freely lexemes are sampled, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
     beta: float | None = _option(None, "with --interpreter advantage: how strongly the learned reward biases the "
                                  "choice; 0 is the same as lstm", "B")
     """With the interpreter "advantage": how strongly the learned reward biases the choice, 0 to 20. 0 gives exactly
     the lexemes of "lstm"; a lexeme one standard deviation above the mean is e^beta times likelier."""
-    activity: float | None = _option(None, "share of the time of speech with gestures; 0 is stillness, 1 never holds "
-                                     "back", "0..1")
+    activity: float | None = _option(None, "share of the speaking time with gestures; 0 rests throughout, 1 is "
+                                     "unrestricted", "0..1")
     """Share of the time of speech in which to gesture, 0 (stillness) to 1 (all of it). Bundles that do not rest by
     phrases (silence.rest=decay) take it as the threshold of their gate."""
     fps: float = _option(FPS, f"frames per second of the motion (default {FPS:g})", "N")
@@ -149,11 +149,11 @@ class InferenceOptions:
                                      "HAND", choices=HANDS)
     """Preferred hand: "left", "right", or "both", where each joins in the strokes of the other."""
     hold_still: tuple[tuple[float, float], ...] = _option(
-        (), "seconds in which the hands rest, such as 3.2-5.0; may be given several times", "FROM-TO", many=True)
+        (), "rest the hands during these seconds, such as 3.2-5.0; can be repeated", "FROM-TO", many=True)
     """Ranges of seconds, each from and to, in which the hands rest."""
     cues: tuple[GestureCue, ...] = _option(
-        (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug; may be given "
-        "several times (gesticulator plan names lists the gestures)", "WORD=GESTURE", many=True, name="cue")
+        (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug; can be "
+        "repeated (gesticulator plan names lists the gestures)", "WORD=GESTURE", many=True, name="cue")
     """Gestures asked for at words or times."""
     plan: GesturePlan | None = _option(None, "render a gesture plan (.json, .bml): unchanged blocks are replayed, "
                                        "edited ones are generated again; --seed has no effect", "FILE")
@@ -161,7 +161,7 @@ class InferenceOptions:
     interpreter and controls are the plan's."""
     legs: bool = _option(False, "add legs (54 joints): the weight shifts, the feet stay planted")
     """Add legs (54 joints): the weight shifts, the feet stay planted (`gesticulator.body.stance`)."""
-    seated: bool = _option(False, "sit on a chair, legs and hips still (54 joints)")
+    seated: bool = _option(False, "seat the character, with still legs and hips (54 joints)")
     """Sit: with legs, they and the hips stay still."""
 
     def __post_init__(self) -> None:
