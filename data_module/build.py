@@ -345,6 +345,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="folder: the speaker of every recording, or a pattern whose group matches it in the file "
                         "name, such as '^([a-z]+)' (default: the part before the first '_' if several recordings "
                         "share it, else the folder's name)")
+    parser.add_argument("--verbose", action="store_true", help="print the histogram of intervals between onsets too")
     parser.add_argument("--histogram", type=Path, metavar="FILE.png",
                         help="plot the intervals between onsets and between beats (needs matplotlib)")
 
@@ -396,7 +397,7 @@ def run(arguments: argparse.Namespace, making: Making | None = None) -> int:
     if request.corpus in STROKE_SOURCES:
         return _make_strokes(request.corpus, request.source, request.out, request.options)
     report = build(request, making or partial(in_processes, arguments.workers))
-    for line in report.lines():
+    for line in report.lines(arguments.verbose):
         print(line)
     if arguments.histogram is not None:
         from data_module import intervals

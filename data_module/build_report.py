@@ -70,8 +70,8 @@ class Report:
         except (AttributeError, KeyError, TypeError, ValueError):
             raise InputError(self.store.path, "was built without a histogram of intervals", "build it again") from None
 
-    def lines(self) -> Iterator[str]:
-        """The report, line by line, for the terminal."""
+    def lines(self, verbose: bool = False) -> Iterator[str]:
+        """The report, line by line, for the terminal. verbose: with the histogram of intervals."""
         told = self.told
         yield (f"{self.store.path}: {self.store.corpus}, {told['recordings']} recordings, {told['minutes']:.1f} minutes"
                f"{_blocks(told)}, built in {self.elapsed:.0f} s ({self.reused} recordings were there already)")
@@ -86,18 +86,35 @@ class Report:
         for joint, count in told["lacking"].items():
             yield f"  joint {joint} is lacking in {count} recordings: it follows its parent and is masked"
         if told["intervals"]:
-            yield from (f"  {line}" for line in self.intervals().lines())
+            intervals = self.intervals()
+            yield from (f"  {line}" for line in (intervals.lines() if verbose else [intervals.line()]))
         for name, why in told["dropped"].items():
             yield f"  dropped {name}: {why}"
         for name, said in told["warnings"].items():
             yield from (f"  {name}: {line}" for line in said)
         yield from (f"  {note}" for note in told["notes"])
+        yield from (f"  warning: {line}" for line in doubts(self.store))
         yield f"  licence: {self.store.licence}"
         yield f"  fingerprint: {self.store.fingerprint}"
 
 
+
+LEAST_MINUTES = 60.0
+"""Minutes of training data below which a warning is given: our own corpus has hours, and the papers have four."""
 _WORDS = {"given": "the times of words are given", "heard": "the times of words were heard by the aligner",
           "guessed": "the times of words were guessed", "": "no words are known"}
+
+
+def doubts(store: Store) -> Iterator[str]:
+    """What speaks against training on a store, a line each: a split that is empty, too little to train on."""
+    uses = {"train": "nothing can be trained", "val": "training cannot stop early", "test": "nothing can be judged"}
+    for split, use in uses.items():
+        if not any(info.split == split for info in store.recordings):
+            yield f"the {split} split is empty, so {use}; add recordings, or change --split"
+    minutes = _minutes([info for info in store.recordings if info.split == "train"])
+    if 0 < minutes < LEAST_MINUTES:
+        yield (f"{minutes:.0f} minutes to train on are little, and weights will repeat what is in them; "
+               f"{LEAST_MINUTES:g} minutes or more are advised")
 
 
 def _blocks(told: Mapping[str, Any]) -> str:

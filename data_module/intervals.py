@@ -74,9 +74,13 @@ class Intervals:
             onsets, beats = (f"{'#' * round(half * count / top):<{half}s} {count:<7d}"
                              for count in (self.onsets[place], self.beats[place]))
             yield f"{name:>11s}  {onsets}  {beats}".rstrip()
+        yield self.line()
+
+    def line(self) -> str:
+        """One line: the share of the onsets within the default bounds of a block."""
         bounds = BlockSettings().beats
         share = self.share(bounds.d_min, bounds.d_max)
-        yield f"{share:.0%} of the intervals between onsets lie between {bounds.d_min:g} and {bounds.d_max:g} s"
+        return f"{share:.0%} of the intervals between onsets lie between {bounds.d_min:g} and {bounds.d_max:g} s"
 
 
 def measure(speech: Speech) -> tuple[int, Intervals]:

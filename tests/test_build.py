@@ -10,13 +10,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from data_module.blocks import cut
 from data_module.build import main
-from data_module.build_report import Outcome
+from data_module.build_report import Outcome, doubts
 from data_module.corpora import CORPORA, STROKE_SOURCES
 from data_module.files import lock
 from data_module.intervals import LONGEST, STEP, Intervals, measure
@@ -269,7 +270,10 @@ def test_a_store_that_is_there_is_reported_as_when_it_was_built(tiny_store: Path
     again = [*TINY, "--out", str(out), "--workers", "1", "--histogram", str(picture)]
     assert main(again) == 0
     said = capsys.readouterr().out
-    assert f"{told['blocks']} blocks" in said
+    assert f"{told['blocks']} blocks" in said and "#" not in said
+    assert "warning: 2 minutes to train on are little" in said or "warning: 3 minutes to train on are little" in said
+    assert main([*again[:-2], "--verbose"]) == 0
+    assert "####" in capsys.readouterr().out
     assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "between onsets" in said
     (out / "report.json").unlink()
     picture.unlink()
@@ -278,6 +282,17 @@ def test_a_store_that_is_there_is_reported_as_when_it_was_built(tiny_store: Path
     with pytest.raises(SystemExit):
         main(again)
     assert "was built without a histogram" in capsys.readouterr().err and not picture.exists()
+
+
+def test_an_empty_split_is_doubted(tiny_store: Path) -> None:
+    store = Store.open(tiny_store)
+    little = [line for line in doubts(store) if "minutes to train on" in line]
+    assert len(little) == 1
+    trained = SimpleNamespace(recordings=[info for info in store.recordings if info.split == "train"])
+    assert [line.split(" split")[0] for line in doubts(trained)][:2] == ["the val", "the test"]  # type: ignore[arg-type]
+    enough = SimpleNamespace(recordings=[SimpleNamespace(split=split, seconds=3600.0)
+                                         for split in ("train", "val", "test")])
+    assert list(doubts(enough)) == []  # type: ignore[arg-type]
 
 
 def _ticking(apart: float, seconds: float = 6.0) -> Speech:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.errors import InputError
+from data_module.errors import InputError, complain
 from gesticulator.cli import PROGRAM, Command
 
 MOST_THREADS = 1024
@@ -51,6 +51,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--stage", metavar="STAGE", help="train this stage and those it needs, then stop")
     p.add_argument("--redo", action="append", default=[], metavar="STAGE", help="train this stage again")
     p.add_argument("--seed", type=int, help="random seed")
+    p.add_argument("--verbose", action="store_true", help="print the validation figures of every stage")
     p.add_argument("--quiet", action="store_true", help="print no progress")
     p.add_argument("--list", action=_List, nargs=0, help="list the presets and the stages and exit")
 
@@ -66,6 +67,7 @@ def run(asked: argparse.Namespace) -> int:
             raise InputError(f"{flag} {value}", "is out of range", f"choose {least} to {most}")
     import torch
 
+    from data_module.build_report import doubts
     from data_module.store import Store
     from gesticulator.bundle.config import with_settings
     from gesticulator.training.distributed import joined, leads
@@ -87,15 +89,19 @@ def run(asked: argparse.Namespace) -> int:
         config = dataclasses.replace(config, seed=asked.seed)
     out = Path(asked.out)
     work = Path(asked.work) if asked.work else out.with_name(out.name + ".work")
+    store = Store.open(asked.data)
+    for line in doubts(store):
+        complain(f"{PROGRAM}: warning: {asked.data}: {line}")
     with joined(asked.device) as device:
-        made = train(config, Store.open(asked.data), out, work, TrainOptions(
+        made = train(config, store, out, work, TrainOptions(
             device, threads * machine, not asked.quiet, tuple(map(Path, asked.speech)), tuple(asked.redo), asked.stage,
             asked.precision, asked.corpus_memory * 1e9))
         speaks = leads()
     if made is not None and speaks:
-        print(f"{out}: trained on {made.provenance['hours']['train']} h; "
-              + "; ".join(f"{stage} " + ", ".join(f"{k} {v:.4g}" for k, v in figures.items())
-                          for stage, figures in made.figures.items()))
+        hours = float(made.provenance["hours"]["train"])
+        print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")
+        for stage, figures in made.figures.items() if asked.verbose else ():
+            print(f"  {stage}: " + ", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
     return 0
 
 
