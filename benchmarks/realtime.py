@@ -39,7 +39,7 @@ def warm(system: Gesticulator, source: Path, target: Path, interpreter: str, tex
     spent = 0.0
     for _ in range(2):
         begin = time.perf_counter()
-        write(target, system(load_speech(source), interpreter=interpreter, text=text))
+        write(target, system(load_speech(source), interpreter=interpreter, text=text).scene())
         spent = time.perf_counter() - begin
     return spent
 

@@ -30,7 +30,7 @@ from data_module.errors import InputError, one_line_errors
 from data_module.files import lock, remove_unfinished, write_text
 
 if TYPE_CHECKING:
-    from data_module.corpora import Item, Options
+    from data_module.corpora.base import Item, Options
 
 DATASET = "dataset"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -75,23 +75,25 @@ class Workshop:
     def _written(self, item: Item) -> Outcome:
         import warnings
 
-        from data_module import corpora, intervals
+        from data_module import intervals
+        from data_module.corpora.base import DroppedError, Imported, load
         from data_module.corpora.folder import write_recording
+        from data_module.corpora.table import open_corpus
         from data_module.motion import skeletons
         from data_module.motion.relaxed_hands import with_relaxed_hands
         from data_module.motion.standing_legs import with_standing_legs
 
         if self.reader is None:
-            self.reader = corpora.open_corpus(self.corpus, self.source, self.options)
+            self.reader = open_corpus(self.corpus, self.source, self.options)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UserWarning)
             try:
-                recording = corpora.load(self.reader, item)
+                recording = load(self.reader, item)
                 character = with_relaxed_hands(skeletons.to_character(recording.motion,
                                                                       skeleton=skeletons.WHOLE_BODY))
                 if recording.stands:
                     character = with_standing_legs(character)
-            except corpora.DroppedError as reason:
+            except DroppedError as reason:
                 return Outcome(item.info.name, dropped=str(reason))
             except InputError as error:
                 if error.subject != "skeleton":
@@ -101,7 +103,7 @@ class Workshop:
             write_recording(self.dataset, recording)
         blocks, apart = intervals.measure(recording.speech)
         known = "given" if recording.speech.words else ""
-        unit, words = (recording.unit, recording.words) if isinstance(recording, corpora.Imported) else ("", known)
+        unit, words = (recording.unit, recording.words) if isinstance(recording, Imported) else ("", known)
         said = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
         self.writer.add(recording, character)
         return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
@@ -162,10 +164,11 @@ class _Site:
     @classmethod
     def opened(cls, request: BuildRequest) -> _Site | Report:
         """Begun or taken up again; the report of a store that is there already."""
-        from data_module import corpora, store
+        from data_module import store
+        from data_module.corpora.table import open_corpus
 
         begun, corpus, source, out = time.monotonic(), request.corpus, request.source, request.out
-        reader = corpora.open_corpus(corpus, source, request.options)
+        reader = open_corpus(corpus, source, request.options)
         settings, seed = dict(reader.settings()), request.options.seed
         there = store.matching(out, corpus, settings, seed)
         if there is not None:
@@ -288,27 +291,26 @@ def _share(file: Path, place: Path) -> None:
         shutil.copyfile(file, place)
 
 
-_FORMATS = """\
-corpora, and what SOURCE contains (the modules in data_module/corpora show the folders):
-  performer  scripted motion made of real strokes (SOURCE/strokes) on real (SOURCE/speech) and synthetic speech
-  folder     your own NAME.bvh of any rig beside NAME.flac, .wav, .mp3 or .ogg, optionally with a transcript
-             NAME.TextGrid, NAME.json (words with times), NAME.srt, NAME.vtt or NAME.txt
-  trinity    Trinity Speech-Gesture: GENEA_Challenge_2020_data_release, with Training_data/ and Test_data/
-  zeroeggs   ZeroEGGS: its folder data, with clean/ and info.csv
-  mocca      MOCCA Gesture Dataset: speakerNN_clipNN.bvh, .wav and .srt
-  beat       BEAT: beat_english_v0.2.1, with a folder per speaker
-  beat2      BEAT2: beat_english_v2.0.0, with smplxflame_30/, wave16k/ and train_test_split.csv
-  ted        TED Gesture: ted_dataset, with lmdb_train/, lmdb_val/ and lmdb_test/
-  smartbody  SmartBody's data/behaviorsets; writes the folder strokes/ for `performer` instead of a store
-"""
+def _formats() -> str:
+    """The data sets that can be read, for the help."""
+    import textwrap
+
+    from data_module.corpora.table import CORPORA, STROKE_SOURCES
+
+    names = {**CORPORA, **STROKE_SOURCES}
+    width = max(map(len, names))
+    lines = [textwrap.fill(entry.about, 118, initial_indent=f"  {name:<{width}}  ", subsequent_indent=" " * (width + 4))
+             for name, entry in names.items()]
+    title = "corpora, and what SOURCE contains (the modules in data_module/corpora show the folders):"
+    return "\n".join([title, *lines])
 
 
 def _make_strokes(name: str, source: Path | None, out: Path, options: Options) -> int:
     """Clips without speech: `out` becomes the folder strokes/ that the performer plays, not a store."""
-    from data_module import corpora
+    from data_module.corpora.table import open_strokes
 
     with lock(out, "a build", beside=True):
-        maker = corpora.open_strokes(name, source, options)
+        maker = open_strokes(name, source, options)
         count = maker.write(out)
     print(f"{out}: {count} strokes, with manifest.csv; the performer takes them as SOURCE/strokes")
     for note in maker.notes():
@@ -320,8 +322,8 @@ def _make_strokes(name: str, source: Path | None, out: Path, options: Options) -
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What a build takes, and at the end of the help what can be read."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = _FORMATS + (f"\n{parser.epilog}" if parser.epilog else "")
-    parser.add_argument("corpus", help="one of the corpora below")
+    parser.epilog = _formats() + (f"\n\n{parser.epilog}" if parser.epilog else "")
+    parser.add_argument("corpus", help="one of those below")
     parser.add_argument("--source", type=Path, metavar="DIR",
                         help="the source data (performer: default is the variable GESTICULATOR_DATA)")
     parser.add_argument("--out", type=Path, required=True, metavar="STORE", help="output folder")
@@ -365,7 +367,7 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
     """What `arguments` ask for; InputError for what cannot be asked."""
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
-    from data_module.corpora import Options
+    from data_module.corpora.base import Options
 
     for name in ("hours", "workers", "fps", "unit"):
         value = getattr(arguments, name)
@@ -392,7 +394,7 @@ def run(arguments: argparse.Namespace, making: Making | None = None) -> int:
     """Build what `arguments` ask for and print the report; making: see `build` (as many processes as were asked for).
     Returns 0; InputError when the input cannot be used."""
     request = asked_for(arguments)
-    from data_module.corpora import STROKE_SOURCES
+    from data_module.corpora.table import STROKE_SOURCES
 
     if request.corpus in STROKE_SOURCES:
         return _make_strokes(request.corpus, request.source, request.out, request.options)

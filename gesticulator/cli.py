@@ -16,17 +16,16 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
 from data_module.errors import InputError, complain, one_line_errors
+from data_module.registry import Registry, RegistryEntry
 
 __all__ = ["Command", "main"]
 
 PROGRAM = "gesticulator"
-GROUP = "gesticulator.commands"
 LOG_LEVELS = {"error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO, "debug": logging.DEBUG}
 DEFAULT = "infer"
 """What is meant when the first word is no verb: `gesticulator speech.wav -o gesture.bvh`."""
@@ -148,25 +147,14 @@ def limited_threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def installed() -> dict[str, EntryPoint]:
-    """The verbs' entry points, `DEFAULT` first, then by name; where two packages add one, this package's own counts."""
-    points = sorted(entry_points(group=GROUP), key=lambda point: point.dist is not None and point.dist.name == PROGRAM)
-    by_name = {point.name: point for point in points}
-    return {name: by_name[name] for name in sorted(by_name, key=lambda name: (name != DEFAULT, name))}
+VERBS: Registry[RegistryEntry] = Registry("commands", "a gesticulator.cli.Command", {}, RegistryEntry,
+                                 fits=lambda found: isinstance(found, Command))
+"""By name; ours, too, are entry points (pyproject.toml), so that `eval` can stand above this package."""
 
 
-def load(point: EntryPoint) -> Command:
-    """The command that an entry point names; `InputError` where it cannot be loaded or is none."""
-    owner = f" of {point.dist.name}" if point.dist is not None else ""
-    try:
-        command = point.load()
-    except Exception as error:  # noqa: BLE001 - somebody else's module may fail with anything while it is imported
-        raise InputError(f"{point.name} ({point.value}{owner})", f"cannot be loaded ({type(error).__name__}: {error})",
-                         "repair or remove the package that adds it") from None
-    if not isinstance(command, Command):
-        raise InputError(f"{point.name} ({point.value}{owner})", "is no gesticulator.cli.Command",
-                         "repair or remove the package that adds it")
-    return command
+def verbs() -> list[str]:
+    """The verbs' names, `DEFAULT` first, then by name."""
+    return sorted(VERBS, key=lambda name: (name != DEFAULT, name))
 
 
 def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
@@ -182,24 +170,24 @@ def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
     return f"{text}\n{lines}\n{ends}\n" if ends else f"{text}\n{lines}\n"
 
 
-def _usable(points: Mapping[str, EntryPoint]) -> dict[str, Command]:
-    """The commands that can be loaded; what is wrong with the others is told."""
+def _usable() -> dict[str, Command]:
+    """The commands that can be loaded; of each other one a line is printed."""
     known = {}
-    for name, point in points.items():
+    for name in verbs():
         try:
-            known[name] = load(point)
+            known[name] = VERBS.load(name)
         except InputError as error:
             complain(f"{PROGRAM}: {error}")
     return known
 
 
-def _check_is_no_verb(word: str, verbs: Sequence[str]) -> None:
+def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
     """`InputError` where the first word is neither an option nor anything that could be a recording."""
     plain = word and not word.startswith("-") and not set(word) & set("./\\*?[")
     if plain and not os.path.lexists(word):
-        near = difflib.get_close_matches(word, verbs, 1)
+        near = difflib.get_close_matches(word, known, 1)
         raise InputError(word, "is no verb and no file", (f"did you mean {near[0]}? " if near else "")
-                         + f"verbs are {', '.join(verbs)}")
+                         + f"verbs are {', '.join(known)}")
 
 
 SHELLS = ("bash", "zsh", "fish")
@@ -223,9 +211,9 @@ def _complete() -> None:
         import argcomplete
 
         parser = Parser(PROGRAM, allow_abbrev=False)
-        verbs = parser.add_subparsers()
-        for name, command in _usable(installed()).items():
-            command.arguments(verbs.add_parser(name))
+        subparsers = parser.add_subparsers()
+        for name, command in _usable().items():
+            command.arguments(subparsers.add_parser(name))
         argcomplete.autocomplete(parser)
 
 
@@ -245,16 +233,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(_completion(arguments[1:]), end="")
             return 0
         if not arguments or arguments[0] in ("-h", "--help"):
-            print(usage(_usable(installed())), end="", flush=True)
+            print(usage(_usable()), end="", flush=True)
             return 0 if arguments else 2
-        points = installed()
         verb, program = DEFAULT, f"{PROGRAM} {DEFAULT}"
-        if arguments[0] in points:
+        if arguments[0] in VERBS:
             verb = arguments.pop(0)
             program = f"{PROGRAM} {verb}"
-        elif DEFAULT not in points:
+        elif DEFAULT not in VERBS:
             raise InputError(PROGRAM, "is not installed with its commands", "install it with pip install .")
         else:
-            _check_is_no_verb(arguments[0], list(points))
-        command = load(points[verb])
+            _check_is_no_verb(arguments[0], verbs())
+        command: Command = VERBS.load(verb)
     return command.main(program, arguments)

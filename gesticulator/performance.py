@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.rig import Character, CharacterMotion
     from gesticulator.drawing.rollout import LexemeWorth
+    from gesticulator.export.scene import Scene
     from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import GesturePlan, LexemeName
 
@@ -103,7 +104,7 @@ class Performance:
 
         from gesticulator.export.html import page
 
-        return (f'<iframe srcdoc="{escape(page({"take": self}, self.sound_name or "take"))}" width="100%" '
+        return (f'<iframe srcdoc="{escape(page({"take": self.scene()}, self.sound_name or "take"))}" width="100%" '
                 'height="480" style="border: 0"></iframe>')
 
     @property
@@ -143,7 +144,13 @@ class Performance:
         """
         check_output(path, unit)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        return write(path, self, unit=unit)
+        return write(path, self.scene(), unit=unit)
+
+    def scene(self) -> Scene:
+        """What writers are given: the motion, the sound, the plan, and the character."""
+        from gesticulator.export.scene import Scene
+
+        return Scene(self.motion, self.speech, self.plan, self.character)
 
     def on(self, character: Character | str | os.PathLike[str],
            mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True) -> Performance:
@@ -156,7 +163,7 @@ class Performance:
         """
         from gesticulator.characters.retarget import retarget
 
-        return replace(self, character=retarget(self, character, mapping, contacts=contacts))
+        return replace(self, character=retarget(self.motion, character, mapping, contacts=contacts))
 
     def plan(self) -> GesturePlan:
         """What was decided, as a plan that can be edited and rendered again (`InferenceOptions.plan`)."""

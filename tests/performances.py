@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import BeatFlag, Blocks, Motion, Skeleton, Speech, Word
+from gesticulator.export import writers
 from gesticulator.performance import Performance
 
 RATE = 16000
@@ -33,3 +36,8 @@ def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height:
     scores = np.sort(rng.uniform(size=(n, 5)), axis=1)[:, ::-1].copy()
     return Performance(motion, speech, Blocks(edges, flags, rng.random(n) < 0.3, 8, 30.0), best[:, 0].copy(), best,
                        scores)
+
+
+def write(path: Path, performance: Performance, *, unit: str = "cm") -> Path:
+    """Write the scene of a performance into a folder that is there."""
+    return writers.write(path, performance.scene(), unit=unit)

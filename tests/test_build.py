@@ -18,7 +18,7 @@ import pytest
 from data_module.blocks import cut
 from data_module.build import main
 from data_module.build_report import Outcome, doubts
-from data_module.corpora import CORPORA, STROKE_SOURCES
+from data_module.corpora.table import CORPORA, STROKE_SOURCES
 from data_module.files import lock
 from data_module.intervals import LONGEST, STEP, Intervals, measure
 from data_module.motion import kinematics, rotation

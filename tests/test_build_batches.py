@@ -163,7 +163,8 @@ def test_a_full_disk_loses_nothing(source: Path, plain: dict[str, bytes], small_
 def test_a_worker_with_other_files_is_told(source: Path, tmp_path: Path) -> None:
     """A machine of a cluster that sees another folder under the same path must not add to the store."""
     from data_module.build import Workshop
-    from data_module.corpora import Options, open_corpus
+    from data_module.corpora.base import Options
+    from data_module.corpora.table import open_corpus
     from data_module.store import StoreWriter
     from gesticulator.batch.build import _worker
 

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_module import registry
 from data_module.errors import InputError
 from gesticulator import __version__, cli
 from gesticulator.cli import Command
@@ -50,8 +51,9 @@ def verbs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def install(**values: str) -> None:
-        points = [EntryPoint(name, value, cli.GROUP) for name, value in values.items()]
-        monkeypatch.setattr(cli, "entry_points", lambda group: points)
+        points = [EntryPoint(name, value, cli.VERBS.group) for name, value in values.items()]
+        monkeypatch.setattr(registry, "entry_points", lambda group: points)
+        monkeypatch.setattr(cli.VERBS, "_points", None)
 
     yield install
     for name in ("others_verbs", "broken_verb", "raising_verb"):
@@ -107,11 +109,12 @@ def test_our_own_verb_wins_over_one_of_the_same_name(monkeypatch: pytest.MonkeyP
         def __init__(self, name: str) -> None:
             self.name = name
 
-    ours, theirs = EntryPoint("infer", "gesticulator.infer:COMMAND", cli.GROUP), EntryPoint("infer", "x:Y", cli.GROUP)
+    ours, theirs = (EntryPoint("infer", value, cli.VERBS.group) for value in ("gesticulator.infer:COMMAND", "x:Y"))
     vars(ours)["dist"], vars(theirs)["dist"] = Owner("gesticulator"), Owner("another")
     for order in ([ours, theirs], [theirs, ours]):
-        monkeypatch.setattr(cli, "entry_points", lambda group, order=order: order)
-        assert cli.installed()["infer"].value == ours.value
+        monkeypatch.setattr(registry, "entry_points", lambda group, order=order: order)
+        monkeypatch.setattr(cli.VERBS, "_points", None)
+        assert cli.VERBS["infer"].where == ours.value
 
 
 def test_an_unknown_verb_is_told_and_the_nearest_named(capfd: pytest.CaptureFixture[str]) -> None:

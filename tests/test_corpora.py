@@ -17,8 +17,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.corpora import CORPORA, DroppedError, Options, Reader, load, open_corpus, split_of, spread, trimmed
+from data_module.corpora.base import DroppedError, Options, Reader, load, split_of, spread, trimmed
 from data_module.corpora.performer import PARTS, TEST_READINGS, Performer, tail_begins
+from data_module.corpora.table import CORPORA, open_corpus
 from data_module.errors import InputError
 from data_module.motion import kinematics, skeletons
 from data_module.motion.bvh import write_bvh

@@ -13,14 +13,14 @@ import pytest
 import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
-from performances import RATE, perform
+from performances import RATE, perform, write
 
 from data_module.errors import InputError
 from data_module.motion import bvh, rotation
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, standing
 from data_module.types import Speech
 from gesticulator.export import sound
-from gesticulator.export.writers import WRITERS, check_output, write
+from gesticulator.export.writers import WRITERS, check_output
 
 
 def test_bvh_holds_the_motion_standing_at_hip_height(tmp_path: Path) -> None:

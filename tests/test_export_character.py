@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gltf_reader import GlbFile
-from performances import perform
+from performances import perform, write
 from small_characters import write_character
 
 from data_module.errors import InputError
@@ -22,8 +22,6 @@ from data_module.types import Array
 from gesticulator.characters.retarget import retarget
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.glb import character_glb
-from gesticulator.export.nodes import of_performance
-from gesticulator.export.writers import write
 from gesticulator.performance import Performance
 
 
@@ -113,7 +111,7 @@ def test_buffers_and_pictures_beside_a_gltf_are_put_inside(tmp_path: Path) -> No
 @pytest.mark.parametrize("vrm", ["", "0.x", "1.0"])
 def test_every_format_shows_the_same_places(tmp_path: Path, vrm: str) -> None:
     made = on(write_character(tmp_path / f"her.{'vrm' if vrm else 'glb'}", seed=4, vrm=vrm))
-    nodes = of_performance(made)
+    nodes = made.scene().nodes
     assert nodes.names[0].endswith("Hips") and "Body" not in nodes.names and "Armature" not in nodes.names
     expected = places(made, nodes.names)
     np.testing.assert_allclose(nodes.positions(), expected, atol=1e-9)
@@ -134,7 +132,7 @@ def test_a_character_from_bvh_becomes_a_glb_in_metres(tmp_path: Path) -> None:
     made = on(write(tmp_path / "her.bvh", perform(0.5, skeleton=WHOLE_BODY)))
     assert played(made).unit == pytest.approx(0.01)
     glb = GlbFile.parse(write(tmp_path / "a.glb", made).read_bytes())
-    nodes = of_performance(made)
+    nodes = made.scene().nodes
     names = glb.names()
     got = glb.worlds(0)[:, [names.index(name) for name in nodes.names]][..., :3, 3]
     np.testing.assert_allclose(got, places(made, nodes.names), atol=1e-5)

@@ -12,7 +12,7 @@ import pytest
 from gltf_reader import GlbFile
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from performances import perform
+from performances import perform, write
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
@@ -21,9 +21,8 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import global_rotations, positions_of, resample
 from data_module.motion.skeletons import CHARACTERS, FINGER_JOINTS, FINGERED, HIP_HEIGHT, to_character
 from data_module.types import Array
-from gesticulator.export.nodes import of_performance
 from gesticulator.export.vrma import BONES
-from gesticulator.export.writers import NEEDS, check_output, write
+from gesticulator.export.writers import WRITERS, check_output
 from gesticulator.performance import Performance
 
 SIZES = tuple(CHARACTERS)
@@ -215,7 +214,7 @@ def test_usd_as_pixars_own_library_poses_it(tmp_path: Path, suffix: str) -> None
 @settings(max_examples=10, deadline=None)
 def test_nodes_stand_where_forward_kinematics_puts_them(size: int, seed: int) -> None:
     made = perform(1.0, seed=seed, root_height=0.3, skeleton=CHARACTERS[size])
-    np.testing.assert_allclose(of_performance(made).positions(), made.positions(), atol=1e-9)
+    np.testing.assert_allclose(made.scene().nodes.positions(), made.positions(), atol=1e-9)
 
 
 def test_bvh_in_metres_is_the_same_motion(tmp_path: Path) -> None:
@@ -238,10 +237,12 @@ def test_what_cannot_be_written_is_said(path: str, unit: str, message: str) -> N
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize("suffix", sorted(NEEDS))
+@pytest.mark.parametrize("suffix", sorted(name for name, entry in WRITERS.items() if entry.needs))
 def test_a_missing_library_is_named_with_its_extra(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                                                    ) -> None:
-    module, package, extra = NEEDS[suffix]
+    needs = WRITERS[suffix].needs
+    assert needs is not None
+    module, package, extra = needs.module, needs.package, needs.extra
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError) as caught:
         perform().save(tmp_path / "new" / f"a{suffix}")

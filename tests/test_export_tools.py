@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gltf_reader import GlbFile
-from performances import perform
+from performances import perform, write
 from small_characters import write_character
 
 from data_module.errors import InputError
@@ -26,10 +26,8 @@ from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY, stand
 from data_module.types import Array
 from gesticulator.characters.blender import check_blender, run_in_blender
 from gesticulator.characters.retarget import retarget
-from gesticulator.export.nodes import of_performance
 from gesticulator.export.own_fbx import SCRIPT
 from gesticulator.export.vrma import BONES, humanoid
-from gesticulator.export.writers import write
 from gesticulator.performance import Performance
 
 HERE = Path(__file__).resolve().parent
@@ -113,7 +111,7 @@ def page(files: tuple[dict[str, Path], dict[str, Performance]]) -> Iterator[Any]
 @pytest.mark.parametrize("name", ["ours16", "ours54", "mixamo", *VRMS])
 def test_three_js_plays_a_glb(page: Any, files: tuple[dict[str, Path], dict[str, Performance]], name: str) -> None:
     got = page.evaluate("([file, times]) => playGlb(file, times)", [f"/{name}.glb", TIMES])
-    nodes = of_performance(files[1][name])
+    nodes = files[1][name].scene().nodes
     expected = nodes.positions()[list(FRAMES)]
     for index, joint in enumerate(nodes.names):
         # three.js leaves out the characters that its own paths need.
@@ -209,7 +207,7 @@ def test_blender_takes_a_character_with_her_skin(tmp_path: Path, suffix: str) ->
     plain = perform(0.4, 30.0, skeleton=FINGERED)
     made = replace(plain, character=retarget(plain.motion, write_character(tmp_path / "her.glb")))
     told = in_blender(write(tmp_path / f"a{suffix}", made), 30.0, IMPORT[suffix])
-    nodes = of_performance(made)
+    nodes = made.scene().nodes
     got = np.array([[frame[joint] for joint in nodes.names] for frame in told["frames"]])
     np.testing.assert_allclose(got, nodes.positions(), atol=1e-3)
     assert sum(told["meshes"].values()) >= 3 * len(nodes.names)

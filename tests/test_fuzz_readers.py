@@ -34,8 +34,9 @@ import data_module
 from data_module.arrays import read_npz
 from data_module.build_report import report_of
 from data_module.controls import FEATURES, read_curve
-from data_module.corpora import DroppedError, Options, open_corpus
+from data_module.corpora.base import DroppedError, Options
 from data_module.corpora.serialised import deserialise
+from data_module.corpora.table import open_corpus
 from data_module.corpora.trinity import read_words
 from data_module.errors import InputError
 from data_module.motion import skeletons, smartbody

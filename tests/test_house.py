@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gesticulator.cli import GROUP, Command
+from gesticulator.cli import VERBS, Command
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval")
@@ -39,7 +39,7 @@ def test_there_are_no_other_doors() -> None:
 
 
 def test_every_verb_is_a_command_that_says_what_it_is_for() -> None:
-    points = {point.name: point for point in entry_points(group=GROUP)}
+    points = {point.name: point for point in entry_points(group=VERBS.group)}
     assert set(points) >= {"infer", "build", "train", "bundle", "score", "ablate", "report", "study", "probe", "draw"}
     for name, point in points.items():
         module, _, attribute = point.value.partition(":")

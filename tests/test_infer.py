@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from performances import write
 from untrained import PLAIN, untrained
 
 from data_module.motion.bvh import read_bvh
@@ -22,7 +23,6 @@ from data_module.speech import audio
 from data_module.types import Speech
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
-from gesticulator.export.writers import write
 from gesticulator.pipeline import Gesticulator
 
 RATE = 16000

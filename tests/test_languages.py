@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.corpora import Options, Reader, open_corpus
+from data_module.corpora.base import Options, Reader
 from data_module.corpora.performer import Script
+from data_module.corpora.table import open_corpus
 from data_module.errors import InputError
 from data_module.performer import espeak, voices
 from data_module.performer.plan import plan

@@ -45,13 +45,13 @@ class Renderer:
         same = (lexemes == self.first.lexemes).all()
         made = replace(self.first if same else self.other, blocks=self.first.blocks, lexemes=lexemes,
                        best=self.first.best, scores=self.first.scores)
-        return {**html.describe(made), "plan": plan}
+        return {**html.describe(made.scene()), "plan": plan}
 
 
 @pytest.fixture
 def served() -> Iterator[tuple[PageServer, Renderer]]:
     server, renderer = PageServer(), Renderer()
-    server.page = html.page({"take": renderer.first}, "talk", more={"live": {"token": server.token}}).encode()
+    server.page = html.page({"take": renderer.first.scene()}, "talk", more={"live": {"token": server.token}}).encode()
     server.render = renderer
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
@@ -85,7 +85,7 @@ def _ask(server: PageServer, method: str = "POST", path: str = "/render", body: 
 
 
 def _plan(renderer: Renderer) -> bytes:
-    return json.dumps({"plan": html.describe(renderer.first)["plan"]}).encode()
+    return json.dumps({"plan": html.describe(renderer.first.scene())["plan"]}).encode()
 
 
 def test_who_may_ask_and_for_what(served: tuple[PageServer, Renderer]) -> None:

@@ -17,14 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from performances import perform
+from performances import perform, write
 from small_characters import write_character
 
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, standing
 from gesticulator.export import html
-from gesticulator.export.writers import write
 from gesticulator.performance import Performance
 
 ROOT = Path(__file__).parents[1]
@@ -61,7 +60,7 @@ def _data(page: str) -> dict[str, Any]:
 
 
 def _page(performance: Performance, title: str = "talk") -> str:
-    return html.page({"take": performance}, title)
+    return html.page({"take": performance.scene()}, title)
 
 
 def test_page_loads_nothing_from_outside() -> None:
@@ -86,7 +85,7 @@ def test_the_policy_allows_this_script_and_style_alone() -> None:
     for text, rule in ((_Elements(page).scripts["main"], "script-src"), (style[1], "style-src")):
         assert policy[rule] == [f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"]
     assert policy["connect-src"] == ["blob:", "data:"], "what the page was given, and no host"
-    live = _policy(html.page({"take": perform()}, "talk", more={"live": {"token": "t"}}))
+    live = _policy(html.page({"take": perform().scene()}, "talk", more={"live": {"token": "t"}}))
     assert live == {**policy, "connect-src": ["'self'", "blob:", "data:"]}
 
 
@@ -115,7 +114,7 @@ def test_motion_decodes_to_the_quaternions() -> None:
 
 
 def test_words_and_names_cannot_break_out() -> None:
-    page = html.page({BREAKS_OUT: perform()}, 'a "<img src=x>" & {{script}}')
+    page = html.page({BREAKS_OUT: perform().scene()}, 'a "<img src=x>" & {{script}}')
     told = _data(page)
     assert told["takes"][0]["plan"]["words"][0]["text"] == "</script><b>"
     assert told["takes"][0]["name"] == BREAKS_OUT

@@ -18,8 +18,9 @@ import soundfile
 
 from data_module.blocks import cut
 from data_module.build import main
-from data_module.corpora import DroppedError, Imported, Item, Options, Reader, load, open_corpus
+from data_module.corpora.base import DroppedError, Imported, Item, Options, Reader, load
 from data_module.corpora.mocca import CLIPS, TEST
+from data_module.corpora.table import open_corpus
 from data_module.corpora.takes import TakeWarning, read_motion
 from data_module.corpora.trinity import SPLIT, read_words
 from data_module.corpora.zeroeggs import HELD_OUT

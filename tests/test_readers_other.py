@@ -16,9 +16,10 @@ from published import TAKE, poses_of, ted_value, write_beat, write_beat2, write_
 from scipy.spatial.transform import Rotation
 
 from data_module.build import main
-from data_module.corpora import DroppedError, Item, Options, Reader, load, open_corpus, open_strokes
+from data_module.corpora.base import DroppedError, Item, Options, Reader, load
 from data_module.corpora.beat import published_split
 from data_module.corpora.smartbody import SmartBody, clip_name
+from data_module.corpora.table import open_corpus, open_strokes
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons, smartbody
 from data_module.motion.bvh import BvhWarning, read_bvh

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from performances import perform
+from performances import perform, write
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation
@@ -28,7 +28,7 @@ from gesticulator.export.robots import g1
 from gesticulator.export.robots.angles import RobotMotion, to_robot
 from gesticulator.export.robots.limits import SPEED_SHARE, slowed
 from gesticulator.export.robots.pan_tilt import pan_over_time, tilt_at
-from gesticulator.export.writers import suffix_of, write
+from gesticulator.export.writers import suffix_of
 from gesticulator.performance import Performance
 
 MODEL = "asset_zoo/robots/unitree_g1/xmls/g1.xml"

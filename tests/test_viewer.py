@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from browser import OpenedPage, chromium
 from gltf_reader import GlbFile
-from performances import perform
+from performances import perform, write
 from scipy.spatial.transform import Rotation
 from small_characters import write_character
 
@@ -22,7 +22,6 @@ from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, standing
 from gesticulator.characters.reading import choose
 from gesticulator.export import html
 from gesticulator.export.vrma import vrm_animation
-from gesticulator.export.writers import write
 
 SECONDS = 4.0
 
@@ -234,7 +233,8 @@ BREAKS_OUT = "</script><img src=x onerror=broken=1>"
 def test_gestures_are_asked_for_and_names_are_text(browser: Any, tmp_path: Path) -> None:
     made = replace(perform(seconds=SECONDS), score_is=BREAKS_OUT, sound_name=BREAKS_OUT,
                    made_by={"settings": {"speaker": BREAKS_OUT, "interpreter": BREAKS_OUT}})
-    (tmp_path / "talk.html").write_text(html.page({BREAKS_OUT: made, "b": made}, BREAKS_OUT, together=True))
+    takes = {BREAKS_OUT: made.scene(), "b": made.scene()}
+    (tmp_path / "talk.html").write_text(html.page(takes, BREAKS_OUT, together=True))
     page = OpenedPage(browser, (tmp_path / "talk.html").as_uri())
     assert page.page.inner_text("h1") == page.page.locator("#labels span").first.inner_text() == BREAKS_OUT
     page.page.keyboard.press("d")

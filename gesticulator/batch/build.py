@@ -22,7 +22,7 @@ from gesticulator.cli import PROGRAM, Command
 
 if TYPE_CHECKING:
     from data_module.build_report import Outcome
-    from data_module.corpora import Item
+    from data_module.corpora.base import Item
     from data_module.store import StoreWriter
     from gesticulator.batch.run import BatchTask
 
@@ -53,7 +53,7 @@ def _run(asked: argparse.Namespace) -> int:
     if asked.ray:
         ray_pool.check_ray(asked.ray)
     request = build.asked_for(asked)
-    from data_module.corpora import STROKE_SOURCES
+    from data_module.corpora.table import STROKE_SOURCES
     from data_module.store import Store
 
     if request.corpus in STROKE_SOURCES:
@@ -140,7 +140,7 @@ def _tasks(items: Sequence[Item]) -> list[BatchTask]:
 
 def _worker(workshop: build.Workshop, items: Sequence[Item]) -> Callable[[int], float]:
     """Opens the corpus, and gives what makes the recording of a number and tells its seconds of sound."""
-    from data_module.corpora import open_corpus
+    from data_module.corpora.table import open_corpus
 
     workshop.reader = open_corpus(workshop.corpus, workshop.source, workshop.options)
     found = json.loads(json.dumps(dict(workshop.reader.settings())))

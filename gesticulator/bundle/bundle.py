@@ -227,7 +227,8 @@ class Bundle:
     @property
     def interpreters(self) -> tuple[str, ...]:
         """Names of the interpreters that it holds; the first is taken when none is named."""
-        return tuple(name for name, entry in INTERPRETERS.items() if not entry.part or entry.part in self.parts)
+        return tuple(name for name, entry in INTERPRETERS.usable().items()
+                     if not entry.part or entry.part in self.parts)
 
     def interpreter_named(self, name: str, text: bool = False) -> LexemeInterpreter:
         """The lexeme interpreter of that name; with `text`, the one that reads the words where there is one.
@@ -237,12 +238,14 @@ class Bundle:
         if name not in self.interpreters:
             raise InputError(f"interpreter {name}", "is not in the bundle",
                              f"choose among {', '.join(self.interpreters)}")
-        entry = INTERPRETERS[name]
-        if not entry.part:
+        entry = INTERPRETERS.entry(name)
+        if name == "statistical":
             return cast("LexemeInterpreter", self.statistical())
+        if not entry.part:
+            return cast("LexemeInterpreter", INTERPRETERS.load(name)(self.frequencies, self.transitions))
         if entry.prior:
-            prior = self.interpreter_named(entry.prior, text)
-            return cast("LexemeInterpreter", entry.load()(prior, self.parts[entry.part], self.config.selection.beta))
+            prior, critics = self.interpreter_named(entry.prior, text), self.parts[entry.part]
+            return cast("LexemeInterpreter", INTERPRETERS.load(name)(prior, critics, self.config.selection.beta))
         reads = text and entry.text_part in self.parts
         found = self.parts[entry.text_part if reads else entry.part]
         guidance = self.config.selection.interpreter_guidance

@@ -33,7 +33,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -46,9 +45,6 @@ from gesticulator.characters.inverse_kinematics import bend
 from gesticulator.characters.mapping import SIDES, RigMapping, check
 from gesticulator.characters.rig import Character, CharacterMotion
 from gesticulator.characters.twist import share_roll
-
-if TYPE_CHECKING:
-    from gesticulator.performance import Performance
 
 _SOCKETS = 0.18
 """Metres between the sockets of our legs."""
@@ -212,10 +208,10 @@ def reach_with_leg(turns: dict[int, Array], body: Body, mapping: RigMapping, sid
     bend(turns, body, (thigh, shin, foot), ankle, np.array([0.0, 0.0, 1.0]))
 
 
-def retarget(motion: Motion | Performance, character: Character | str | os.PathLike[str],
+def retarget(motion: Motion, character: Character | str | os.PathLike[str],
              mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True,
              legs: bool | None = None) -> CharacterMotion:
-    """A motion, or a performance's, on a character; see `Retargeter`.
+    """A motion on a character; see `Retargeter`.
 
     character: what `read_character` gives, or a file. mapping: a `RigMapping`, or a file as `save_mapping` writes it.
     """
@@ -224,8 +220,7 @@ def retarget(motion: Motion | Performance, character: Character | str | os.PathL
 
     rig = character if isinstance(character, Character) else read_character(character)
     told = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
-    moved = motion if isinstance(motion, Motion) else motion.motion
-    return Retargeter(rig, told, contacts=contacts, legs=legs)(moved)
+    return Retargeter(rig, told, contacts=contacts, legs=legs)(motion)
 
 
 __all__ = ["CharacterMotion", "Retargeter", "retarget"]

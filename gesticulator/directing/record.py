@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data_module.files import write_text
 from data_module.types import BeatFlag
 from gesticulator.directing.directions import knobs_of
 from gesticulator.plan.plan import (
@@ -32,12 +30,6 @@ if TYPE_CHECKING:
 
 _ABOVE = ("seed", "variation", "speaker", "interpreter", "activity")
 """Settings that stand elsewhere in a plan."""
-
-
-def write_plan(path: Path, performance: Performance) -> Path:
-    """Write `Performance.plan()` as JSON. Returns `path`."""
-    write_text(path, plan_of(performance).to_json())
-    return path
 
 
 def plan_of(performance: Performance) -> GesturePlan:

@@ -1,1 +1,1 @@
-"""Writers of a performance that need more than a few lines; `gesticulator.performance.WRITERS` picks by the suffix."""
+"""Writers: each takes a `gesticulator.export.scene.Scene`; `gesticulator.export.writers.WRITERS` picks by suffix."""

@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gesticulator.export.writers import UNITS
 
 if TYPE_CHECKING:
-    from gesticulator.performance import Performance
-
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-
-    pass
+    from gesticulator.export.scene import Scene
 
 
-def write_bvh_file(path: Path, performance: Performance, unit: str = "cm") -> Path:
+def write_bvh_file(path: Path, scene: Scene, unit: str = "cm") -> Path:
     """Write the motion, standing on the floor, at its own frame rate. Returns `path`.
 
     A character of a BVH file is written as that file has her, in its own unit.
     """
     from data_module.motion import bvh
-    from data_module.motion.skeletons import standing
 
-    moved = performance.character
+    moved = scene.character
     if moved is not None and moved.character.kind == "bvh":
         from gesticulator.characters.bvh_rig import write_character_bvh
 
         placed = None if moved.translations is None else (moved.hips, moved.translations)
         write_character_bvh(path, moved.character, moved.rotations, placed, moved.fps)
         return path
-    motion = standing(performance.motion)
+    motion = scene.standing
     if moved is not None:
         from gesticulator.export.nodes import of_character, with_identity_rest
 

@@ -14,24 +14,24 @@ from gesticulator.export.glb import write_glb
 from gesticulator.export.own_fbx import SCRIPT, own_character, write_animated
 
 if TYPE_CHECKING:
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 
-def write_fbx(path: Path, performance: Performance) -> Path:
+def write_fbx(path: Path, scene: Scene) -> Path:
     """Write the motion as binary FBX, whole or not at all. Returns `path`.
 
     Our own skeleton moves at whole frames per second: another rate is brought to the nearest. `InputError` where there
     is no Blender, or it fails.
     """
-    own = own_character(performance)
+    own = own_character(scene)
     if own is not None:
         return write_animated(path, own)
-    rate = max(1, round(performance.fps))
-    if performance.fps != rate:
-        performance = replace(performance, motion=resample(performance.motion, float(rate)))
+    rate = max(1, round(scene.fps))
+    if scene.fps != rate:
+        scene = replace(scene, motion=resample(scene.motion, float(rate)))
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
-        write_glb(source, performance)
+        write_glb(source, scene)
         run_in_blender(path, SCRIPT, str(source), str(target), str(rate))
         write_bytes(path, target.read_bytes())
     return path

@@ -37,7 +37,7 @@ from gesticulator.export.figure import FLOOR, FlatPart, body, figure_points, fla
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 PAPER = "#ece6db"
 SHADOW = "#bfb5a4"
@@ -308,18 +308,18 @@ def _sound_frame(samples: Samples, first: int) -> Any:
     return frame
 
 
-# ---------------------------------------------------------------- a performance
+# ---------------------------------------------------------------- a scene
 
-def write_film(path: Path, performance: Performance) -> Path:
-    """Write the performance as a video with its sound, whole or not at all. Returns `path`."""
-    points = _moments(performance.motion, performance.duration, FPS)
-    write_bytes(path, encode(points, performance.speech, path.suffix))
+def write_film(path: Path, scene: Scene) -> Path:
+    """Write the scene as a video with its sound, whole or not at all. Returns `path`."""
+    points = _moments(scene.motion, scene.duration, FPS)
+    write_bytes(path, encode(points, scene.speech, path.suffix))
     return path
 
 
-def write_gif(path: Path, performance: Performance) -> Path:
-    """Write the performance as a GIF that repeats, without sound, whole or not at all. Returns `path`."""
-    write_bytes(path, gif(_moments(performance.motion, performance.duration, GIF_FPS)))
+def write_gif(path: Path, scene: Scene) -> Path:
+    """Write the scene as a GIF that repeats, without sound, whole or not at all. Returns `path`."""
+    write_bytes(path, gif(_moments(scene.motion, scene.duration, GIF_FPS)))
     return path
 
 

@@ -14,7 +14,7 @@ from gesticulator.export.robots.angles import to_robot
 from gesticulator.export.robots.g1 import NAMES
 
 if TYPE_CHECKING:
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 COLUMNS = ("time", "base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz", *NAMES)
 """time: seconds. base: where the pelvis is, metres (X ahead, Y left, Z up, the floor at 0), and how it is turned, a
@@ -25,9 +25,9 @@ class RobotWarning(UserWarning):
     """What a robot could not do as it was asked."""
 
 
-def write_g1(path: Path, performance: Performance) -> Path:
+def write_g1(path: Path, scene: Scene) -> Path:
     """Write the motion for a G1, whole or not at all; a `RobotWarning` tells what its limits cut. Returns `path`."""
-    moved = to_robot(performance.motion)
+    moved = to_robot(scene.motion)
     rows = np.concatenate([np.arange(len(moved))[:, None] / moved.fps, moved.places, moved.turns, moved.angles], axis=1)
     out = io.StringIO()
     out.write(",".join(COLUMNS) + "\n")

@@ -9,13 +9,13 @@ import numpy as np
 
 from data_module.files import write_bytes
 from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
-from gesticulator.export.nodes import NodeMotion, of_performance
+from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import own_character, write_animated
 from gesticulator.export.stick_figure import figure
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import CharacterMotion
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 ANIMATION = "gesture"
 """Name of the one animation that is added."""
@@ -23,15 +23,15 @@ _COLOUR = [0.24, 0.45, 0.47, 1.0]
 """Of the figure: linear red, green, blue, opacity."""
 
 
-def write_glb(path: Path, performance: Performance) -> Path:
+def write_glb(path: Path, scene: Scene) -> Path:
     """Write the motion as GLB, whole or not at all. Returns `path`. A character that came as FBX needs Blender."""
-    from_fbx = own_character(performance)
+    from_fbx = own_character(scene)
     if from_fbx is not None:
         return write_animated(path, from_fbx)
-    character = performance.character
+    character = scene.character
     own = character is not None and character.character.kind == "glb"
     write_bytes(path, character_glb(character) if character is not None and own
-                else skeleton_glb(of_performance(performance)))
+                else skeleton_glb(scene.nodes))
     return path
 
 

@@ -14,21 +14,30 @@ import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.motion import kinematics
-from data_module.motion.skeletons import HIP_HEIGHT, standing
+from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Skeleton
 from gesticulator.export import sound
 from gesticulator.export.gltf import open_gltf
+from gesticulator.export.scene import Scene
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import CharacterMotion
-    from gesticulator.performance import Performance
+
+
+class HasScene(Protocol):
+    """What can give its scene, as a performance does."""
+
+    def scene(self) -> Scene:
+        """What writers are given."""
+        ...
+
 
 __all__ = ["write_comparison", "write_preview"]
 
@@ -47,18 +56,19 @@ _SAME = 0.05
 _SLOT = re.compile(r"\{\{([a-z_]+)\}\}")
 
 
-def write_preview(path: Path, performance: Performance) -> Path:
+def write_preview(path: Path, scene: Scene) -> Path:
     """Write the preview page, whole or not at all. Returns `path`."""
-    write_text(path, page({"take": performance}, title_of(path)))
+    write_text(path, page({"take": scene}, title_of(path)))
     return path
 
 
-def write_comparison(path: Path, takes: Mapping[str, Performance]) -> Path:
+def write_comparison(path: Path, takes: Mapping[str, Scene | HasScene]) -> Path:
     """Write one page with two performances of one recording, side by side, whole or not at all. Returns `path`.
 
-    takes: what each is called -> the performance. `InputError` where there are not two, or of two recordings.
+    takes: what each is called -> a performance, or its scene. `InputError` unless they are two of one recording.
     """
-    write_text(path, page(takes, title_of(path), together=True))
+    write_text(path, page({name: take if isinstance(take, Scene) else take.scene() for name, take in takes.items()},
+                          title_of(path), together=True))
     return path
 
 
@@ -67,11 +77,11 @@ def title_of(path: Path) -> str:
     return path.stem.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
-def page(takes: Mapping[str, Performance], title: str, *, together: bool = False,
+def page(takes: Mapping[str, Scene], title: str, *, together: bool = False,
          more: Mapping[str, Any] | None = None) -> str:
     """The self-contained page as text.
 
-    takes: what each performance is called -> itself, one or two of one recording; the sound is the first one's.
+    takes: what each is called -> its scene, one or two of one recording; the sound is the first one's.
     together: both are on the stage at once. more: members of its data beside those that are made here, such as `live`,
     where `gesticulator view` renders edited plans for it.
     """
@@ -90,7 +100,7 @@ def page(takes: Mapping[str, Performance], title: str, *, together: bool = False
         "soundType": sound.MEDIA_TYPE,
         "peaks": _base64(sound.peaks(first.speech, PEAKS_PER_SECOND).tobytes()),
         "peaksPerSecond": PEAKS_PER_SECOND,
-        "takes": [{"name": name, **describe(performance)} for name, performance in takes.items()],
+        "takes": [{"name": name, **describe(scene)} for name, scene in takes.items()],
         "together": together,
         **_character(first.character),
         **(more or {}),
@@ -98,27 +108,27 @@ def page(takes: Mapping[str, Performance], title: str, *, together: bool = False
     return _fill(title, f'<script type="application/json" id="performance">{embedded(data)}</script>', live)
 
 
-def describe(performance: Performance) -> dict[str, Any]:
+def describe(scene: Scene) -> dict[str, Any]:
     """What the page is told of a take: times in seconds, lengths in metres, arrays as base64 of little-endian numbers.
 
     `rotations` is int16 [T, J, 4], w first, in steps of 1 / `QUATERNION_STEPS`; `root` is float32 [T, 3], or [1, 3]
     where the root does not move; `plan` is the gesture plan.
     """
-    motion = standing(performance.motion)
-    if performance.duration > LONG and motion.fps > LONG_FPS:
+    motion = scene.standing
+    if scene.duration > LONG and motion.fps > LONG_FPS:
         motion = kinematics.resample(motion, LONG_FPS)
     root = motion.root_positions
     if np.ptp(root, axis=0).max() < 1e-6:
         root = root[:1]
     return {
-        "duration": performance.duration,
+        "duration": scene.duration,
         "fps": motion.fps,
         "frames": len(motion),
         "skeleton": _skeleton(motion.skeleton),
         "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
         "steps": QUATERNION_STEPS,
         "root": _base64(root.astype("<f4").tobytes()),
-        "plan": performance.plan().to_dict(),
+        "plan": scene.plan.to_dict(),
     }
 
 

@@ -1,4 +1,4 @@
-"""What every writer of an animation is given: a tree of nodes at rest, and how it moves."""
+"""What the writers of animations write: a tree of nodes at rest, and how it moves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character, CharacterMotion
-    from gesticulator.performance import Performance
 
 
 _CHUNK = 1024
@@ -97,16 +96,6 @@ def of_motion(motion: Motion, continuous: Callable[[Array], Array] = rotation.co
     return NodeMotion(skeleton.names, skeleton.parents, rest, identity, np.ones((len(skeleton), 3)),
                       continuous(rotation.normalise(motion.rotations)), {0: motion.root_positions},
                       dict(skeleton.end_sites), motion.fps)
-
-
-def shown(performance: Performance) -> Motion:
-    """The motion on our own skeleton, standing on the floor."""
-    return skeletons.standing(performance.motion)
-
-
-def of_performance(performance: Performance) -> NodeMotion:
-    """What a file of the performance shows: its character where it has one, else our own skeleton."""
-    return of_motion(shown(performance)) if performance.character is None else of_character(performance.character)
 
 
 def of_character(moved: CharacterMotion) -> NodeMotion:

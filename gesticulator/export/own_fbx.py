@@ -14,14 +14,14 @@ from gesticulator.characters.blender import run_in_blender
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import CharacterMotion
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 
 
-def own_character(performance: Performance) -> CharacterMotion | None:
-    """The performance's character where she came as FBX."""
-    character = performance.character
+def own_character(scene: Scene) -> CharacterMotion | None:
+    """The scene's character where it came as FBX."""
+    character = scene.character
     return character if character is not None and character.character.kind == "fbx" else None
 
 

@@ -11,18 +11,17 @@ import numpy as np
 from data_module.files import write_bytes
 from data_module.motion.kinematics import resample
 from data_module.motion.smplx import smplx_arrays
-from gesticulator.export.nodes import shown
 
 if TYPE_CHECKING:
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 FPS = 30.0
-"""Frames per second, whatever the performance has: those of BEAT2."""
+"""Frames per second, whatever the scene has: those of BEAT2."""
 
 
-def write_smplx(path: Path, performance: Performance) -> Path:
+def write_smplx(path: Path, scene: Scene) -> Path:
     """Write the motion as an SMPL-X file (`data_module.motion.smplx.smplx_arrays`), whole or not at all."""
     out = io.BytesIO()
-    np.savez(out, **smplx_arrays(resample(shown(performance), FPS)))  # type: ignore[arg-type, unused-ignore]
+    np.savez(out, **smplx_arrays(resample(scene.standing, FPS)))  # type: ignore[arg-type, unused-ignore]
     write_bytes(path, out.getvalue())
     return path

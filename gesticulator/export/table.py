@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.files import write_bytes, write_text
-from gesticulator.export.nodes import NodeMotion, of_performance
+from gesticulator.export.nodes import NodeMotion
 
 if TYPE_CHECKING:
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 COLUMNS = ("time", "joint", "parent", "x", "y", "z", "qw", "qx", "qy", "qz")
 """time: seconds. joint and the joint above it ("" for the root): names. x, y, z: where the joint is in the world,
@@ -20,9 +20,9 @@ metres, Y up. qw, qx, qy, qz: its rotation in the frame of the joint above it, a
 the identity is the T-pose."""
 
 
-def write_csv(path: Path, performance: Performance) -> Path:
+def write_csv(path: Path, scene: Scene) -> Path:
     """Write the motion as a table with a head and commas, whole or not at all. Returns `path`."""
-    times, joints, parents, numbers = _cells(of_performance(performance))
+    times, joints, parents, numbers = _cells(scene.nodes)
     labels = [f"{_quoted(joint)},{_quoted(parent)}" for joint, parent in zip(joints, parents, strict=True)]
     body = io.StringIO()
     body.write(",".join(COLUMNS) + "\n")
@@ -33,7 +33,7 @@ def write_csv(path: Path, performance: Performance) -> Path:
     return path
 
 
-def write_parquet(path: Path, performance: Performance) -> Path:
+def write_parquet(path: Path, scene: Scene) -> Path:
     """Write the motion as Apache Parquet (float32), whole or not at all. Returns `path`.
 
     The file's own metadata hold `frames_per_second` and `generator`.
@@ -43,7 +43,7 @@ def write_parquet(path: Path, performance: Performance) -> Path:
 
     from gesticulator.version import __version__
 
-    motion = of_performance(performance)
+    motion = scene.nodes
     times, joints, parents, numbers = _cells(motion)
     repeated: dict[str, Any] = {"time": np.repeat(times, len(joints))}
     for column, names in (("joint", joints), ("parent", parents)):

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.files import write_bytes
-from gesticulator.export.nodes import NodeMotion, of_performance
+from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.stick_figure import FigureMesh, figure
 
 if TYPE_CHECKING:
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 ROOT = "/Character"
 
 
-def write_usd(path: Path, performance: Performance) -> Path:
+def write_usd(path: Path, scene: Scene) -> Path:
     """Write the motion as USD, whole or not at all. Returns `path`."""
     from pxr import Usd
 
@@ -30,7 +30,7 @@ def write_usd(path: Path, performance: Performance) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / f"motion{suffix}"
         stage = Usd.Stage.CreateNew(str(target))
-        _fill(stage, of_performance(performance))
+        _fill(stage, scene.nodes)
         stage.GetRootLayer().Save()
         write_bytes(path, target.read_bytes())
     return path

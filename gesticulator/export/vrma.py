@@ -18,10 +18,10 @@ from data_module.motion.skeletons import FINGERS
 from data_module.types import Array, Motion
 from gesticulator.export.glb import ANIMATION
 from gesticulator.export.gltf import GltfDocument, node_tree
-from gesticulator.export.nodes import NodeMotion, of_motion, shown
+from gesticulator.export.nodes import NodeMotion, of_motion
 
 if TYPE_CHECKING:
-    from gesticulator.performance import Performance
+    from gesticulator.export.scene import Scene
 
 EXTENSION = "VRMC_vrm_animation"
 # Bone of the humanoid -> the bone above it, our joints whose world rotations it takes, the joint where it begins.
@@ -60,9 +60,9 @@ BONES = _bones()
 """Bone of the VRM humanoid -> the bone above it, our joints whose rotations it takes, and the joint where it begins."""
 
 
-def write_vrma(path: Path, performance: Performance) -> Path:
+def write_vrma(path: Path, scene: Scene) -> Path:
     """Write the motion as a VRM animation, whole or not at all. Returns `path`."""
-    write_bytes(path, vrm_animation(shown(performance)))
+    write_bytes(path, vrm_animation(scene.standing))
     return path
 
 

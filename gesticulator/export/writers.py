@@ -5,55 +5,44 @@ A new format is one writer in this folder and one entry in `WRITERS`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from gesticulator.performance import Performance
-
 import os
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from data_module.errors import InputError
+from data_module.registry import Registry, RegistryEntry, Requirement
 
 if TYPE_CHECKING:
+    from gesticulator.export.scene import Scene
 
-    pass
+_VIDEO = Requirement("av", "PyAV", "video")
+_USD = Requirement("pxr", "usd-core", "usd")
 
-WRITERS = {
-    ".bml": "gesticulator.plan.bml:write_bml",
-    ".bvh": "gesticulator.export.bvh:write_bvh_file",
-    ".csv": "gesticulator.export.table:write_csv",
-    ".fbx": "gesticulator.export.fbx:write_fbx",
-    ".g1.csv": "gesticulator.export.g1:write_g1",
-    ".gif": "gesticulator.export.film:write_gif",
-    ".glb": "gesticulator.export.glb:write_glb",
-    ".html": "gesticulator.export.html:write_preview",
-    ".json": "gesticulator.directing.record:write_plan",
-    ".mp4": "gesticulator.export.film:write_film",
-    ".npz": "gesticulator.export.smplx:write_smplx",
-    ".parquet": "gesticulator.export.table:write_parquet",
-    ".usda": "gesticulator.export.usd:write_usd",
-    ".usdc": "gesticulator.export.usd:write_usd",
-    ".vrma": "gesticulator.export.vrma:write_vrma",
-    ".webm": "gesticulator.export.film:write_film",
-}
-"""Suffix -> module and name of writer(path, performance) -> path, imported when something is written. A new format is
-one writer in `gesticulator.export` and one entry here."""
-
-NEEDS = {
-    ".gif": ("PIL", "Pillow", "video"),
-    ".mp4": ("av", "PyAV", "video"),
-    ".parquet": ("pyarrow", "pyarrow", "parquet"),
-    ".usda": ("pxr", "usd-core", "usd"),
-    ".usdc": ("pxr", "usd-core", "usd"),
-    ".webm": ("av", "PyAV", "video"),
-}
-"""Suffix -> module that its writer imports, the package that has it, and our extra that installs it."""
+WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be written", {
+    ".bml": RegistryEntry("gestures with their times in Behavior Markup Language",
+                          "gesticulator.export.plan_file:write_bml"),
+    ".bvh": RegistryEntry("motion in centimetres and degrees", "gesticulator.export.bvh:write_bvh_file"),
+    ".csv": RegistryEntry("places and rotations of joints, a row a frame", "gesticulator.export.table:write_csv"),
+    ".fbx": RegistryEntry("motion, or your own character, through Blender", "gesticulator.export.fbx:write_fbx"),
+    ".g1.csv": RegistryEntry("joint angles of the robot Unitree G1", "gesticulator.export.g1:write_g1"),
+    ".gif": RegistryEntry("a stick figure that repeats", "gesticulator.export.film:write_gif",
+                  needs=Requirement("PIL", "Pillow", "video")),
+    ".glb": RegistryEntry("motion, or your own character, as binary glTF", "gesticulator.export.glb:write_glb"),
+    ".html": RegistryEntry("a page that shows, plays and edits", "gesticulator.export.html:write_preview"),
+    ".json": RegistryEntry("the plan: what was chosen for each block, and why",
+                           "gesticulator.export.plan_file:write_plan"),
+    ".mp4": RegistryEntry("a stick figure with the sound", "gesticulator.export.film:write_film", needs=_VIDEO),
+    ".npz": RegistryEntry("poses of SMPL-X as BEAT2 has them", "gesticulator.export.smplx:write_smplx"),
+    ".parquet": RegistryEntry("the table of .csv as Parquet", "gesticulator.export.table:write_parquet",
+                      needs=Requirement("pyarrow", "pyarrow", "parquet")),
+    ".usda": RegistryEntry("a USD skeleton as text", "gesticulator.export.usd:write_usd", needs=_USD),
+    ".usdc": RegistryEntry("a USD skeleton in binary", "gesticulator.export.usd:write_usd", needs=_USD),
+    ".vrma": RegistryEntry("a VRM animation", "gesticulator.export.vrma:write_vrma"),
+    ".webm": RegistryEntry("a stick figure with the sound", "gesticulator.export.film:write_film", needs=_VIDEO),
+}, RegistryEntry)
+"""By suffix: writer(path, scene) -> path, which writes whole or not at all."""
 
 UNITS = {"cm": 0.01, "m": 1.0}
 """Unit of length of a BVH file -> metres."""
@@ -79,9 +68,9 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
         raise InputError(f"unit {unit}", "is unknown", f"use one of {', '.join(UNITS)}")
     if unit != "cm" and suffix != ".bvh":
         raise InputError(target, f"cannot be in {unit}", "the unit is for .bvh; other formats have their own")
-    module, package, extra = NEEDS.get(suffix, ("", "", ""))
-    if module and find_spec(module) is None:
-        raise InputError(target, f"needs {package}, which is not installed", f'pip install "gesticulator[{extra}]"')
+    needs = WRITERS[suffix].needs
+    if needs is not None:
+        needs.check(target)
     if suffix == ".fbx":
         from gesticulator.characters.blender import check_blender
 
@@ -91,16 +80,14 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
 def writer_for(path: str | os.PathLike[str]) -> Callable[..., Path]:
     """The writer for a path by its suffix, in any case; `InputError` as of `check_output`."""
     check_output(path)
-    module, name = WRITERS[suffix_of(path)].split(":")
-    found: Callable[..., Path] = getattr(import_module(module), name)
-    return found
+    return cast("Callable[..., Path]", WRITERS.load(suffix_of(path)))
 
 
-def write(path: str | os.PathLike[str], performance: Performance, *, unit: str = "cm") -> Path:
-    """Write a performance, whole or not at all, in the format of the suffix; unit: that of a BVH file.
+def write(path: str | os.PathLike[str], scene: Scene, *, unit: str = "cm") -> Path:
+    """Write a scene, whole or not at all, in the format of the suffix; unit: that of a BVH file.
 
     Returns `path`. `InputError` as of `check_output`; OSError where the disk refuses.
     """
     check_output(path, unit)
     writer = writer_for(path)
-    return (writer if unit == "cm" else partial(writer, unit=unit))(Path(path), performance)
+    return (writer if unit == "cm" else partial(writer, unit=unit))(Path(path), scene)

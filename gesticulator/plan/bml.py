@@ -13,21 +13,17 @@ import os
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import escape, quoteattr
 
 from data_module.errors import InputError, shown
-from data_module.files import write_text
 from gesticulator.plan.json_lines import LinedJson
 from gesticulator.plan.json_lines import Path as Place
 from gesticulator.plan.plan import GesturePlan, check_plan, read_plan
 from gesticulator.plan.schema import read_as
 
-if TYPE_CHECKING:
-    from gesticulator.performance import Performance
-
-__all__ = ["parse_bml", "read_any_plan", "write_bml"]
+__all__ = ["bml_of", "parse_bml", "read_any_plan"]
 
 NAMESPACE = "http://www.bml-initiative.org/bml/bml-1.0"
 OURS = "urn:gesticulator:plan:1"
@@ -35,12 +31,6 @@ _ATTRIBUTES = ("silent", "locked", "intensity", "mirror", "draw", "flag")
 """Of a block, in our namespace; `lexeme` (a number), too, which counts where its name is not that of the attribute."""
 _MOST_BYTES = 64 << 20
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
-
-def write_bml(path: Path, performance: Performance) -> Path:
-    """Write `Performance.plan()` as BML. Returns `path`."""
-    write_text(path, bml_of(performance.plan()))
-    return path
 
 
 def bml_of(plan: GesturePlan) -> str:

@@ -43,7 +43,7 @@ class LivePlans:
 
     def answer(self, plan: dict[str, Any]) -> dict[str, Any]:
         """What a page is told of a plan that it sent as JSON."""
-        return describe(self.render(parse_plan(json.dumps(plan, indent=1), "plan")))
+        return describe(self.render(parse_plan(json.dumps(plan, indent=1), "plan")).scene())
 
     def _renderer(self, options: InferenceOptions) -> PlanRenderer:
         plan = options.plan

@@ -84,7 +84,8 @@ def _prepare(server: PageServer, job: Job, asked: argparse.Namespace) -> None:
     plans = LivePlans(system, first)
     assert job.source is not None
     more = {"live": {"token": server.token}, **character}
-    server.page = html.page(takes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
+    server.page = html.page({name: take.scene() for name, take in takes.items()}, html.title_of(job.source),
+                            together=len(takes) > 1, more=more).encode()
     server.render = plans.answer
     # While the page opens: what edits start from is drawn, which takes as long as the takes themselves did.
     threading.Thread(target=_prepare_edits, args=(server, plans, [take.plan() for take in takes.values()]),

@@ -1,0 +1,179 @@
+"""Tables of plug-ins: one class for interpreters, writers, corpora, characters, metrics, stages, probes and verbs.
+
+A plug-in of ours is an entry of its table: a name, where its object is ("module:object"), what it needs, one line of
+help. Another package adds one by an entry point of the group `gesticulator.<kind>`. Nothing is imported until it is
+used, so that the command line can list the names.
+
+    [project.entry-points."gesticulator.writers"]
+    ".txt" = "my_package.text:write_text"
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from typing import Any, Generic, TypeVar
+
+from data_module.errors import InputError, complain
+
+PROJECT = "gesticulator"
+"""The distribution whose entries win, and the first part of every group's name."""
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A library that is not always installed. module: what is imported. package: its name on the package index.
+    extra: the extra of ours that installs it."""
+
+    module: str
+    package: str
+    extra: str
+
+    def check(self, subject: object) -> None:
+        """`InputError` about `subject`, with the command that installs the library, where it is missing."""
+        if find_spec(self.module) is None:
+            raise InputError(subject, f"needs {self.package}, which is not installed",
+                             f'pip install "{PROJECT}[{self.extra}]"')
+
+
+@dataclass(frozen=True)
+class RegistryEntry:
+    """A plug-in. about: one line of help. where: "module:object". needs: a library of an extra, None for none."""
+
+    about: str
+    where: str
+    needs: Requirement | None = field(default=None, kw_only=True)
+
+    def load(self) -> Any:
+        """The object. Our modules only; `Registry.load` is for those of other packages."""
+        module, _, name = self.where.partition(":")
+        return getattr(import_module(module), name)
+
+
+E = TypeVar("E", bound=RegistryEntry)
+
+
+class Registry(Mapping[str, E], Generic[E]):
+    """The plug-ins of one kind by name: ours in the order of the table, then those of other packages by name.
+
+    kind: plural; the group of entry points is `gesticulator.<kind>`. what: one of them in a message, "a data set that
+    can be read". entries: ours. fits: whether an object can be such a plug-in.
+
+    An entry point names either the object itself or a `RegistryEntry` (of the class `entry`), which names the object
+    and says more. Where two packages add one name, ours wins, else the package that comes first in the alphabet;
+    a warning of one line names the other. Iterating, `in`, and `registry[name]` import no plug-in.
+    """
+
+    def __init__(self, kind: str, what: str, entries: Mapping[str, E], entry: type[E],
+                 fits: Callable[[object], bool] = callable) -> None:
+        self.kind, self.what, self.group = kind, what, f"{PROJECT}.{kind}"
+        self._ours, self._entry, self._fits = dict(entries), entry, fits
+        self._points: dict[str, EntryPoint] | None = None
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._ours
+        yield from self.points()
+
+    def __len__(self) -> int:
+        return len(self._ours) + len(self.points())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._ours or name in self.points()
+
+    def __getitem__(self, name: str) -> E:
+        """The entry. Of another package: which package it is and where the object is; `entry` has what it says."""
+        if name in self._ours:
+            return self._ours[name]
+        point = self.points()[name]
+        return self._entry(f"of the package {_owner(point)}", point.value)
+
+    def points(self) -> Mapping[str, EntryPoint]:
+        """The entry points of this kind, less those that another package has taken. Read once."""
+        if self._points is None:
+            self._points = self._read()
+        return self._points
+
+    def _read(self) -> dict[str, EntryPoint]:
+        try:
+            every = entry_points(group=self.group)
+        except (OSError, ValueError) as error:  # the files of a broken installation
+            complain(f"{PROJECT}: warning: the {self.kind} of other packages cannot be read ({error})")
+            return {}
+        points: dict[str, EntryPoint] = {}
+        for point in sorted(every, key=lambda point: (_owner(point) != PROJECT, point.name, _owner(point))):
+            if point.name not in self._ours and point.name not in points:
+                points[point.name] = point
+            elif (_owner(point), point.value) != self._taken_by(point.name, points):
+                owner, _ = self._taken_by(point.name, points)
+                complain(f"{PROJECT}: warning: {point.name} of {self.kind} is that of {owner}; "
+                         f"{point.value} of {_owner(point)} is not used")
+        return points
+
+    def _taken_by(self, name: str, points: Mapping[str, EntryPoint]) -> tuple[str, str]:
+        """The package and the object that have a name."""
+        if name in self._ours:
+            return PROJECT, self._ours[name].where
+        return _owner(points[name]), points[name].value
+
+    def unknown(self, name: object) -> InputError:
+        """The error for a name that is in no table: it lists the known ones, and the nearest first."""
+        near = difflib.get_close_matches(str(name), list(self), 1)
+        return InputError(name, f"is not {self.what}",
+                          (f"did you mean {near[0]}? " if near else "") + f"take one of {', '.join(self)}")
+
+    def entry(self, name: str) -> E:
+        """The entry in full; `InputError` for an unknown name, or where another package's cannot be imported."""
+        found = self._object(name)
+        return found if isinstance(found, self._entry) else self[name]
+
+    def load(self, name: str) -> Any:
+        """The object of a name.
+
+        `InputError` in one line for an unknown name, a library that is missing, and what another package's module does
+        wrong while it is imported, or where its object is no such plug-in.
+        """
+        found = self._object(name)
+        if not isinstance(found, RegistryEntry):
+            return found
+        if found.needs is not None:
+            found.needs.check(name)
+        return found.load() if name in self._ours else self._guarded(name, found.load)
+
+    def _object(self, name: str) -> Any:
+        """Our entry, or what the entry point names: an entry or a plug-in."""
+        if name in self._ours:
+            return self._ours[name]
+        if name not in self.points():
+            raise self.unknown(name)
+        return self._guarded(name, self.points()[name].load)
+
+    def _guarded(self, name: str, load: Callable[[], Any]) -> Any:
+        point = self.points()[name]
+        subject = f"{name} ({point.value} of {_owner(point)})"
+        try:
+            found = load()
+        except Exception as error:  # noqa: BLE001 - a module of another package may fail with anything
+            raise InputError(subject, f"cannot be loaded ({type(error).__name__}: {error})",
+                             "repair or remove the package that adds it") from None
+        if not isinstance(found, self._entry) and not self._fits(found):
+            raise InputError(subject, f"is not {self.what}", "repair or remove the package that adds it")
+        return found
+
+    def usable(self) -> dict[str, E]:
+        """The entries in full. Of one that cannot be imported only a line is printed, on standard error."""
+        entries: dict[str, E] = {}
+        for name in self:
+            try:
+                entries[name] = self.entry(name)
+            except InputError as error:
+                complain(f"{PROJECT}: {error}")
+        return entries
+
+
+def _owner(point: EntryPoint) -> str:
+    """The distribution that an entry point is of."""
+    return str(point.dist.name) if point.dist is not None else "an unknown package"

@@ -1,0 +1,25 @@
+"""`.json` and `.bml`: the plan of a scene, in our own format and in Behavior Markup Language."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data_module.files import write_text
+
+if TYPE_CHECKING:
+    from gesticulator.export.scene import Scene
+
+
+def write_plan(path: Path, scene: Scene) -> Path:
+    """Write the plan as JSON, whole or not at all. Returns `path`."""
+    write_text(path, scene.plan.to_json())
+    return path
+
+
+def write_bml(path: Path, scene: Scene) -> Path:
+    """Write the plan as BML, whole or not at all. Returns `path`."""
+    from gesticulator.plan.bml import bml_of
+
+    write_text(path, bml_of(scene.plan))
+    return path
