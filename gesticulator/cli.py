@@ -1,4 +1,4 @@
-"""The one door: `gesticulator VERB ...`, and `python -m gesticulator VERB ...`.
+"""The command line: `gesticulator VERB ...`, and `python -m gesticulator VERB ...`.
 
 A verb is an entry point of the group `gesticulator.commands`, so that packages above this one, and other people's, can
 add verbs. It names a `Command`, which must be cheap to import: what is heavy (torch, librosa) is imported by its `run`.

@@ -1,4 +1,4 @@
-"""`gesticulator infer speech.wav -o gesture.bvh --preview gesture.html`: the main job, as a command.
+"""`gesticulator infer`: from recordings to motion files, the main command.
 
 Everything that can be checked before the work is (`gesticulator.batch.jobs`). A fault of the command is an
 `InputError`; a fault of one recording is kept in its `Job`, so that the others are still done. Only what is

@@ -63,6 +63,37 @@ def test_modules_of_the_api_pages_say_what_is_public(name: str) -> None:
             assert value.__doc__, f"{name}.{public} has no docstring"
 
 
+def rooms() -> set[str]:
+    """The folders and modules of gesticulator/, as they are written on the page."""
+    return {f"{path.name}/" if path.is_dir() else path.name for path in (ROOT / "gesticulator").iterdir()
+            if path.suffix == ".py" or (path / "__init__.py").exists()} - {"__init__.py", "__main__.py"}
+
+
+def test_the_architecture_names_every_room_and_draws_it() -> None:
+    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    table = page.split("## The rooms of")[1].split("\n## ")[0]
+    assert set(re.findall(r"`(\w+(?:/|\.py))`", table)) - {"gesticulator/", "command.py"} == rooms()
+    drawn = set(re.findall(r'class="name">([^<]+)<', (DOCS / "pictures" / "architecture.svg").read_text()))
+    assert rooms() - {"version.py", "neighbours.py"} <= drawn, "run python docs/pictures/make_architecture.py"
+
+
+def test_no_room_imports_one_above_it() -> None:
+    spec = importlib.util.spec_from_file_location("make_architecture", DOCS / "pictures" / "make_architecture.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.without_circles({"a": {"b": 3}, "b": {"c": 1, "a": 1}, "c": {}})[1] == [("b", "a")]
+    assert module.without_circles(module.rooms(module.imports()))[1] == []
+
+
+TABLES = re.findall(r"\| `([\w.]+):(\w+)` \|", (DOCS / "architecture.md").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(("module", "name"), TABLES)
+def test_tables_of_the_architecture_are_there(module: str, name: str) -> None:
+    assert hasattr(importlib.import_module(module), name)
+
+
 def test_the_search_works_from_a_disk(tmp_path: Path) -> None:
     """The theme, the plugins and the worker of the site, on two pages of our own, opened without a server."""
     pytest.importorskip("material", reason="mkdocs-material is not installed")

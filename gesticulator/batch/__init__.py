@@ -1,1 +1,1 @@
-"""Many recordings: jobs, pieces of long ones, shards, Ray, manifests."""
+"""Many recordings: jobs, long recordings in pieces, shards, Ray, manifests."""

@@ -1,1 +1,1 @@
-"""What a body does besides gesturing: rest, life, stance, head turns, frames on the clock."""
+"""What the body does besides gestures: rest, idle motion, stance, head turns, frames on the clock."""

@@ -1,4 +1,5 @@
-"""The verbs `build`, `train` and `bundle` of the command line; what is heavy is imported when a verb is run."""
+"""`gesticulator bundle`: inspect a bundle, edit its silent lexemes, upgrade an old one. Heavy modules are imported when
+the verb is run."""
 
 from __future__ import annotations
 
@@ -6,12 +7,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from gesticulator.batch.build import COMMAND as BUILD
 from gesticulator.bundle import silent
 from gesticulator.cli import Command
-from gesticulator.training.command import COMMAND as TRAIN
-
-__all__ = ["BUILD", "BUNDLE", "TRAIN"]
 
 
 def _arguments(p: argparse.ArgumentParser) -> None:

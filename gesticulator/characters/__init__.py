@@ -1,1 +1,1 @@
-"""Characters of any origin: their files, their joints, motion brought onto them."""
+"""Characters from files: their joints, and retargeting of motion onto them."""

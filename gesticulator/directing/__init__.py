@@ -1,1 +1,1 @@
-"""From a plan and wishes to what is drawn: knobs, cues, gestures by name, edits."""
+"""From plan and options to directions for each block: knobs, cues, named gestures, edits."""

@@ -1,1 +1,1 @@
-"""The gesture plan: what was decided for a recording, as a file that people read and edit."""
+"""The gesture plan: every decision behind a performance, as a file to read and edit."""

@@ -1,1 +1,1 @@
-"""The server of live gestures: sound comes in over a WebSocket, poses go out."""
+"""The live server (audio in over a WebSocket, poses out), and the page of gesticulator view."""
