@@ -360,8 +360,9 @@ def table(outcomes: dict[Mutant, Outcome], earlier: Sequence[Table] = ()) -> Tab
     killed = sum(row["verdict"] == KILLED for row in rows.values())
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, check=True, capture_output=True,
                             text=True).stdout.strip()
-    notes = [f"{killed} of {len(rows)} mutants are killed. Seconds are processor time of the test file up to its first "
-             "failing test.",
+    lacking = f"; {len(MUTANTS) - len(rows)} more were not run" if len(rows) < len(MUTANTS) else ""
+    notes = [f"{killed} of {len(rows)} mutants are killed{lacking}. Seconds are processor time of the test "
+             "file up to its first failing test.",
              f"`python benchmarks/mutants.py`, commit {commit}, {date.today().isoformat()}, {platform.machine()}, "
              f"Python {platform.python_version()}. No bundle is read."]
     columns = {"file": Column("file"), "test": Column("test that must notice"), "verdict": Column("verdict"),
