@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from data_module.store import Recording
 from data_module.truth import JOIN, REST, Truth
 from eval import stats
+from eval.claim import Bound, Claim, Verdict, at_least, at_most
 from eval.metrics import EYE_METRICS, eye
 from eval.metrics.eye import trunk
 from eval.metrics.eye.body import HZ, CommonBody
@@ -40,41 +41,39 @@ _BESIDE = range(-2, 2)
 """Second differences that touch the two frames on either side of a seam."""
 
 
+_TITLES = {SEAM: "acceleration at seams over elsewhere, worst talk",
+           FREEZE: "longest freeze outside marked rest, worst talk, s"}
+
+
 @dataclass(frozen=True)
-class Bound:
-    """A figure of talks with its bounds (either may be infinite). how: `MEAN` of the talks, or `WORST`, their most."""
+class TalkClaim:
+    """A claim about talks. figure: its key in `MeasuredTalk.figures`; how: `MEAN` of the talks, or
+    `WORST`, their most."""
 
     figure: str
-    low: float
-    high: float
+    bound: Bound
     how: str = MEAN
 
     @property
-    def title(self) -> str:
-        """What it is, with its unit."""
-        own = {SEAM: "acceleration at seams over elsewhere, worst talk",
-               FREEZE: "longest freeze outside marked rest, worst talk, s"}
-        return own[self.figure] if self.figure in own else EYE_METRICS[self.figure].heading
-
-    @property
-    def digits(self) -> int:
-        """As many are shown."""
-        return EYE_METRICS[self.figure].digits if self.figure in EYE_METRICS else 2
-
-    def holds(self, value: float) -> bool | None:
-        """None where nothing is known."""
-        return self.low <= value <= self.high if math.isfinite(value) else None
+    def claim(self) -> Claim:
+        """With its title and unit."""
+        if self.figure in _TITLES:
+            return Claim(_TITLES[self.figure], self.bound)
+        return Claim(EYE_METRICS[self.figure].heading, self.bound, EYE_METRICS[self.figure].digits)
 
 
-BOUNDS: tuple[Bound, ...] = (
-    Bound("eye_hand_height_correlation", 0.25, 0.55), Bound("eye_one_handed", 25.0, 37.0),
-    Bound("eye_one_hanging", 20.0, 32.0), Bound("eye_head", 11.0, 16.0), Bound("eye_chest", 4.0, 9.0),
-    Bound("eye_stroke_amplitude", 24.0, math.inf), Bound("eye_above_1", 25.0, 45.0), Bound("eye_above_2", 25.0, 45.0),
-    Bound("eye_loudness", 0.1, 0.35), Bound(SEAM, -math.inf, 1.35, WORST), Bound("eye_hand_in_torso", -math.inf, 1.0),
-    Bound("eye_elbow_in_torso", -math.inf, 1.0), Bound("eye_head_yaw", -math.inf, 25.0),
-    Bound(FREEZE, -math.inf, 1.0, WORST))
-STYLE_BOUNDS: dict[str, float] = {"amplitude": 0.6, "tempo": 0.3, "log hand speed": 0.4}
-"""R2 from 8 s of sound alone, at least (`eval.style_from_sound`)."""
+CLAIMS: tuple[TalkClaim, ...] = (
+    TalkClaim("eye_hand_height_correlation", Bound(0.25, 0.55)), TalkClaim("eye_one_handed", Bound(25.0, 37.0)),
+    TalkClaim("eye_one_hanging", Bound(20.0, 32.0)), TalkClaim("eye_head", Bound(11.0, 16.0)),
+    TalkClaim("eye_chest", Bound(4.0, 9.0)), TalkClaim("eye_stroke_amplitude", at_least(24.0)),
+    TalkClaim("eye_above_1", Bound(25.0, 45.0)), TalkClaim("eye_above_2", Bound(25.0, 45.0)),
+    TalkClaim("eye_loudness", Bound(0.1, 0.35)), TalkClaim(SEAM, at_most(1.35), WORST),
+    TalkClaim("eye_hand_in_torso", at_most(1.0)), TalkClaim("eye_elbow_in_torso", at_most(1.0)),
+    TalkClaim("eye_head_yaw", at_most(25.0)), TalkClaim(FREEZE, at_most(1.0), WORST))
+STYLE_CLAIMS: dict[str, Claim] = {
+    target: Claim(f"R2 of {target} from 8 s of sound", at_least(least))
+    for target, least in (("amplitude", 0.6), ("tempo", 0.3), ("log hand speed", 0.4))}
+"""From sound alone (`eval.style_from_sound`)."""
 
 
 @dataclass(frozen=True)
@@ -88,25 +87,21 @@ class MeasuredTalk:
 
 
 @dataclass(frozen=True)
-class BoundVerdict:
-    """A bound and what was found: pooled, and of each part; least, most: of the pooled talks."""
+class TalksVerdict:
+    """The verdict on a claim about the pooled talks, and on each part alone; least, most: of the pooled talks."""
 
-    bound: Bound
-    value: Interval
-    parts: Mapping[str, Interval]
+    figure: str
+    pooled: Verdict
+    parts: Mapping[str, Verdict]
     least: float
     most: float
 
-    @property
-    def holds(self) -> bool | None:
-        """None where nothing is known."""
-        return self.bound.holds(self.value.mean)
-
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {"name": self.bound.title, "figure": self.bound.figure, "value": self.value.mean, "low": self.bound.low,
-                "high": self.bound.high, "holds": self.holds, "interval": [self.value.low, self.value.high],
-                "talks": [self.least, self.most], "parts": {name: own.mean for name, own in self.parts.items()}}
+        bound, value = self.pooled.claim.bound, self.pooled.value
+        return {"name": self.pooled.figure, "figure": self.figure, "value": value.mean, "low": bound.low,
+                "high": bound.high, "holds": self.pooled.holds, "interval": [value.low, value.high],
+                "talks": [self.least, self.most], "parts": {name: own.value.mean for name, own in self.parts.items()}}
 
 
 def measure(recording: Recording, body: CommonBody) -> MeasuredTalk:
@@ -145,23 +140,25 @@ def freeze(body: CommonBody, rests: Sequence[tuple[float, float]]) -> float:
     return trunk.longest(still)
 
 
-def judge(talks: Sequence[MeasuredTalk], bounds: Sequence[Bound] = BOUNDS) -> list[BoundVerdict]:
-    """Every bound over the talks of `POOLED`, and of every part that is there."""
+def judge(talks: Sequence[MeasuredTalk], claims: Sequence[TalkClaim] = CLAIMS) -> list[TalksVerdict]:
+    """Every claim over the talks of `POOLED`, and of every part that is there."""
     pooled = [talk for talk in talks if talk.part in POOLED]
     parts = {name: [talk for talk in talks if talk.part == name] for name in dict.fromkeys(t.part for t in talks)}
     out = []
-    for bound in bounds:
-        values = np.array([talk.figures[bound.figure] for talk in pooled])
+    for claim in claims:
+        values = np.array([talk.figures[claim.figure] for talk in pooled])
         values = values[np.isfinite(values)]
-        out.append(BoundVerdict(bound, _of(bound, pooled), {name: _of(bound, own) for name, own in parts.items()},
-                           float(values.min(initial=math.inf)), float(values.max(initial=-math.inf))))
+        by_part = {name: _of(claim, own) for name, own in parts.items()}
+        out.append(TalksVerdict(claim.figure, _of(claim, pooled), by_part,
+                                float(values.min(initial=math.inf)), float(values.max(initial=-math.inf))))
     return out
 
 
-def _of(bound: Bound, talks: Sequence[MeasuredTalk]) -> Interval:
-    """A figure of talks as its bound wants it."""
-    values = np.array([talk.figures[bound.figure] for talk in talks], dtype=np.float64)
-    if bound.how == MEAN:
-        return stats.mean_interval(values, [talk.seconds for talk in talks])
+def _of(claim: TalkClaim, talks: Sequence[MeasuredTalk]) -> Verdict:
+    """The verdict on some talks; undecided where none has the figure."""
+    values = np.array([talk.figures[claim.figure] for talk in talks], dtype=np.float64)
     known = values[np.isfinite(values)]
-    return Interval.exact(float(known.max()), len(known)) if len(known) else Interval.undefined()
+    if not len(known):
+        return claim.claim.undecided("no talk has it")
+    return claim.claim.judge(stats.mean_interval(values, [talk.seconds for talk in talks]) if claim.how == MEAN else
+                             Interval.exact(float(known.max()), len(known)))

@@ -74,6 +74,10 @@ class Interval:
         bounded = math.isfinite(self.low) and math.isfinite(self.high)
         return f"{shown} [{self.low:.{digits}f}, {self.high:.{digits}f}]" if bounded else shown
 
+    def times(self, factor: float) -> Interval:
+        """Times a positive number."""
+        return Interval(self.mean * factor, self.low * factor, self.high * factor, self.n)
+
     def above(self, limit: float = 0.0) -> bool:
         """Whether the whole interval lies above the limit."""
         return self.low > limit

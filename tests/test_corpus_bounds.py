@@ -20,8 +20,9 @@ from data_module.store import Recording, RecordingInfo, Split, Store, StoreWrite
 from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
 from eval import baselines, corpus_bounds, style_from_sound
+from eval.claim import Verdict
 from eval.commands import PROBE
-from eval.corpus_bounds import BOUNDS, FREEZE, MEAN, SEAM, BoundVerdict, MeasuredTalk
+from eval.corpus_bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
 from eval.metrics.eye import common_body
 from eval.probes import corpus
 from eval.style_from_sound import StyledWindows
@@ -36,24 +37,24 @@ def _talks(parts: str = "motion talk", figures: dict[str, float] | None = None) 
     return [MeasuredTalk(f"{part}{k}", part, 60.0, GOOD | (figures or {})) for part in parts.split() for k in range(3)]
 
 
-def _verdicts(talks: list[MeasuredTalk]) -> dict[str, BoundVerdict]:
-    return {verdict.bound.figure: verdict for verdict in corpus_bounds.judge(talks)}
+def _verdicts(talks: list[MeasuredTalk]) -> dict[str, Verdict]:
+    return {verdict.figure: verdict.pooled for verdict in corpus_bounds.judge(talks)}
 
 
 def test_a_corpus_within_all_bounds_is_told_so() -> None:
-    assert set(GOOD) == {bound.figure for bound in BOUNDS}
+    assert set(GOOD) == {claim.figure for claim in CLAIMS}
     assert all(verdict.holds for verdict in _verdicts(_talks()).values())
 
 
-@pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: bound.figure)
-def test_every_bound_is_missed_beyond_either_end_and_held_on_it(bound: corpus_bounds.Bound) -> None:
-    for edge, beyond in ((bound.low, -0.01), (bound.high, 0.01)):
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.figure)
+def test_every_bound_is_missed_beyond_either_end_and_held_on_it(claim: TalkClaim) -> None:
+    for edge, beyond in ((claim.bound.low, -0.01), (claim.bound.high, 0.01)):
         if math.isfinite(edge):
-            assert _verdicts(_talks(figures={bound.figure: edge}))[bound.figure].holds is True
-            missed = [name for name, own in _verdicts(_talks(figures={bound.figure: edge + beyond})).items()
+            assert _verdicts(_talks(figures={claim.figure: edge}))[claim.figure].holds is True
+            missed = [name for name, own in _verdicts(_talks(figures={claim.figure: edge + beyond})).items()
                       if own.holds is False]
-            assert missed == [bound.figure]
-    assert _verdicts(_talks(figures={bound.figure: math.nan}))[bound.figure].holds is None
+            assert missed == [claim.figure]
+    assert _verdicts(_talks(figures={claim.figure: math.nan}))[claim.figure].holds is None
 
 
 def test_means_weigh_by_seconds_and_rules_take_the_worst_talk() -> None:
@@ -61,15 +62,17 @@ def test_means_weigh_by_seconds_and_rules_take_the_worst_talk() -> None:
                    for name, seconds, share, freeze in (("a", 30.0, 20.0, 1.2), ("b", 90.0, 40.0, 0.0)))
     verdicts = _verdicts([short, long])
     assert verdicts["eye_one_handed"].value.mean == pytest.approx(35.0)
-    assert (verdicts["eye_one_handed"].least, verdicts["eye_one_handed"].most) == (20.0, 40.0)
+    spread = next(one for one in corpus_bounds.judge([short, long]) if one.figure == "eye_one_handed")
+    assert (spread.least, spread.most) == (20.0, 40.0)
     assert verdicts[FREEZE].value.mean == 1.2 and not verdicts[FREEZE].holds
-    assert all(bound.how == MEAN for bound in BOUNDS if bound.figure not in (SEAM, FREEZE))
+    assert all(claim.how == MEAN for claim in CLAIMS if claim.figure not in (SEAM, FREEZE))
 
 
 def test_styles_and_readings_do_not_count_among_the_talks() -> None:
-    verdicts = _verdicts(_talks("motion talk") + _talks("style reading", {"eye_one_handed": 99.0}))
-    assert verdicts["eye_one_handed"].holds
-    assert verdicts["eye_one_handed"].parts["style"].mean == 99.0
+    talks = _talks("motion talk") + _talks("style reading", {"eye_one_handed": 99.0})
+    verdict = next(one for one in corpus_bounds.judge(talks) if one.figure == "eye_one_handed")
+    assert verdict.pooled.holds
+    assert verdict.parts["style"].value.mean == 99.0
 
 
 def test_a_part_that_misses_alone_is_marked() -> None:

@@ -26,16 +26,15 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.store import StoreWriter
 from data_module.types import Array, Motion, Speech, Word
 from eval import baselines
+from eval.claim import Verdict
 from eval.commands import PROBE
 from eval.eye_table import EyeSample
 from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
 from eval.probes import motion as probe
 from eval.probes.motion import movements, rest, seen, steering
-from eval.probes.motion.clauses import ANY, Clause, ClauseBound, at_least, at_most, clause_table, summary
 from eval.probes.motion.movements import ALL, ALONE, HeldOut
 from eval.probes.motion.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.probes.motion.rest import Rested
-from eval.stats import Interval
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
 from lexicon.movement import MovementLexicon
@@ -52,10 +51,10 @@ def space() -> ReferenceSpace:
     return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, frechet.Moments(np.zeros(10), np.eye(10)))
 
 
-def named(clauses: list[Clause], begin: str) -> Clause:
+def named(clauses: list[Verdict], begin: str) -> Verdict:
     """The one clause whose name begins so."""
-    found = [clause for clause in clauses if clause.name.startswith(begin)]
-    assert len(found) == 1, [clause.name for clause in clauses]
+    found = [clause for clause in clauses if clause.figure.startswith(begin)]
+    assert len(found) == 1, [clause.figure for clause in clauses]
     return found[0]
 
 
@@ -69,35 +68,6 @@ def moved(seconds: float, size: Array, seed: int = 0) -> Motion:
         maps[:, CHARACTER.index(joint)] = rng.uniform(0.3, 0.5, 3) * waves * size[:, None]
     turns = rotation.continuous(rotation.from_exponential_map(maps))
     return Motion(CHARACTER, turns, np.zeros((len(time), 3)), HZ)
-
-
-# ----------------------------------------------------------------------------------------------------------- clauses
-
-def test_a_bound_holds_at_its_ends_and_nothing_holds_nan() -> None:
-    assert at_most(0.6).holds(0.6) and not at_most(0.6).holds(0.61)
-    assert at_least(18.0).holds(18.0) and not at_least(18.0).holds(17.9)
-    assert not ClauseBound(high=0.001, below=True).holds(0.001) and ClauseBound(high=0.001, below=True).holds(0.0009)
-    assert not ANY.holds(math.nan)
-    bounds = (at_most(2.0), at_least(3.0), ClauseBound(1.0, 2.0), ClauseBound(high=1.0, below=True), ANY)
-    assert [bound.text(1) for bound in bounds] == ["at most 2.0", "at least 3.0", "1.0 to 2.0", "below 1.0", ""]
-
-
-def test_a_clause_is_judged_by_its_mean_and_what_is_undefined_is_broken() -> None:
-    wide = Clause.judged("a", Interval(0.5, 0.1, 0.9, 8), at_most(0.6))
-    assert wide.holds is True and wide.entry == {"name": "a", "value": 0.5, "low": 0.1, "high": 0.9, "n": 8,
-                                                 "bound": "at most 0.60", "holds": True, "reason": ""}
-    nothing = Clause.judged("b", Interval.undefined(), at_least(1.0))
-    assert nothing.holds is False and "undefined" in nothing.reason
-    shown, left = Clause.judged("c", 3.0), Clause.skipped("d", "no store")
-    assert shown.holds is None and left.holds is None and "no store" in left.reason
-    assert summary([wide, nothing, shown, left]) == "1 of 2 clauses hold."
-    table = clause_table("t", [wide, nothing, shown, left])
-    assert [entry["holds"] for entry in table.facts["clauses"]] == [True, False, None, None]
-    assert "| b | - | at least 1.00 | NO |" in table.markdown()
-    again = Clause.from_entry(wide.entry)
-    assert again == wide and math.isnan(Clause.from_entry(nothing.entry).value.mean)
-    with pytest.raises(ValueError, match="share a name"):
-        clause_table("t", [wide, wide])
 
 
 # -------------------------------------------------------------------------------------------------------------- seen
@@ -115,7 +85,7 @@ def free(count: int = 3) -> list[Motion]:
     return [moved(20.0, np.ones(1200), seed) for seed in range(count)]
 
 
-def judged(motions: list[Motion], space: ReferenceSpace, corpus: list[Motion] | None = None) -> list[Clause]:
+def verdicts(motions: list[Motion], space: ReferenceSpace, corpus: list[Motion] | None = None) -> list[Verdict]:
     beside = sampled(corpus or free(), space)
     return seen.clauses("x", seen.measured(sampled(motions, space), space, beside),
                         seen.measured(beside, space, None), seen.measured(beside, space, None))
@@ -125,7 +95,7 @@ def test_mirrored_arms_break_the_clauses_of_two_hands_and_free_ones_keep_them(sp
     still_trunk = [replace(motion, rotations=np.where(
         np.array([name in ("Head", "Spine1") for name in CHARACTER.names])[:, None], [1.0, 0, 0, 0], motion.rotations))
         for motion in free()]
-    mirrored, own = judged(baselines.mirrored(still_trunk), space), judged(still_trunk, space)
+    mirrored, own = verdicts(baselines.mirrored(still_trunk), space), verdicts(still_trunk, space)
     for begin in ("L/R hand height", "L/R hand speed"):
         assert named(mirrored, begin).holds is False and named(mirrored, begin).value.mean == pytest.approx(1.0)
         assert named(own, begin).holds is True
@@ -133,7 +103,7 @@ def test_mirrored_arms_break_the_clauses_of_two_hands_and_free_ones_keep_them(sp
 
 
 def test_what_is_the_corpus_itself_is_as_the_corpus(space: ReferenceSpace) -> None:
-    own = judged(free(), space)
+    own = verdicts(free(), space)
     for percent in (5, 25, 50, 75, 95, 99):
         clause = named(own, f"hand speed, {percent} % over")
         assert clause.holds is True and clause.value.mean == pytest.approx(1.0)
@@ -162,10 +132,10 @@ def test_halves_of_one_kind_are_near_and_of_two_kinds_far(space: ReferenceSpace)
 
 
 def test_slow_and_frozen_motion_is_refused(space: ReferenceSpace) -> None:
-    slow = judged([moved(20.0, 0.5 * np.ones(1200), seed) for seed in range(3)], space)
+    slow = verdicts([moved(20.0, 0.5 * np.ones(1200), seed) for seed in range(3)], space)
     assert all(named(slow, f"hand speed, {percent} % over").holds is False for percent in (25, 50, 75, 95, 99))
     assert named(slow, "hand speed, 50 % over").value.mean == pytest.approx(0.5, abs=0.05)
-    frozen = judged(baselines.mean_pose(free()), space)
+    frozen = verdicts(baselines.mean_pose(free()), space)
     for begin in ("head on chest", "chest, spread", "stroke amplitude, median", "one-handed", "L/R hand height",
                   "PMB above chance, %, first", "window Frechet to the corpus"):
         assert named(frozen, begin).holds is False, begin
@@ -334,8 +304,8 @@ def test_decoding_that_is_right_that_holds_still_and_that_names_postures() -> No
     right = movements.lexicon_clauses(recordings, {ALL: lambda blocks, past: blocks})
     assert all(named(right, f"{kind} of strokes, all levels, open").value.mean == pytest.approx(1.0)
                for kind in ("within-block R2", "displacement R2"))
-    assert all(clause.holds is True for clause in right if "open" in clause.name)
-    assert all(clause.holds is None for clause in right if "closed" in clause.name)
+    assert all(clause.holds is True for clause in right if "open" in clause.figure)
+    assert all(clause.holds is None for clause in right if "closed" in clause.figure)
     stays = movements.lexicon_clauses(recordings, {ALL: lambda blocks, past: past.frames[:, -1:].expand_as(blocks)})
     for kind in ("within-block R2", "displacement R2"):
         clause = named(stays, f"{kind} of strokes, all levels, open")

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from eval.claim import Verdict, at_least, judged
 from eval.commands import PROBE
 from eval.policy import entropy_of, matched_temperature
 from eval.probes import racer
-from eval.probes.motion.clauses import Clause
-from eval.probes.racer import CQL, LSTM, MAJORITY, MATCHED, PERFORMER, RANDOM, Judged, PlayedPolicy, gate, values
+from eval.probes.racer import CQL, LSTM, MAJORITY, MATCHED, PERFORMER, RANDOM, PlayedPolicy, RacerMeasures, gate, values
 from eval.probes.racer.playing import PlayedFigures
-from eval.stats import Interval
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import EnsembleReward, RewardTable
@@ -94,37 +93,37 @@ def row(judge: float, reward: float, **others: float) -> PlayedFigures:
     return PlayedFigures({key: value + noise for key, value in own.items()}, [np.arange(20) % 7], [], {})
 
 
-def judged(gain: float) -> Judged:
+def measures(gain: float) -> RacerMeasures:
     played = {PERFORMER: row(0.3, 0.3), LSTM: row(0.3, 0.3), MATCHED: row(0.3, 0.3), RANDOM: row(0.1, 0.1),
               MAJORITY: row(0.0, 0.0), CQL: row(0.2, 0.2), "cql, matched": row(0.2, 0.2),
               **{f"advantage {beta:g}": row(0.3 + gain * beta, 0.3 + 0.1 * beta) for beta in (0.5, 1, 2)}}
     variety = {"lexeme_diversity": np.full(3, 4.0), "rare": np.full(3, 5.0)}
-    return Judged(played, dict.fromkeys(played, variety), racer.BETAS, 1.0)
+    return RacerMeasures(played, dict.fromkeys(played, variety), racer.BETAS, 1.0)
 
 
 ROWS = {MATCHED: PlayedPolicy("lstm", 0.9)}
 
 
-def verdicts(clauses: list[Clause]) -> dict[str, bool | None]:
-    return {clause.name: clause.holds for clause in clauses}
+def verdicts(clauses: list[Verdict]) -> dict[str, bool | None]:
+    return {clause.figure: clause.holds for clause in clauses}
 
 
 def test_a_policy_that_the_judge_likes_is_accepted_and_one_that_it_does_not_is_not() -> None:
-    good = verdicts([*racer.won(judged(0.06), ROWS), *racer.timed(judged(0.06)), *racer.knob(judged(0.06))])
+    good = verdicts([*racer.won(measures(0.06), ROWS), *racer.timed(measures(0.06)), *racer.knob(measures(0.06))])
     assert all(holds for holds in good.values() if holds is not None) and sum(h is True for h in good.values()) >= 9
-    bad = verdicts([*racer.won(judged(-0.06), ROWS), *racer.knob(judged(-0.06))])
+    bad = verdicts([*racer.won(measures(-0.06), ROWS), *racer.knob(measures(-0.06))])
     assert bad["judge on motion: advantage 1 less the lstm at equal entropy"] is False
     assert bad["judge's gain over the training reward's"] is False
     assert bad["judge on motion: no worse than the performer"] is False
-    assert bad["knob: the judge rises over beta 0 to 2"] is False
-    assert bad["knob: the training reward rises over beta 0 to 2"] is True
+    assert bad["knob: least step of the judge over beta 0 to 2"] is False
+    assert bad["knob: least step of the training reward over beta 0 to 2"] is True
     # A gain that the judge sees the tenth part of is the reward's own error.
-    assert verdicts(racer.won(judged(0.01), ROWS))["judge's gain over the training reward's"] is False
+    assert verdicts(racer.won(measures(0.01), ROWS))["judge's gain over the training reward's"] is False
 
 
 def test_an_entry_is_plain_json() -> None:
-    made = racer.entry(Clause("a", Interval(1.0, math.nan, math.nan, 1), "at least 0.60", False, "why"))
-    assert json.loads(json.dumps(made)) == {"name": "a", "value": 1.0, "low": None, "high": None,
+    made = racer.entry(judged("a", 0.5, at_least(0.6), reason="why"))
+    assert json.loads(json.dumps(made)) == {"name": "a", "value": 0.5, "low": None, "high": None,
                                             "bound": "at least 0.60", "holds": False, "reason": "why"}
 
 

@@ -16,9 +16,10 @@ from data_module.errors import InputError
 from eval import ablate, stats
 from eval.ablate import FIGURES
 from eval.cells import Cell, Cells, CellStore, summaries
+from eval.claim import FAILS, HOLDS, UNDECIDED, Claim
 from eval.row_context import AblationContext, configured
 from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, SYSTEMS, TABLES, claims, racer, rg, tables
-from eval.rows.claims import CLAIMS, FAILS, HOLDS, UNDECIDED, Claim
+from eval.rows.claims import BOUNDS, CLAIMS, PaperClaim
 from eval.rows.row import COLUMNS, DECISIONS
 from eval.stats import Interval
 from eval.table import Column, Table, dumps, load, loads, save
@@ -336,7 +337,7 @@ def test_tables_and_claims_are_drawn_again_from_the_cells(tmp_path: Path, capsys
 
 # ------------------------------------------------------------------------------------------------------------- claims
 
-LOWER = Claim("RG Table 1", "ours", "no-style", "fgd", "below")
+LOWER = PaperClaim("RG Table 1", "ours", "no-style", "fgd", "below")
 
 
 def fgd_cells(**rows: list[list[float]]) -> Cells:
@@ -352,7 +353,7 @@ def fgd_cells(**rows: list[list[float]]) -> Cells:
     (-9.0, 9.0, UNDECIDED, UNDECIDED, UNDECIDED), (6.0, 9.0, HOLDS, FAILS, FAILS), (4.0, 9.0, HOLDS, FAILS, UNDECIDED)])
 def test_an_interval_decides(low: float, high: float, above: str, below: str, alike: str) -> None:
     own = Interval((low + high) / 2, low, high, 10)
-    assert [claims.decided(own, says) for says in ("above", "below", "alike")] == [above, below, alike]
+    assert [Claim("", BOUNDS[says]).judge(own).word for says in ("above", "below", "alike")] == [above, below, alike]
 
 
 def test_differences_are_paired_over_seeds_and_clips() -> None:
@@ -360,11 +361,11 @@ def test_differences_are_paired_over_seeds_and_clips() -> None:
     hard = rng.normal(0, 100, size=(3, 12))  # what clips and seeds differ by is far more than what rows do
     better = hard - 1 + rng.normal(0, 0.3, size=(3, 12))
     found = claims.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=hard.tolist()))
-    assert found.verdict == HOLDS and (found.seeds, found.clips) == (3, 12)
-    assert found.difference is not None and found.difference.mean == pytest.approx(-1, abs=0.2)
-    assert claims.judged(LOWER, fgd_cells(ours=hard.tolist(), no_style=better.tolist())).verdict == FAILS
+    assert found.word == HOLDS and found.over == (3, 12)
+    assert found.value.mean == pytest.approx(-1, abs=0.2)
+    assert claims.judged(LOWER, fgd_cells(ours=hard.tolist(), no_style=better.tolist())).word == FAILS
     other = rng.normal(0, 100, size=(3, 12)).tolist()
-    assert claims.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=other)).verdict == UNDECIDED
+    assert claims.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=other)).word == UNDECIDED
 
 
 def test_what_could_be_seen_is_seen_in_four_of_five_experiments() -> None:
@@ -372,7 +373,7 @@ def test_what_could_be_seen_is_seen_in_four_of_five_experiments() -> None:
     least = claims.detectable(stats.mean_interval(rng.normal(size=clips)))
     assert least == pytest.approx(2.80 / np.sqrt(clips), rel=0.25), "of clips that differ by 1"
     experiments = rng.normal(-2.80 / np.sqrt(clips), 1, size=(300, clips))
-    decided = [claims.decided(stats.mean_interval(one, draws=400), "below") == HOLDS for one in experiments]
+    decided = [BOUNDS["below"].holds(stats.mean_interval(one, draws=400)) is True for one in experiments]
     assert np.mean(decided) == pytest.approx(0.8, abs=0.07)
 
 
@@ -380,9 +381,9 @@ def test_an_interval_may_leave_out_half_of_the_papers_effect() -> None:
     cells = fgd_cells(ours=[[1.0, 2.0]] * 3, no_style=[[2.0, 6.0]] * 3)
     half = claims.half_of_the_papers(LOWER, cells)
     assert half == pytest.approx((10.78 - 12.53) / 12.53 / 2 * 4.0), "Table 1 on Trinity, as a share of 4 here"
-    points = Claim("RG Table 1", OURS, "no-lexemes", "pmb_above_chance")
+    points = PaperClaim("RG Table 1", OURS, "no-lexemes", "pmb_above_chance")
     assert claims.half_of_the_papers(points, {}) == pytest.approx((91.36 - 85.74) / 2)
-    assert claims.half_of_the_papers(Claim("RG Fig. 18", "size-100", "size-10", "fgd", "below"), cells) is None
+    assert claims.half_of_the_papers(PaperClaim("RG Fig. 18", "size-100", "size-10", "fgd", "below"), cells) is None
     for low, high, out in ((-0.2, 0.3, True), (-0.3, 0.3, False), (-0.9, -0.5, False), (0.1, 0.2, True)):
         found = Interval((low + high) / 2, low, high, 9)
         assert claims.leaves_out(found, -0.28) is out
@@ -391,8 +392,8 @@ def test_an_interval_may_leave_out_half_of_the_papers_effect() -> None:
 
 def test_fewer_than_three_seeds_or_no_figure_decide_nothing() -> None:
     found = claims.judged(LOWER, fgd_cells(ours=[[1.0] * 9] * 2, no_style=[[2.0] * 9] * 3))
-    assert found.verdict == UNDECIDED and found.reason == "2 of 3 seeds"
-    assert found.difference is not None and found.difference.mean == -1.0, "it is shown all the same"
+    assert found.word == UNDECIDED and found.reason == "2 of 3 seeds"
+    assert found.value.mean == -1.0, "it is shown all the same"
     assert claims.judged(LOWER, fgd_cells(ours=[[1.0]] * 3)).reason == "not run: no-style"
     empty = fgd_cells(ours=[[float("nan")] * 2] * 3, no_style=[[1.0] * 2] * 3)
     assert claims.judged(LOWER, empty).reason == "no figure of a clip that both have"

@@ -22,7 +22,8 @@ from data_module.store import Recording, RecordingInfo, Store
 from data_module.truth import REST
 from data_module.types import Array
 from eval import corpus_bounds, planned_strokes, style_from_sound
-from eval.corpus_bounds import POOLED, STYLE_BOUNDS, BoundVerdict, MeasuredTalk
+from eval.claim import SHOWN
+from eval.corpus_bounds import POOLED, STYLE_CLAIMS, MeasuredTalk, TalksVerdict
 from eval.metrics.eye import common_body
 from eval.planned_strokes import TOLERANCE
 from eval.stats import Interval, mean_interval
@@ -113,29 +114,27 @@ def plan_of(recording: Recording) -> PlayedPlan:
 
 # -------------------------------------------------------------------------------------------------------------- tables
 
-def bounds_table(store: Store, verdicts: Sequence[BoundVerdict], talks: Sequence[MeasuredTalk], marked: int) -> Table:
+def bounds_table(store: Store, verdicts: Sequence[TalksVerdict], talks: Sequence[MeasuredTalk], marked: int) -> Table:
     """Every bound with its verdict, pooled over A and B, and each part beside it."""
     parts = list(dict.fromkeys(talk.part for talk in talks))
     rows: dict[str, dict[str, Cell]] = {}
     for verdict in verdicts:
-        bound, digits = verdict.bound, verdict.bound.digits
-        row: dict[str, Cell] = {"bound": _bound(bound.low, bound.high), "value": verdict.value.text(digits),
-                                "holds": _verdict(verdict.holds)}
-        for part, value in verdict.parts.items():
-            row[part] = value.text(digits) + (" !" if bound.holds(value.mean) is False else "")
+        pooled, digits = verdict.pooled, verdict.pooled.claim.digits
+        row: dict[str, Cell] = {**pooled.row, **{part: own.value.text(digits) + (" !" if own.holds is False else "")
+                                                 for part, own in verdict.parts.items()}}
         if math.isfinite(verdict.least):
             row["talks"] = f"{verdict.least:.{digits}f} to {verdict.most:.{digits}f}"
-        rows[bound.title] = row
-    pooled = [talk for talk in talks if talk.part in POOLED]
+        rows[pooled.figure] = row
+    judged = [talk for talk in talks if talk.part in POOLED]
     counts = ", ".join(f"{_LETTERS.get(part, part)}: {len(own)} ({sum(t.seconds for t in own) / 60:.0f} min)"
                        for part in parts if (own := [t for t in talks if t.part == part]))
-    missed = [verdict.bound.title for verdict in verdicts if verdict.holds is False]
-    unknown = [verdict.bound.title for verdict in verdicts if verdict.holds is None]
-    notes = [f"Recordings: {counts}. Pooled over the {len(pooled)} talks of A and B, weighed by their seconds, with "
+    missed = [verdict.pooled.figure for verdict in verdicts if verdict.pooled.holds is False]
+    unknown = [verdict.pooled.figure for verdict in verdicts if verdict.pooled.holds is None]
+    notes = [f"Recordings: {counts}. Pooled over the {len(judged)} talks of A and B, weighed by their seconds, with "
              "bootstrap 95 % intervals; of the worst talk there is none. \"!\": the part alone misses the bound.",
              f"Outside: {'; '.join(missed) or 'nothing'}." + (f" Unknown: {'; '.join(unknown)}." if unknown else ""),
              f"Rest is marked in {marked} recordings; where it is not, no frame is left out of a freeze."]
-    if len(pooled) < FEWEST:
+    if len(judged) < FEWEST:
         notes.append(f"Fewer than {FEWEST} talks of A and B: the verdicts do not count.")
     columns = {"bound": Column("bound"), "value": Column("A and B"), "holds": Column("holds"),
                **{part: Column(_LETTERS.get(part, part)) for part in parts}, "talks": Column("talks of A and B")}
@@ -150,16 +149,14 @@ def style_table(styled: Sequence[StyledWindows]) -> Table:
     rows: dict[str, dict[str, Cell]] = {}
     facts = []
     for target in style_from_sound.TARGETS:
-        least = STYLE_BOUNDS[target]
-        row: dict[str, Cell] = {"bound": _bound(least, math.inf)}
-        for known, own in scores.items():
-            row[known] = own[target]
+        claim = STYLE_CLAIMS[target]
+        row: dict[str, Cell] = {"bound": claim.bound.text(claim.digits),
+                                **{known: own[target] for known, own in scores.items()}}
         if scores:
-            score = scores[style_from_sound.KNOWN[0]][target]
-            row["holds"] = _verdict(score.mean >= least)
-            facts.append({"name": f"R2 of {target} from 8 s of sound", "value": score.mean, "low": least,
-                          "high": math.inf, "holds": score.mean >= least, "interval": [score.low, score.high],
-                          "parts": {"style": score.mean}})
+            verdict = claim.judge(scores[style_from_sound.KNOWN[0]][target])
+            row["holds"], score = SHOWN[verdict.holds], verdict.value
+            facts.append({"name": claim.figure, "value": score.mean, "low": claim.bound.low, "high": math.inf,
+                          "holds": verdict.holds, "interval": [score.low, score.high], "parts": {"style": score.mean}})
         rows[target] = row
     windows = sum(len(own.features) for own in styled)
     note = (f"{len(styled)} recordings of part C, {windows} windows; each recording is told by a fit on the others, so "
@@ -194,14 +191,3 @@ def gain_figure(plans: Sequence[PlayedPlan]) -> Interval:
     if not train or not test:
         return mean_interval([])
     return mean_interval(planned_strokes.gain_r2(train, test), [float(len(gains)) for _, gains in test])
-
-
-def _bound(low: float, high: float) -> str:
-    """"a to b", "a or more", "b or less"."""
-    if math.isinf(low):
-        return f"{high:g} or less"
-    return f"{low:g} or more" if math.isinf(high) else f"{low:g} to {high:g}"
-
-
-def _verdict(holds: bool | None) -> str:
-    return "-" if holds is None else "yes" if holds else "NO"

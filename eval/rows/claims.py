@@ -16,7 +16,7 @@ seeds are few, and their bootstrap is narrow; a part that does nothing on this c
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import NormalDist
 
@@ -25,12 +25,12 @@ import numpy as np
 from data_module.errors import InputError
 from eval import stats
 from eval.cells import Cells
+from eval.claim import FAILS, HOLDS, UNDECIDED, WHOLE, Bound, Claim, Verdict
 from eval.rows import OURS, PERFORMER, TABLES, racer
 from eval.rows.row import COLUMNS, DECIDED, DECISIONS, RowColumn
 from eval.rows.tables import pairs
 from eval.table import Column, Table, load
 
-HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 ALIKE = 5.0
 """How far apart two shares of PMB, in percent, may lie and still be called alike."""
 RACER_TABLE = "RACER Table 2"
@@ -41,8 +41,13 @@ _PAPERS_KEY = {"pmb_above_chance": "pmb", "judge_return": "return"}
 """Columns that stand for one of the paper's of another name."""
 _COLUMNS: dict[str, RowColumn] = {**{key: own for part in DECISIONS.values() for key, own in part.items()}, **COLUMNS}
 
+BOUNDS = {"above": Bound(low=0.0, strict=True, of=WHOLE), "below": Bound(high=0.0, strict=True, of=WHOLE),
+          "alike": Bound(-ALIKE, ALIKE, strict=True, of=WHOLE)}
+"""Of the difference, first less second."""
+
+
 @dataclass(frozen=True)
-class Claim:
+class PaperClaim:
     """`first`'s figure is higher than `second`'s ("above"), lower ("below") or the same ("alike").
 
     where: the table it is read from. needs: why it cannot be tested here at all, or where it is.
@@ -64,20 +69,26 @@ class Claim:
         words = {"above": "higher than", "below": "lower than", "alike": "about that of"}[self.says]
         return f"{title}: {self.first} {words} {self.second}"
 
-
-def _above(where: str, metric: str, first: str, *others: str) -> list[Claim]:
-    return [Claim(where, first, other, metric) for other in others]
-
-
-def _below(where: str, metric: str, first: str, *others: str) -> list[Claim]:
-    return [Claim(where, first, other, metric, "below") for other in others]
+    @property
+    def claim(self) -> Claim:
+        """About the difference of the two figures."""
+        digits = _COLUMNS[self.metric].digits if self.metric in COLUMNS else 2
+        return Claim(self.sentence, BOUNDS[self.says], digits)
 
 
-def _alike(where: str, first: str, *others: str) -> list[Claim]:
-    return [Claim(where, first, other, "pmb_above_chance", "alike") for other in others]
+def _above(where: str, metric: str, first: str, *others: str) -> list[PaperClaim]:
+    return [PaperClaim(where, first, other, metric) for other in others]
 
 
-def _rhythmic_gesticulator() -> list[Claim]:
+def _below(where: str, metric: str, first: str, *others: str) -> list[PaperClaim]:
+    return [PaperClaim(where, first, other, metric, "below") for other in others]
+
+
+def _alike(where: str, first: str, *others: str) -> list[PaperClaim]:
+    return [PaperClaim(where, first, other, "pmb_above_chance", "alike") for other in others]
+
+
+def _rhythmic_gesticulator() -> list[PaperClaim]:
     pmb, parts = "pmb_above_chance", ("no-segmentation", "no-lexemes", "no-style", "audio-only")
     out = [claim for metric in ("maje", "mad", "fgd") for claim in _below("RG Table 1", metric, OURS, *parts)]
     out += _above("RG Table 1", pmb, OURS, "no-segmentation", "no-lexemes", "audio-only")
@@ -102,7 +113,7 @@ def _rhythmic_gesticulator() -> list[Claim]:
     return out
 
 
-def _racer() -> list[Claim]:
+def _racer() -> list[PaperClaim]:
     ours = racer.OURS
     others = tuple(racer.PREFIX + name for name in ("supervised", "distance", "dqn", "actor-critic"))
     out = [claim for metric in ("return", "judge_return")
@@ -114,42 +125,20 @@ def _racer() -> list[Claim]:
 _SYSTEMS = "needs the motion of the other systems for the test speech"
 _PEOPLE = "needs people who look at it"
 NOT_HERE = [
-    Claim("RG Table 1", "ours beats SG, Ges, GTC and S2AG in MAJE, MAD, FGD and PMB", "", "", needs=_SYSTEMS),
-    Claim("RG Fig. 11", "ours has the highest PMB of all systems at every delta", "", "", needs=_SYSTEMS),
-    Claim("RG Fig. 12", "people prefer ours", "", "", needs=_PEOPLE),
-    Claim("RG Fig. 10", "motion follows what is asked of height, speed and radius", "", "",
+    PaperClaim("RG Table 1", "ours beats SG, Ges, GTC and S2AG in MAJE, MAD, FGD and PMB", "", "", needs=_SYSTEMS),
+    PaperClaim("RG Fig. 11", "ours has the highest PMB of all systems at every delta", "", "", needs=_SYSTEMS),
+    PaperClaim("RG Fig. 12", "people prefer ours", "", "", needs=_PEOPLE),
+    PaperClaim("RG Fig. 10", "motion follows what is asked of height, speed and radius", "", "",
           needs="run gesticulator probe style-editing"),
-    Claim("RG Fig. 13", "a model of one language gestures in time with others, for each above chance", "", "",
+    PaperClaim("RG Fig. 13", "a model of one language gestures in time with others, for each above chance", "", "",
           needs="run gesticulator probe languages"),
-    Claim("RG Fig. 14", "the high level tells lexemes better than the low one", "", "",
+    PaperClaim("RG Fig. 14", "the high level tells lexemes better than the low one", "", "",
           needs="needs the earlier table of speech levels"),
-    Claim("RACER Table 1", "RACER beats SG, Ges, S2AG and Bailando in MAJE, MAD, FGD and PMB", "", "", needs=_SYSTEMS),
-    Claim("RACER Fig. 4", "people prefer RACER", "", "", needs=_PEOPLE),
+    PaperClaim("RACER Table 1", "RACER beats SG, Ges, S2AG and Bailando in MAJE, MAD, FGD and PMB", "", "",
+               needs=_SYSTEMS),
+    PaperClaim("RACER Fig. 4", "people prefer RACER", "", "", needs=_PEOPLE),
 ]
-CLAIMS: list[Claim] = [*_rhythmic_gesticulator(), *_racer(), *NOT_HERE]
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What became of a claim. difference: first less second; seeds, clips: how many pairs of each."""
-
-    verdict: str
-    reason: str = ""
-    difference: stats.Interval | None = None
-    seeds: int = 0
-    clips: int = 0
-
-
-def decided(difference: stats.Interval, says: str) -> str:
-    """What an interval of the difference says of a claim."""
-    if says == "alike":
-        if difference.above(-ALIKE) and difference.below(ALIKE):
-            return HOLDS
-        return FAILS if difference.above(ALIKE) or difference.below(-ALIKE) else UNDECIDED
-    right, wrong = difference.above(), difference.below()
-    if says == "below":
-        right, wrong = wrong, right
-    return HOLDS if right else FAILS if wrong else UNDECIDED
+CLAIMS: list[PaperClaim] = [*_rhythmic_gesticulator(), *_racer(), *NOT_HERE]
 
 
 def detectable(difference: stats.Interval) -> float:
@@ -160,7 +149,7 @@ def detectable(difference: stats.Interval) -> float:
     return (difference.high - difference.low) / 2 * (1 + _POWER / _CONFIDENCE)
 
 
-def half_of_the_papers(claim: Claim, cells: Cells) -> float | None:
+def half_of_the_papers(claim: PaperClaim, cells: Cells) -> float | None:
     """Half of the difference that the paper prints (on Trinity), in this table's units; None where it prints none.
 
     Distances and variances are other numbers on other data, so theirs is a share of `second`'s figure here; shares of
@@ -184,21 +173,21 @@ def leaves_out(difference: stats.Interval, half: float) -> bool:
     return difference.below(half) if half > 0 else difference.above(half)
 
 
-def judged(claim: Claim, cells: Cells) -> Verdict:
+def judged(claim: PaperClaim, cells: Cells) -> Verdict:
     """Whether a claim holds for these cells."""
     if claim.needs:
-        return Verdict(UNDECIDED, claim.needs)
+        return claim.claim.undecided(claim.needs)
     lacking = [name for name in (claim.first, claim.second) if not cells.get(name)]
     if lacking:
-        return Verdict(UNDECIDED, f"not run: {', '.join(lacking)}")
+        return claim.claim.undecided(f"not run: {', '.join(lacking)}")
     _, apart = pairs(cells[claim.first], cells[claim.second], claim.metric)
     apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
     if not apart.size:
-        return Verdict(UNDECIDED, "no figure of a clip that both have")
-    found, seeds = stats.crossed(apart), len(apart)
+        return claim.claim.undecided("no figure of a clip that both have")
+    verdict, seeds = claim.claim.judge(stats.crossed(apart)), len(apart)
     if seeds < DECIDED:
-        return Verdict(UNDECIDED, f"{seeds} of {DECIDED} seeds", found, seeds, found.n)
-    return Verdict(decided(found, claim.says), "", found, seeds, found.n)
+        verdict = replace(verdict, holds=None, reason=f"{seeds} of {DECIDED} seeds")
+    return replace(verdict, over=(seeds, verdict.value.n))
 
 
 PROBED = {"RG Fig. 10": "earlier/style_editing", "RG Fig. 13": "languages", "RG Fig. 14": "earlier/speech_levels"}
@@ -211,17 +200,18 @@ LEAST_CLIPS = 3
 def probed(results: Path) -> dict[str, Verdict]:
     """Verdicts on the claims of `PROBED` whose file is there; the difference is that of the worst interval."""
     out = {}
-    for where, name in PROBED.items():
+    for claim in (claim for claim in CLAIMS if claim.where in PROBED):
         try:
-            found = [stats.Interval.from_dict(held) for held in load(results / f"{name}.json")[0].facts["claim"]]
+            table = load(results / f"{PROBED[claim.where]}.json")[0]
+            found = [stats.Interval.from_dict(held) for held in table.facts["claim"]]
         except (InputError, KeyError, IndexError):
             continue
         worst, few = min(found, key=lambda interval: interval.low), sum(one.n < LEAST_CLIPS for one in found)
-        verdicts = {decided(interval, "above") for interval in found}
-        verdict = next((one for one in (FAILS, UNDECIDED) if one in verdicts), HOLDS)
+        verdicts = [claim.claim.judge(interval).holds for interval in found]
+        holds = False if False in verdicts else None if few or None in verdicts else True
         reason = f"{len(found)} intervals, the lowest shown" + (
             f"; {few} are over less than {LEAST_CLIPS} clips" if few else "")
-        out[where] = Verdict(UNDECIDED if few and verdict == HOLDS else verdict, reason, worst, 1, worst.n)
+        out[claim.where] = Verdict(claim.claim, worst, holds, reason, (1, worst.n))
     return out
 
 
@@ -231,7 +221,7 @@ def _paper(where: str, row: str, key: str) -> tuple[float | None, float | None]:
     return next((line.paper[key] for line in lines if line.row == row and key in line.paper), (None, None))
 
 
-def papers_numbers(claim: Claim) -> str:
+def papers_numbers(claim: PaperClaim) -> str:
     """The paper's own two figures, on Trinity and on TED; empty where it prints none."""
     key = _PAPERS_KEY.get(claim.metric, claim.metric)
     one, other = (_paper(claim.where, row, key) for row in (claim.first, claim.second))
@@ -243,28 +233,29 @@ def claims_table(cells: Cells, results: Path | None = None) -> Table:
     """Every claim and what became of it. results: where the probes keep what they found."""
     elsewhere = probed(results) if results else {}
     verdicts = [(elsewhere.get(claim.where) if claim.needs else None) or judged(claim, cells) for claim in CLAIMS]
-    count = {name: sum(found.verdict == name for found in verdicts) for name in (HOLDS, FAILS, UNDECIDED)}
+    count = {name: sum(found.word == name for found in verdicts) for name in (HOLDS, FAILS, UNDECIDED)}
     rows, out_of_reach, without = {}, 0, 0
     for number, (claim, found) in enumerate(zip(CLAIMS, verdicts, strict=True), start=1):
-        half = half_of_the_papers(claim, cells) if claim.says != "alike" and found.difference else None
-        short = half is not None and found.difference is not None and leaves_out(found.difference, half)
-        if found.verdict == UNDECIDED and half is not None:
+        digits, known = found.claim.digits, math.isfinite(found.value.mean)
+        half = half_of_the_papers(claim, cells) if claim.says != "alike" and known else None
+        short = half is not None and leaves_out(found.value, half)
+        if found.holds is None and half is not None:
             without, out_of_reach = without + 1, out_of_reach + short
-        digits = _COLUMNS[claim.metric].digits if claim.metric in COLUMNS else 2
+        least = detectable(found.value)
         rows[str(number)] = {
             "where": claim.where, "claim": claim.sentence, "paper": papers_numbers(claim),
-            "difference": found.difference.text(digits) if found.difference else None,
-            "detectable": f"{least:.{digits}f}" if found.difference and math.isfinite(
-                least := detectable(found.difference)) else None,
+            "difference": found.value.text(digits) if known else None,
+            "detectable": f"{least:.{digits}f}" if math.isfinite(least) else None,
             "half": None if half is None else f"{half:.{digits}f}, {'left out' if short else 'possible'}",
-            "pairs": f"{found.seeds}, {found.clips}" if found.difference else None,
-            "verdict": found.verdict + (f" ({found.reason})" if found.reason else "")}
+            "pairs": ", ".join(map(str, found.over)) or None,
+            "verdict": found.word + (f" ({found.reason})" if found.reason else "")}
     columns = {key: Column(title) for key, title in (
         ("where", "where"), ("claim", "claim"), ("paper", "the paper's figures"), ("difference", "difference here"),
         ("detectable", "could be seen from"),
         ("half", "half of the paper's"), ("pairs", "seeds, clips"), ("verdict", ""))}
-    facts = [{**asdict(claim), "sentence": claim.sentence, "paper": papers_numbers(claim), **asdict(found)}
-             for claim, found in zip(CLAIMS, verdicts, strict=True)]
+    facts = [{**asdict(claim), "sentence": claim.sentence, "paper": papers_numbers(claim), "verdict": found.word,
+              "reason": found.reason, "difference": found.value.to_dict() if found.over else None,
+              "pairs": list(found.over)} for claim, found in zip(CLAIMS, verdicts, strict=True)]
     return Table("Claims", columns, rows, "", [
         f"{count[HOLDS]} claims hold, {count[FAILS]} do not, {count[UNDECIDED]} are undecided. Differences are paired, "
         "with bootstrap 95 % intervals over seeds and clips; a true difference of the size that could be seen is "

@@ -24,6 +24,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -31,6 +32,7 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.motion.bvh import write_bvh
 from data_module.store import Store
+from eval.claim import Verdict, count, summary, verdict_table
 from eval.clip import real_take
 from eval.eye_table import CORPUS
 from eval.foreign import named
@@ -38,7 +40,6 @@ from eval.metrics.eye import ReferenceSpace
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
 from eval.probes.motion import movements, rest, seen, steering
-from eval.probes.motion.clauses import Clause, clause_table, summary
 from eval.probes.motion.renderings import (
     PROGRAM,
     TAKE,
@@ -78,23 +79,23 @@ class Acceptance:
         return [voice for voice in self.voices if voice.place != TAKE]
 
 
-def _motion(own: Acceptance) -> tuple[list[Clause], list[Table]]:
+def _motion(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
     return seen.run([own.ours, *own.others], own.voices, own.renderings, own.space)
 
 
-def _lexicon(own: Acceptance) -> tuple[list[Clause], list[Table]]:
+def _lexicon(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
     return movements.run(own.ours, own.store, own.held_out(), own.renderings)
 
 
-def _rest(own: Acceptance) -> tuple[list[Clause], list[Table]]:
+def _rest(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
     return rest.run(own.ours, own.voices, own.renderings)
 
 
-def _controls(own: Acceptance) -> tuple[list[Clause], list[Table]]:
+def _controls(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
     return steering.run(own.ours, own.voices)
 
 
-GROUPS: dict[str, Callable[[Acceptance], tuple[list[Clause], list[Table]]]] = {
+GROUPS: dict[str, Callable[[Acceptance], tuple[list[Verdict], list[Table]]]] = {
     "motion": _motion, "lexicon": _lexicon, "rest": _rest, "controls": _controls}
 
 
@@ -120,13 +121,13 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     torch.set_num_threads(1)
     own, work = _opened(arguments)
     key = _key(own)
-    clauses: dict[str, list[Clause]] = {}
+    entries: dict[str, list[dict[str, Any]]] = {}
     shown: list[Table] = []
     for name, group in GROUPS.items():
         file = None if work is None else work / f"{name}.{key}.json"
         if arguments.only is None or name in arguments.only:
             found, tables = group(own)
-            made = [clause_table(TITLES[name], found), *tables]
+            made = [verdict_table(TITLES[name], found), *tables]
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_text(file, dumps([table.to_dict() for table in made]))
@@ -134,11 +135,11 @@ def run(arguments: argparse.Namespace) -> list[Table]:
             made = [Table.from_dict(held) for held in loads(file.read_text(encoding="utf-8"))]
         else:
             continue
-        clauses[TITLES[name]] = [Clause.from_entry(entry) for entry in made[0].facts["clauses"]]
+        entries[TITLES[name]] = list(made[0].facts["clauses"])
         shown += made
     if arguments.write is not None:
         _write(own, arguments.write)
-    return [_whole(own, clauses), *shown]
+    return [_whole(own, entries), *shown]
 
 
 def _opened(arguments: argparse.Namespace) -> tuple[Acceptance, Path | None]:
@@ -174,22 +175,20 @@ def _key(own: Acceptance) -> str:
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
 
 
-def _whole(own: Acceptance, groups: Mapping[str, Sequence[Clause]]) -> Table:
+def _whole(own: Acceptance, groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
     """How many clauses of each group hold; the facts have every clause of all, and what they are of."""
-    clauses = [clause for each in groups.values() for clause in each]
-    rows: dict[str, dict[str, Cell]] = {}
-    for title, each in groups.items():
-        asked = [clause for clause in each if clause.holds is not None]
-        rows[title] = {"hold": sum(bool(clause.holds) for clause in asked), "of": len(asked)}
+    entries = [entry for each in groups.values() for entry in each]
+    rows: dict[str, dict[str, Cell]] = {
+        title: dict(zip(("hold", "of"), count(each), strict=True)) for title, each in groups.items()}
     selection = own.ours.bundle.config.selection
     frozen = {name: getattr(selection, name) for name in sorted(vars(selection))}
-    notes = [summary(clauses),
+    notes = [summary(entries),
              "Guidance and temperature as the bundle was frozen with: "
              f"{', '.join(f'{name} {value}' for name, value in frozen.items())}.",
              "Intervals are bootstrap 95 % over recordings; of one voice rendered several times, over seeds."]
     if own.space is None:
         notes.append(f"No Frechet distance: {REFERENCE} is not in GESTICULATOR_DATA.")
-    facts = {"clauses": [clause.entry for clause in clauses], "selection": frozen, "renderings": own.renderings,
+    facts = {"clauses": entries, "selection": frozen, "renderings": own.renderings,
              "store": None if own.store is None else own.store.fingerprint, "bundle": own.ours.key,
              **described(own.voices)}
     return Table("Acceptance of the motion", {"hold": Column("clauses that hold"), "of": Column("of")}, rows, "group",
@@ -199,7 +198,7 @@ def _whole(own: Acceptance, groups: Mapping[str, Sequence[Clause]]) -> Table:
 def _write(own: Acceptance, folder: Path) -> None:
     """Ours as files that `--system NAME=folder` reads: every voice as in the group `motion`."""
     folder.mkdir(parents=True, exist_ok=True)
-    for count, (voice, (made, _)) in enumerate(seen.renderings_on(own.ours, own.voices, own.renderings)):
-        stem = folder / f"{voice.name}.{count}"
+    for number, (voice, (made, _)) in enumerate(seen.renderings_on(own.ours, own.voices, own.renderings)):
+        stem = folder / f"{voice.name}.{number}"
         write_bvh(stem.with_name(stem.name + ".bvh"), made.motion)
         write_text(stem.with_name(stem.name + ".json"), plan_of(made))

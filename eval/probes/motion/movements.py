@@ -33,9 +33,9 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.store import Store
 from data_module.types import Array, Motion
 from eval import stats
+from eval.claim import ANY, Verdict, at_least, at_most, judged, skipped
 from eval.metrics.eye import common_body, hands, strokes
 from eval.metrics.eye.body import HZ
-from eval.probes.motion.clauses import ANY, Clause, at_least, at_most
 from eval.probes.motion.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 from eval.table import Table
@@ -149,7 +149,7 @@ def r_squared(sums: Array) -> Interval:
     return stats.of_set(figure, len(sums), basic=False)
 
 
-def lexicon_clauses(recordings: Sequence[HeldOut], codes: Mapping[str, Decode]) -> list[Clause]:
+def lexicon_clauses(recordings: Sequence[HeldOut], codes: Mapping[str, Decode]) -> list[Verdict]:
     """Within-block and displacement R2 and the tie between the hands, of all codes and of the lexeme alone."""
     out = []
     for name, decode in codes.items():
@@ -158,27 +158,27 @@ def lexicon_clauses(recordings: Sequence[HeldOut], codes: Mapping[str, Decode]) 
             fits = [fit_of(held, own) for held, own in zip(recordings, decoded, strict=True)]
             asked = name == ALL and loop == "open loop"
             on = f"strokes, {name}, {loop}"
-            out.append(Clause.judged(f"within-block R2 of {on}", r_squared(np.array([own.within for own in fits])),
-                                     at_least(WITHIN) if asked else ANY))
-            out.append(Clause.judged(f"displacement R2 of {on}", r_squared(np.array([own.displaced for own in fits])),
-                                     at_least(DISPLACED) if asked else ANY))
+            out.append(judged(f"within-block R2 of {on}", r_squared(np.array([own.within for own in fits])),
+                              at_least(WITHIN) if asked else ANY))
+            out.append(judged(f"displacement R2 of {on}", r_squared(np.array([own.displaced for own in fits])),
+                              at_least(DISPLACED) if asked else ANY))
             told, true = (stats.mean_interval([own.heights[k] for own in fits]) for k in (0, 1))
             apart = Interval.exact(abs(told.mean - true.mean), told.n)
-            out.append(Clause.judged(f"L/R height correlation, decoded from the truth's, {name}, {loop}", apart,
-                                     at_most(HEIGHTS) if asked else ANY,
-                                     reason=f"decoded {told.text()}, truth {true.text()}"))
+            out.append(judged(f"L/R height correlation, decoded from the truth's, {name}, {loop}", apart,
+                              at_most(HEIGHTS) if asked else ANY,
+                              reason=f"decoded {told.text()}, truth {true.text()}"))
     return out
 
 
-def absent_clause(decoded: Sequence[Tensor], present: Tensor) -> Clause:
+def absent_clause(decoded: Sequence[Tensor], present: Tensor) -> Verdict:
     """Numbers that no source has must not move at all. present: [D_m] 1 where some source has them."""
     lacking = present < 0.5
     name = "movement of absent joints, decoded, normalised units"
     if not lacking.any():
-        return Clause.skipped(name, "every joint is present in some source")
+        return skipped(name, "every joint is present in some source")
     moved = max(float(np.ptp(own[..., lacking].reshape(-1, int(lacking.sum())).numpy(), axis=0).max())
                 for own in decoded)
-    return Clause.judged(name, moved, at_most(0.0), digits=6, reason=f"{int(lacking.sum())} of {len(present)} numbers")
+    return judged(name, moved, at_most(0.0), digits=6, reason=f"{int(lacking.sum())} of {len(present)} numbers")
 
 
 # ---------------------------------------------------------------------------------------------------------- obedience
@@ -203,7 +203,7 @@ def ranks_of(distances: Tensor, asked: Tensor) -> NDArray[np.int64]:
 
 
 def obedience_clauses(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDArray[np.int64]],
-                      groups: Sequence[str], silent: NDArray[np.int64], bare: bool = False) -> list[Clause]:
+                      groups: Sequence[str], silent: NDArray[np.int64], bare: bool = False) -> list[Verdict]:
     """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each. Beside them, not judged, of
     those that were asked for a gesture: where a silent lexeme is played, the layer of rest holds or sinks the hands
     whatever was drawn, and the lexicon names that otherwise. bare: of the generator alone, which is shown and not
@@ -222,11 +222,11 @@ def obedience_clauses(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDAr
     among = stats.mean_interval([float((own[gesture] < BEST).mean()) if gesture.any() else float("nan")
                                  for own, gesture in zip(ranks, gestures, strict=True)],
                                 [int(gesture.sum()) for gesture in gestures], groups=list(groups))
-    return [Clause.judged(f"a drawn block is the lexeme that was asked for, share{where}", share(1),
-                          ANY if bare else at_least(OBEYED), reason=told),
-            Clause.judged(f"it is among the best {BEST}, share{where}", share(BEST), ANY if bare else at_least(AMONG)),
-            Clause.judged(f"the same of blocks whose lexeme is not a silent one{where}", among, ANY,
-                          reason=f"{sum(int(gesture.sum()) for gesture in gestures)} blocks")]
+    return [judged(f"a drawn block is the lexeme that was asked for, share{where}", share(1),
+                   ANY if bare else at_least(OBEYED), reason=told),
+            judged(f"it is among the best {BEST}, share{where}", share(BEST), ANY if bare else at_least(AMONG)),
+            judged(f"the same of blocks whose lexeme is not a silent one{where}", among, ANY,
+                   reason=f"{sum(int(gesture.sum()) for gesture in gestures)} blocks")]
 
 
 def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> float:
@@ -238,15 +238,15 @@ def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> floa
     return float(own.mean()) if len(own) else float("nan")
 
 
-def silent_clause(renderings: Sequence[Rendering], silent: NDArray[np.int64], groups: Sequence[str]) -> Clause:
+def silent_clause(renderings: Sequence[Rendering], silent: NDArray[np.int64], groups: Sequence[str]) -> Verdict:
     """Silent lexemes rest."""
     name = "hand speed where silent lexemes follow each other, m/s"
     values = [silent_speed(own.motion, own.edges, np.isin(own.lexemes, silent)) for own in renderings
               if own.edges is not None]
     found = stats.mean_interval(values, groups=list(groups))
     if not np.isfinite(found.mean):
-        return Clause.skipped(name, "no silent lexeme followed another")
-    return Clause.judged(name, found, at_most(RESTS), reason=f"{len(silent)} silent lexemes")
+        return skipped(name, "no silent lexeme followed another")
+    return judged(name, found, at_most(RESTS), reason=f"{len(silent)} silent lexemes")
 
 
 # ------------------------------------------------------------------------------------------------------------- group
@@ -280,10 +280,10 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
 
 
 def run(ours: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoice], renderings: int
-        ) -> tuple[list[Clause], list[Table]]:
+        ) -> tuple[list[Verdict], list[Table]]:
     """Everything of this group."""
     if store is None:
-        return [Clause.skipped("lexicon and obedience", "no store was given (--store)")], []
+        return [skipped("lexicon and obedience", "no store was given (--store)")], []
     recordings, codes = held_out(ours.bundle, store), codes_of(ours.bundle.block_models.lexicon)
     clauses = lexicon_clauses(recordings, codes)
     clauses.append(absent_clause([open_loop(codes[ALL], held) for held in recordings], ours.bundle.statistics.present))
@@ -299,7 +299,7 @@ def run(ours: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoic
 
 
 def _obedience(ours: BundleSystem, voices: Sequence[AcceptanceVoice], made: Sequence[Rendering], bare: bool = False
-               ) -> list[Clause]:
+               ) -> list[Verdict]:
     speakers = [ours.gesticulator.speaker_index(ours.speaker(voice)) for voice in voices]
     ranks = [encode(ours.bundle, own, speaker) for own, speaker in zip(made, speakers, strict=True)]
     groups = [voice.group or voice.name for voice in voices]

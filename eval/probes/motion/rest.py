@@ -28,9 +28,9 @@ from data_module.speech.audio import SAMPLE_RATE, amplified, resample
 from data_module.speech.silence import FRAME, frame_levels, pauses, silent_frames
 from data_module.types import Array, Motion, Speech
 from eval import stats
+from eval.claim import ANY, Verdict, at_least, at_most, judged, skipped
 from eval.metrics.eye import common_body, hands, trunk
 from eval.metrics.eye.body import HZ, CommonBody
-from eval.probes.motion.clauses import ANY, Clause, at_least, at_most
 from eval.probes.motion.renderings import TAKE, AcceptanceVoice, BundleSystem, Rendering
 from eval.probes.style_editing import excerpt_of_speech
 from eval.stats import Interval
@@ -207,7 +207,7 @@ def head_freeze(body: CommonBody) -> float:
 
 # ----------------------------------------------------------------------------------------------------------- clauses
 
-def pause_clauses(rested: Sequence[Rested], groups: Sequence[str]) -> list[Clause]:
+def pause_clauses(rested: Sequence[Rested], groups: Sequence[str]) -> list[Verdict]:
     """Settling, rest and life in voices with pauses."""
     each = [(length, speed, group) for own, group in zip(rested, groups, strict=True)
             for length, speed in own.settled()]
@@ -216,61 +216,61 @@ def pause_clauses(rested: Sequence[Rested], groups: Sequence[str]) -> list[Claus
                      for low, high in ((1.0, 1.8), (1.8, 3.0), (3.0, 9.0)))
     ratios = [own.at_rest() for own in rested]
     return [
-        Clause.judged("hands from .5 to 2.5 s into a pause, m/s", stats.mean_interval(values, groups=owners),
-                      at_most(SETTLED), reason=f"{len(each)} pauses; by length, {told}"),
-        Clause.judged("hands from 2.5 s into a pause on, over their speed in speech",
-                      stats.mean_interval(ratios, groups=list(groups)), at_most(AT_REST)),
+        judged("hands from .5 to 2.5 s into a pause, m/s", stats.mean_interval(values, groups=owners),
+               at_most(SETTLED), reason=f"{len(each)} pauses; by length, {told}"),
+        judged("hands from 2.5 s into a pause on, over their speed in speech",
+               stats.mean_interval(ratios, groups=list(groups)), at_most(AT_REST)),
         *life_clauses([own.body for own in rested], groups, "with pauses")]
 
 
-def life_clauses(bodies: Sequence[CommonBody], groups: Sequence[str], where: str) -> list[Clause]:
+def life_clauses(bodies: Sequence[CommonBody], groups: Sequence[str], where: str) -> list[Verdict]:
     """The longest freeze of the head of all, and hands that stop."""
     freezes, exact = [head_freeze(body) for body in bodies], [exact_rest(body) for body in bodies]
     each = stats.mean_interval(freezes, groups=list(groups))
     worst = Interval(max(freezes), float("nan"), float("nan"), each.n)
-    return [Clause.judged(f"longest freeze of the head, {where}, s", worst, at_most(FREEZE),
-                          reason=f"of all; on average {each.text()}"),
-            Clause.judged(f"frames in which a hand does not move at all, {where}, %",
-                          stats.mean_interval(exact, groups=list(groups)), at_most(0.0))]
+    return [judged(f"longest freeze of the head, {where}, s", worst, at_most(FREEZE),
+                   reason=f"of all; on average {each.text()}"),
+            judged(f"frames in which a hand does not move at all, {where}, %",
+                   stats.mean_interval(exact, groups=list(groups)), at_most(0.0))]
 
 
-def waking_clauses(wakes: Array, usual: Array | None) -> list[Clause]:
+def waking_clauses(wakes: Array, usual: Array | None) -> list[Verdict]:
     """Peaks around the ends of long pauses [n, 2] beside those of the corpus' seconds [m, 2]."""
     out = []
     for column, told in enumerate(("acceleration, m/s2", "speed, m/s")):
         name = f"waking, peak {told}"
         if len(wakes) == 0:
-            out.append(Clause.skipped(name, "no long pause was found"))
+            out.append(skipped(name, "no long pause was found"))
             continue
         def figure(chosen: Array, own: Array = wakes[:, column]) -> float:
             return float(np.percentile(own[chosen], WORST))
 
         value = stats.of_set(figure, len(wakes), basic=False)
         limit = None if usual is None or not len(usual) else float(np.percentile(usual[:, column], USUAL))
-        out.append(Clause.judged(name, value, ANY if limit is None else at_most(limit), reason=(
+        out.append(judged(name, value, ANY if limit is None else at_most(limit), reason=(
             f"{WORST:g} % of {len(wakes)} wakes; bound: {USUAL:g} % of the corpus' seconds")))
     return out
 
 
-def quiet_clauses(name: str, rested: Sequence[Rested]) -> list[Clause]:
+def quiet_clauses(name: str, rested: Sequence[Rested]) -> list[Verdict]:
     """Nothing is said: the hands rest, and do not move now and then."""
     speed = [_mean(own.between(1.0, own.body.duration)) for own in rested]
     moving = [100.0 * float((own.fastest[round(HZ):] > hands.MOVES).mean()) for own in rested]
-    return [Clause.judged(f"hands in {name}, m/s", stats.mean_interval(speed), at_most(SETTLED)),
-            Clause.judged(f"time in which a hand moves in {name}, %", stats.mean_interval(moving), at_most(1.0)),
+    return [judged(f"hands in {name}, m/s", stats.mean_interval(speed), at_most(SETTLED)),
+            judged(f"time in which a hand moves in {name}, %", stats.mean_interval(moving), at_most(1.0)),
             *life_clauses([own.body for own in rested], [str(k) for k in range(len(rested))], f"in {name}")]
 
 
-def faint_clause(low: Sequence[Rested], clean: Sequence[Rested]) -> Clause:
+def faint_clause(low: Sequence[Rested], clean: Sequence[Rested]) -> Verdict:
     """A faint voice in noise makes no more twitches than the same voice as it was."""
     there, here = ([twitches(own.body) for own in each] for each in (low, clean))
     usual = _mean(np.array(here))
-    return Clause.judged("twitches a minute, voice at -46 dB in noise", stats.mean_interval(there),
-                         at_most(TWITCHES * max(usual, 1.0)), digits=1,
-                         reason=f"bound: {TWITCHES:g} times the {usual:.1f} of the same voice at its own level")
+    return judged("twitches a minute, voice at -46 dB in noise", stats.mean_interval(there),
+                  at_most(TWITCHES * max(usual, 1.0)), digits=1,
+                  reason=f"bound: {TWITCHES:g} times the {usual:.1f} of the same voice at its own level")
 
 
-def activity_clauses(shares: Array, moving: Array) -> list[Clause]:
+def activity_clauses(shares: Array, moving: Array) -> list[Verdict]:
     """Shares [activities, voices] of the time in speech with a gesture's lexeme, and with a hand that moves, for rising
     `ACTIVITIES`."""
     out = []
@@ -278,11 +278,11 @@ def activity_clauses(shares: Array, moving: Array) -> list[Clause]:
         ranks = [_rank(column) for column in values.T]
         name = f"activity and time in speech with {told}"
         shown = ", ".join(f"{activity:g}: {row.mean():.2f}" for activity, row in zip(ACTIVITIES, values, strict=True))
-        out.append(Clause.judged(f"{name}, rank correlation", stats.mean_interval(ranks), at_least(RANK),
-                                 reason=shown))
+        out.append(judged(f"{name}, rank correlation", stats.mean_interval(ranks), at_least(RANK),
+                          reason=shown))
         lexemes = values is shares
-        out.append(Clause.judged(f"{name}, rise from 0 to 1", stats.mean_interval(values[-1] - values[0]),
-                                 at_least(SPAN) if lexemes else ANY))
+        out.append(judged(f"{name}, rise from 0 to 1", stats.mean_interval(values[-1] - values[0]),
+                          at_least(SPAN) if lexemes else ANY))
     return out
 
 
@@ -304,7 +304,7 @@ def shares_of(rendering: Rendering, silent: NDArray[np.int64], spoken: Flags) ->
 
 # ------------------------------------------------------------------------------------------------------------- group
 
-def run(ours: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int) -> tuple[list[Clause], list[Table]]:
+def run(ours: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int) -> tuple[list[Verdict], list[Table]]:
     """Everything of this group: the first voices of those at hand, two seeds each."""
     chosen, seeds = spread_out(voices), range(min(2, renderings))
     paused = [made(voice, "with pauses", with_pauses(heard_of(voice, HEARD))) for voice in chosen]
@@ -339,14 +339,14 @@ def heard_of(voice: AcceptanceVoice, seconds: float) -> Speech:
     return excerpt_of_speech(resample(voice.speech, SAMPLE_RATE), seconds)
 
 
-def _activity(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Clause]:
+def _activity(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Verdict]:
     sounds = [made(voice, "asked", heard_of(voice, ASKED)) for voice in voices]
     found = np.empty((2, len(ACTIVITIES), len(sounds)))
     for (row, activity), (column, sound) in itertools.product(enumerate(ACTIVITIES), enumerate(sounds)):
         try:
             own = ours.render(sound, 0, activity=activity)
         except InputError as error:
-            return [Clause.judged("activity is heard", 0.0, at_least(1.0), digits=0, reason=str(error))]
+            return [judged("activity is heard", 0.0, at_least(1.0), digits=0, reason=str(error))]
         found[:, row, column] = shares_of(own, ours.bundle.silent, ~own.silent)
     return activity_clauses(found[0], found[1])
 

@@ -14,11 +14,11 @@ import numpy as np
 from data_module.blocks import cut
 from data_module.types import Array, Motion
 from eval import stats
+from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged, skipped
 from eval.eye_table import CORPUS, POOLED, TO_CORPUS, EyeSample, heading
 from eval.metrics import EYE_METRICS, eye, pmb
 from eval.metrics.eye import ReferenceSpace, VoiceActivity, common_body, voice
 from eval.metrics.mismatch import Mismatch, mismatch, wrapped
-from eval.probes.motion.clauses import ANY, Clause, ClauseBound, at_least, at_most, scaled
 from eval.probes.motion.renderings import TEST, AcceptanceVoice, Pair, RenderedSystem
 from eval.score import UNITS
 from eval.stats import Interval
@@ -91,22 +91,23 @@ def pooled_distance(sample: EyeSample, space: ReferenceSpace, other: EyeSample |
 
 # ----------------------------------------------------------------------------------------------------------- clauses
 
-def clauses(where: str, ours: Figures, corpus: Figures | None, units: Figures | None) -> list[Clause]:
+def clauses(where: str, ours: Figures, corpus: Figures | None, units: Figures | None) -> list[Verdict]:
     """What is asked of ours on some voices; where: their name. Without corpus or unit selection what is asked against
     them is not measured."""
-    def judged(name: str, bound: ClauseBound, reason: str = "") -> Clause:
-        return Clause.judged(f"{_title(name)}, {where}", ours[name], bound, digits=_digits(name), reason=reason)
+    def eye_clause(name: str, bound: Bound, reason: str = "") -> Verdict:
+        return judged(f"{_title(name)}, {where}", ours[name], bound, digits=_digits(name), reason=reason)
 
-    out = [judged("eye_hand_height_correlation", at_most(0.60)), judged("eye_hand_speed_correlation", at_most(0.68)),
-           judged("eye_one_handed", at_least(18.0)), judged("eye_one_hanging", at_least(12.0)),
-           judged("eye_head", ClauseBound(7.0, 14.0)), judged("eye_chest", ClauseBound(4.0, 9.0)),
+    out = [eye_clause("eye_hand_height_correlation", at_most(0.60)),
+           eye_clause("eye_hand_speed_correlation", at_most(0.68)),
+           eye_clause("eye_one_handed", at_least(18.0)), eye_clause("eye_one_hanging", at_least(12.0)),
+           eye_clause("eye_head", Bound(7.0, 14.0)), eye_clause("eye_chest", Bound(4.0, 9.0)),
            *_against_corpus(where, ours, corpus),
-           judged("eye_stroke_amplitude", at_least(20.0)), judged("eye_stroke_amplitude_90", at_least(38.0)),
-           judged("eye_seam", at_most(1.20)), *_distances(where, ours, units), *_timing(where, ours, units),
-           judged("eye_silence_speed", at_most(0.2))]
+           eye_clause("eye_stroke_amplitude", at_least(20.0)), eye_clause("eye_stroke_amplitude_90", at_least(38.0)),
+           eye_clause("eye_seam", at_most(1.20)), *_distances(where, ours, units), *_timing(where, ours, units),
+           eye_clause("eye_silence_speed", at_most(0.2))]
     name = f"{_title('eye_fingers')}, {where}"
-    out.append(judged("eye_fingers", at_least(FINGERS)) if math.isfinite(ours["eye_fingers"].mean)
-               else Clause.skipped(name, "the motion has no finger joints"))
+    out.append(eye_clause("eye_fingers", at_least(FINGERS)) if math.isfinite(ours["eye_fingers"].mean)
+               else skipped(name, "the motion has no finger joints"))
     return out
 
 
@@ -118,39 +119,39 @@ def _digits(name: str) -> int:
     return EYE_METRICS[name].digits if name in EYE_METRICS else 1
 
 
-def _against_corpus(where: str, ours: Figures, corpus: Figures | None) -> list[Clause]:
+def _against_corpus(where: str, ours: Figures, corpus: Figures | None) -> list[Verdict]:
     """Hand speed, repetition and drift beside the corpus'."""
     out = []
     wanted = [(f"eye_speed_{percent}", MIDDLE if 25 <= percent <= 95 else ENDS) for percent in eye.hands.PERCENTILES]
     for row, apart in (*wanted, ("eye_repetition", REPEATS)):
         name = f"{_title(row)} over the corpus', {where}"
         if corpus is None:
-            out.append(Clause.skipped(name, "no store was given"))
+            out.append(skipped(name, "no store was given"))
         else:
             told = f"{ours[row].mean:.2f} and {corpus[row].mean:.2f}"
-            out.append(Clause.judged(name, scaled(ours[row], 1.0 / corpus[row].mean), ClauseBound(1 - apart, 1 + apart),
-                                     reason=told))
+            out.append(judged(name, ours[row].times(1.0 / corpus[row].mean), Bound(1 - apart, 1 + apart),
+                              reason=told))
     name = f"{heading('eye_drift')}, {where}"
-    out.append(Clause.skipped(name, "no store was given") if corpus is None else
-               Clause.judged(name, ours["eye_drift"], at_most(corpus["eye_drift"].mean), digits=1,
-                             reason="the bound is the corpus'"))
+    out.append(skipped(name, "no store was given") if corpus is None else
+               judged(name, ours["eye_drift"], at_most(corpus["eye_drift"].mean), digits=1,
+                      reason="the bound is the corpus'"))
     return out
 
 
-def _distances(where: str, ours: Figures, units: Figures | None) -> list[Clause]:
+def _distances(where: str, ours: Figures, units: Figures | None) -> list[Verdict]:
     """Frechet to the corpus and to the reference."""
     out = []
     for row, told in ((TO_CORPUS, "to the corpus"), (POOLED, "to the reference")):
         name = f"window Frechet {told}, {where}"
         if row not in ours or not math.isfinite(ours[row].mean):
-            out.append(Clause.skipped(name, "no reference space, or no store"))
+            out.append(skipped(name, "no reference space, or no store"))
         elif row == TO_CORPUS:
-            out.append(Clause.judged(name, ours[row], at_most(4.0), digits=1, reason="all windows together"))
+            out.append(judged(name, ours[row], at_most(4.0), digits=1, reason="all windows together"))
         elif units is None:
-            out.append(Clause.judged(name, ours[row], ANY, digits=1, reason="no store for unit selection"))
+            out.append(judged(name, ours[row], ANY, digits=1, reason="no store for unit selection"))
         else:
-            out.append(Clause.judged(name, ours[row], at_most(TO_REFERENCE * units[row].mean), digits=1,
-                                     reason=f"{TO_REFERENCE} times unit selection's {units[row].mean:.1f}"))
+            out.append(judged(name, ours[row], at_most(TO_REFERENCE * units[row].mean), digits=1,
+                              reason=f"{TO_REFERENCE} times unit selection's {units[row].mean:.1f}"))
     return out
 
 
@@ -174,30 +175,30 @@ def halves(corpus: EyeSample, space: ReferenceSpace) -> Interval:
     return Interval(float(np.mean(found)), float(low), float(high), len(seen))
 
 
-def halves_clause(corpus: EyeSample, space: ReferenceSpace | None) -> Clause:
+def halves_clause(corpus: EyeSample, space: ReferenceSpace | None) -> Verdict:
     """Shown and not judged: what the distance to the corpus is to be read beside."""
     name = "window Frechet of one half of the corpus' recordings to the other, test split"
     if space is None:
-        return Clause.skipped(name, "no reference space")
-    return Clause.judged(name, halves(corpus, space), ANY, digits=1, reason=f"halved at random in {_HALVED} ways")
+        return skipped(name, "no reference space")
+    return judged(name, halves(corpus, space), ANY, digits=1, reason=f"halved at random in {_HALVED} ways")
 
 
-def _timing(where: str, ours: Figures, units: Figures | None) -> list[Clause]:
+def _timing(where: str, ours: Figures, units: Figures | None) -> list[Verdict]:
     """PMB above chance, with the sound rolled, and both it and seams beside unit selection's."""
     first, second = ours["eye_above_1"], ours["eye_above_2"]
-    out = [Clause.judged(f"PMB above chance, %, first detector, {where}", first, at_least(40.0), digits=0),
-           Clause.judged(f"PMB above chance, %, second detector, {where}", second, ANY, digits=0,
-                         reason="beside the first, which is asked for")]
+    out = [judged(f"PMB above chance, %, first detector, {where}", first, at_least(40.0), digits=0),
+           judged(f"PMB above chance, %, second detector, {where}", second, ANY, digits=0,
+                  reason="beside the first, which is asked for")]
     name = f"PMB of rolled sound, %, first detector, {where}"
     rolled = ours["eye_rolled_1"]
-    out.append(Clause.judged(name, rolled, at_most(0.5 * first.mean), digits=0, reason="half of the right sound's")
-               if math.isfinite(rolled.mean) else Clause.skipped(name, "the system was not rendered here"))
+    out.append(judged(name, rolled, at_most(0.5 * first.mean), digits=0, reason="half of the right sound's")
+               if math.isfinite(rolled.mean) else skipped(name, "the system was not rendered here"))
     for row, told in (("eye_seam", "seams beside unit selection's"), ("eye_above_1", "PMB beside unit selection's")):
         if units is None:
-            out.append(Clause.skipped(f"{told}, {where}", "no store was given"))
+            out.append(skipped(f"{told}, {where}", "no store was given"))
         else:
             bound = at_most if row == "eye_seam" else at_least
-            out.append(Clause.judged(f"{told}, {where}", ours[row], bound(units[row].mean), digits=_digits(row)))
+            out.append(judged(f"{told}, {where}", ours[row], bound(units[row].mean), digits=_digits(row)))
     return out
 
 
@@ -229,13 +230,13 @@ def mismatches(pieces: Sequence[tuple[Motion, VoiceActivity]]) -> tuple[Mismatch
     return mismatch(table(0)), mismatch(table(1))
 
 
-def mismatch_clause(pieces: Sequence[tuple[Motion, VoiceActivity]]) -> Clause:
+def mismatch_clause(pieces: Sequence[tuple[Motion, VoiceActivity]]) -> Verdict:
     """p below .001 by the first detector."""
     first, second = mismatches(pieces)
     told = (f"right {first.right:.0f} %, wrong {first.wrong:.0f} %, {first.difference.n} pieces; second detector p "
             f"{second.p_value:.4f}")
-    return Clause.judged("mismatch test, p, first detector", Interval.exact(first.p_value, first.difference.n),
-                         ClauseBound(high=0.001, below=True), digits=4, reason=first.reason or told)
+    return judged("mismatch test, p, first detector", Interval.exact(first.p_value, first.difference.n),
+                  Bound(high=0.001, strict=True), digits=4, reason=first.reason or told)
 
 
 # ------------------------------------------------------------------------------------------------------------- group
@@ -259,7 +260,7 @@ def comparison(where: str, figures: Mapping[str, Figures]) -> Table:
 
 
 def run(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoice], renderings: int,
-        space: ReferenceSpace | None) -> tuple[list[Clause], list[Table]]:
+        space: ReferenceSpace | None) -> tuple[list[Verdict], list[Table]]:
     """Everything of this group. systems: ours first; unit selection among them where there is a store."""
     tested, taken = ([said for said in voices if (said.place == TEST) == test] for test in (True, False))
     corpus = own_motion(tested, space) if tested else None

@@ -20,7 +20,7 @@ from data_module.controls import FEATURES, LEVELS
 from data_module.errors import InputError
 from data_module.types import Array, Speech, Word
 from eval import stats
-from eval.probes.motion.clauses import ANY, Clause, ClauseBound, at_least, at_most
+from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged, skipped
 from eval.probes.motion.renderings import AcceptanceVoice, BundleSystem
 from eval.probes.motion.rest import heard_of, spread_out
 from eval.probes.style_editing import realised
@@ -37,14 +37,14 @@ MEGABYTES, FACTOR = 25.0, 0.05
 _EPS = 1e-6
 
 
-def order_clauses(realised_by: Mapping[tuple[str, str], Array]) -> list[Clause]:
+def order_clauses(realised_by: Mapping[tuple[str, str], Array]) -> list[Verdict]:
     """Feature and level -> what was realised on each clip [n], in the feature's unit."""
     out = []
     for feature in FEATURES:
         unit = "m/s" if feature == "speed" else "m"
         told = ", ".join(f"{level} {realised_by[feature, level].mean():.3f}" for level in LEVELS)
         for lower, upper in itertools.pairwise(LEVELS):
-            out.append(Clause.judged(f"hand {feature}, {upper} over {lower}, {unit}", stats.paired(
+            out.append(judged(f"hand {feature}, {upper} over {lower}, {unit}", stats.paired(
                 realised_by[feature, upper], realised_by[feature, lower]), at_least(STEP), digits=3, reason=told))
     return out
 
@@ -85,15 +85,15 @@ def other_words(speech: Speech, others: Sequence[Word]) -> Speech:
     return replace(speech, words=changed)
 
 
-def words_clause(changed: Sequence[float]) -> Clause:
+def words_clause(changed: Sequence[float]) -> Verdict:
     """Shares of blocks with another lexeme, of each voice."""
-    return Clause.judged("blocks with another lexeme under other words, share", stats.mean_interval(changed),
-                         ClauseBound(low=math.nextafter(OTHER_WORDS, 1.0)), reason="same sound, times and seed")
+    return judged("blocks with another lexeme under other words, share", stats.mean_interval(changed),
+                  Bound(low=math.nextafter(OTHER_WORDS, 1.0)), reason="same sound, times and seed")
 
 
 # ------------------------------------------------------------------------------------------------------------- group
 
-def run(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[list[Clause], list[Table]]:
+def run(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[list[Verdict], list[Table]]:
     """Everything of this group."""
     short = [AcceptanceVoice(f"{voice.name} short", replace(heard_of(voice, SECONDS), words=None), "made", None,
                              voice.performer, voice.group) for voice in spread_out(voices, CLIPS)]
@@ -101,15 +101,15 @@ def run(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[list[Cla
     clauses += [_interpreter(ours, short[0], name) for name in sorted({*NEEDED, *ours.gesticulator.interpreters})]
     made, _ = ours.perform(short[0], 0)
     faults = plan_faults(made.explain(), made.duration)
-    clauses.append(Clause.judged("faults of the plan (--explain)", float(len(faults)), at_most(0.0), digits=0,
-                                 reason="; ".join(faults[:3])))
+    clauses.append(judged("faults of the plan (--explain)", float(len(faults)), at_most(0.0), digits=0,
+                          reason="; ".join(faults[:3])))
     return [*clauses, *_cost(ours, short)], []
 
 
-def _controls(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Clause]:
+def _controls(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Verdict]:
     if ours.bundle.levels is None:
-        return [Clause.judged("hand controls are heard", 0.0, at_least(1.0), digits=0,
-                              reason="the bundle was trained without style editing")]
+        return [judged("hand controls are heard", 0.0, at_least(1.0), digits=0,
+                       reason="the bundle was trained without style editing")]
     found = {}
     for column, feature in enumerate(FEATURES):
         for level in LEVELS:
@@ -119,14 +119,14 @@ def _controls(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Cla
     return order_clauses(found)
 
 
-def _words(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Clause:
+def _words(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Verdict:
     """Voices of the test split with another's words."""
     name = "blocks with another lexeme under other words, share"
     if not ours.gesticulator.reads_text:
-        return Clause.judged(name, 0.0, at_least(OTHER_WORDS), reason="the bundle does not read words")
+        return judged(name, 0.0, at_least(OTHER_WORDS), reason="the bundle does not read words")
     spoken = [voice for voice in voices if any(word.text.strip() for word in voice.speech.words or ())]
     if len(spoken) < 2:
-        return Clause.skipped(name, "fewer than two voices have words")
+        return skipped(name, "fewer than two voices have words")
     spoken = spread_out(spoken, CLIPS)
     changed = []
     for voice, other in zip(spoken, [*spoken[1:], spoken[0]], strict=True):
@@ -137,22 +137,22 @@ def _words(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Clause:
     return words_clause(changed)
 
 
-def _interpreter(ours: BundleSystem, voice: AcceptanceVoice, name: str) -> Clause:
+def _interpreter(ours: BundleSystem, voice: AcceptanceVoice, name: str) -> Verdict:
     title = f"interpreter {name} runs"
     try:
         made, _ = ours.perform(voice, 0, interpreter=name)
     except InputError as error:
-        return Clause.judged(title, 0.0, at_least(1.0), digits=0, reason=str(error))
+        return judged(title, 0.0, at_least(1.0), digits=0, reason=str(error))
     frames = abs(made.motion.duration - made.duration) <= 1.0 / made.fps
-    return Clause.judged(title, float(frames), at_least(1.0), digits=0,
-                         reason=f"{len(np.unique(made.lexemes))} lexemes in {len(made.lexemes)} blocks")
+    return judged(title, float(frames), at_least(1.0), digits=0,
+                  reason=f"{len(np.unique(made.lexemes))} lexemes in {len(made.lexemes)} blocks")
 
 
-def _cost(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Clause]:
+def _cost(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Verdict]:
     factors = [ours.perform(voice, 1)[1] / voice.speech.duration for voice in voices]
     # The first one opens models and caches.
     warm = stats.mean_interval(factors[1:] or factors)
-    return [Clause.judged("size of the bundle, MB", ours.megabytes, at_most(MEGABYTES), digits=1),
-            Clause.judged("real-time factor of these renderings, features included", warm, ANY, digits=3,
-                          reason=f"at most {FACTOR} is asked for, by benchmarks/realtime.py on a free machine")]
+    return [judged("size of the bundle, MB", ours.megabytes, at_most(MEGABYTES), digits=1),
+            judged("real-time factor of these renderings, features included", warm, ANY, digits=3,
+                   reason=f"at most {FACTOR} is asked for, by benchmarks/realtime.py on a free machine")]
 

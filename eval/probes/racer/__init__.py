@@ -25,11 +25,11 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.files import write_text
 from eval import stats
+from eval.claim import HIGH, POSITIVE, Bound, Verdict, at_least, at_most, judged, verdict_table
 from eval.context import EvalContext
 from eval.metrics import fgd, gesture_features
 from eval.metrics.diversity import distinct_2, diversity, longest_run
 from eval.policy import Decisions, PolicyJudge
-from eval.probes.motion.clauses import Clause, ClauseBound, at_least, at_most, clause_table
 from eval.probes.racer import exchange, gate, values
 from eval.probes.racer.playing import (
     CQL,
@@ -85,7 +85,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass(frozen=True)
-class Judged:
+class RacerMeasures:
     """All that the clauses are read from. played: by row; chosen: lexemes of whole recordings by row, [recordings] by
     column; betas: of the knob, in order, and the bundle's own."""
 
@@ -128,10 +128,10 @@ def run(arguments: argparse.Namespace) -> list[Table]:
         write_text(arguments.json, json.dumps([entry(clause) for clause in clauses], indent=1) + "\n")
     facts = {**context.described(), "beta": own.config.selection.beta, "renderings": arguments.renderings,
              "seconds": arguments.seconds, "split": arguments.split}
-    return [clause_table("Acceptance of RACER", clauses, [_decides(context, arguments)], facts), *shown]
+    return [verdict_table("Acceptance of RACER", clauses, [_decides(context, arguments)], facts), *shown]
 
 
-def entry(clause: Clause) -> dict[str, Any]:
+def entry(clause: Verdict) -> dict[str, Any]:
     """A clause for JSON: name, value, low, high, bound, holds, reason; null where nothing is known."""
     held = {key: value for key, value in clause.entry.items() if key != "n"}
     return {key: None if isinstance(value, float) and not math.isfinite(value) else value
@@ -144,7 +144,7 @@ def _decides(context: EvalContext, arguments: argparse.Namespace) -> str:
     return told if count >= RECORDINGS else f"{told} Fewer than {RECORDINGS}: a verdict decides nothing."
 
 
-def accepted(context: EvalContext, folder: Path, arguments: argparse.Namespace) -> tuple[list[Clause], list[Table]]:
+def accepted(context: EvalContext, folder: Path, arguments: argparse.Namespace) -> tuple[list[Verdict], list[Table]]:
     """The clauses of all groups, and what they are read from."""
     bundle, corpus = context.bundle, context.corpus
     assert bundle.reward is not None and bundle.reward_judge is not None
@@ -165,16 +165,16 @@ def accepted(context: EvalContext, folder: Path, arguments: argparse.Namespace) 
     stage = PolicyStage(context, folder, voices_of(context, arguments.seconds, arguments.split))
     played = {PERFORMER: figures(stage, None, 1),
               **{name: figures(stage, row, arguments.renderings) for name, row in rows.items()}}
-    judged = Judged(played, values.chosen_lexemes(context, judge, rows), BETAS, beta)
+    measures = RacerMeasures(played, values.chosen_lexemes(context, judge, rows), BETAS, beta)
     by = gesture_features.networks(context.store, context.work, context.progress)
     clauses = [*gate.clauses(context, [tables[""], tables["judge_"]], takes),
                *gate.control_clauses(context, arguments.control_steps),
-               *won(judged, rows), *exchange.clauses(context, tables, decisions, rows, arguments.exchange),
-               *alive(judged, by, [voice.own for voice in stage.voices], arguments.renderings),
-               *timed(judged), *values.honesty_clauses(values.honesty(context, decisions, tables)),
-               *knob(judged), *values.cost_clauses(context, list(bundles.read_index(folder)["files"]))]
+               *won(measures, rows), *exchange.clauses(context, tables, decisions, rows, arguments.exchange),
+               *alive(measures, by, [voice.own for voice in stage.voices], arguments.renderings),
+               *timed(measures), *values.honesty_clauses(values.honesty(context, decisions, tables)),
+               *knob(measures), *values.cost_clauses(context, list(bundles.read_index(folder)["files"]))]
     return clauses, [row_table("Motion as it is played", _SHOWN, {n: row.values for n, row in played.items()}),
-                     row_table("Lexemes on recorded speech", _CHOSEN, judged.chosen)]
+                     row_table("Lexemes on recorded speech", _CHOSEN, measures.chosen)]
 
 
 def row_table(title: str, columns: Mapping[str, Column], rows: Mapping[str, Mapping[str, Any]]) -> Table:
@@ -186,38 +186,39 @@ def row_table(title: str, columns: Mapping[str, Column], rows: Mapping[str, Mapp
 
 # ------------------------------------------------------------------------------------------------------ the clauses
 
-def positive(name: str, difference: Interval, reason: str = "", digits: int = 4) -> Clause:
+def positive(name: str, difference: Interval, reason: str = "", digits: int = 4) -> Verdict:
     """A difference whose whole interval must lie above 0."""
-    return Clause(name, difference, "lower bound above 0", bool(difference.low > 0), reason, digits)
+    return judged(name, difference, POSITIVE, digits=digits, reason=reason)
 
 
-def won(judged: Judged, rows: Mapping[str, PlayedPolicy]) -> list[Clause]:
+def won(measures: RacerMeasures, rows: Mapping[str, PlayedPolicy]) -> list[Verdict]:
     """The judge on generated motion."""
-    ours = judged.ours
-    gain = judged.paired("judge", ours, MATCHED)
-    taught = judged.paired("reward", ours, MATCHED)
+    ours = measures.ours
+    gain = measures.paired("judge", ours, MATCHED)
+    taught = measures.paired("reward", ours, MATCHED)
     temperature = rows[MATCHED].temperature
-    worse = judged.paired("judge", ours, PERFORMER)
+    worse = measures.paired("judge", ours, PERFORMER)
     share = gain.mean / taught.mean if taught.mean > 0 else float("nan")
     out = [positive(f"judge on motion: {ours} less the lstm at equal entropy", gain,
                     f"the lstm at T = {temperature:g}; less the lstm as shipped "
-                    f"{judged.paired('judge', ours, LSTM).text(4)}"),
-           Clause("judge on motion: no worse than the performer", worse, "upper bound at least 0",
-                  bool(worse.high >= 0), "ours less the performer's own motion", 4),
-           Clause.judged("judge's gain over the training reward's", share, at_least(GAIN_SHARE),
-                         reason=f"{gain.text(4)} of {taught.text(4)}" if taught.mean > 0
-                         else f"the training reward itself does not rise ({taught.text(4)})")]
-    out += [positive(f"judge on motion: {ours} less {row}", judged.paired("judge", ours, row))
+                    f"{measures.paired('judge', ours, LSTM).text(4)}"),
+           judged("judge on motion: no worse than the performer", worse, Bound(low=0.0, of=HIGH), digits=4,
+                  reason="ours less the performer's own motion"),
+           judged("judge's gain over the training reward's", share, at_least(GAIN_SHARE),
+                  reason=f"{gain.text(4)} of {taught.text(4)}" if taught.mean > 0
+                  else f"the training reward itself does not rise ({taught.text(4)})")]
+    out += [positive(f"judge on motion: {ours} less {row}", measures.paired("judge", ours, row))
             for row in (RANDOM, MAJORITY)]
-    if CQL in judged.played:
-        out += [Clause.judged(f"judge on motion: literal CQL ({row.split(', ')[1]}) less the lstm at equal entropy",
-                              judged.paired("judge", row, MATCHED), digits=4) for row in (CQL, CQL_MATCHED)]
+    if CQL in measures.played:
+        out += [judged(f"judge on motion: literal CQL ({row.split(', ')[1]}) less the lstm at equal entropy",
+                       measures.paired("judge", row, MATCHED), digits=4) for row in (CQL, CQL_MATCHED)]
     return out
 
 
-def alive(judged: Judged, by: Sequence[gesture_features.Features], real: Sequence[Any], seeds: int) -> list[Clause]:
+def alive(measures: RacerMeasures, by: Sequence[gesture_features.Features], real: Sequence[Any], seeds: int
+          ) -> list[Verdict]:
     """Variety, runs, speeds, support, distance, and the figures for the eye."""
-    ours, lstm, own = (judged.played[row] for row in (judged.ours, MATCHED, PERFORMER))
+    ours, lstm, own = (measures.played[row] for row in (measures.ours, MATCHED, PERFORMER))
     size = int(max(int(row.max()) for row in (*ours.lexemes, *own.lexemes))) + 1
 
     def variety(row: PlayedFigures) -> float:
@@ -227,35 +228,34 @@ def alive(judged: Judged, by: Sequence[gesture_features.Features], real: Sequenc
             for name, row in (("ours", ours), ("own", own), ("lstm", lstm))}
     pairs = {name: float(np.mean([distinct_2([lexemes]) for lexemes in row.lexemes]))
              for name, row in (("ours", ours), ("own", own), ("lstm", lstm))}
-    speed, still = (judged.mean(key, judged.ours) / max(judged.mean(key, PERFORMER), 1e-9)
+    speed, still = (measures.mean(key, measures.ours) / max(measures.mean(key, PERFORMER), 1e-9)
                     for key in ("speech_speed", "silence_speed"))
-    theirs = [judged.mean(key, MATCHED) / max(judged.mean(key, PERFORMER), 1e-9)
+    theirs = [measures.mean(key, MATCHED) / max(measures.mean(key, PERFORMER), 1e-9)
               for key in ("speech_speed", "silence_speed")]
-    chosen = judged.chosen
-    rare = stats.paired(chosen[judged.ours]["rare"], chosen[PERFORMER]["rare"])
+    chosen = measures.chosen
+    rare = stats.paired(chosen[measures.ours]["rare"], chosen[PERFORMER]["rare"])
     out = [
-        Clause.judged("alive: diversity over the performer's", variety(ours) / variety(own), at_least(DIVERSITY),
-                      reason=f"the lstm's {variety(lstm) / variety(own):.2f}"),
-        Clause.judged("alive: longest run over the performer's", runs["ours"] / runs["own"], at_most(RUNS),
-                      reason=f"the lstm's {runs['lstm'] / runs['own']:.2f}"),
-        Clause.judged("alive: distinct pairs over the performer's", pairs["ours"] / pairs["own"], at_least(PAIRS),
-                      reason=f"the lstm's {pairs['lstm'] / pairs['own']:.2f}"),
-        Clause.judged("alive: hands in speech over the performer's", speed, ClauseBound(1 - SPEED, 1 + SPEED),
-                      reason=f"the lstm's {theirs[0]:.2f}"),
-        Clause.judged("alive: hands in silence over the performer's", still, at_most(1.0),
-                      reason=f"the lstm's {theirs[1]:.2f}; rest is a rule, not a policy's choice"),
-        Clause.judged("alive: out of distribution, % less the performer's", rare, at_most(0.0), digits=1,
-                      reason=f"of {float(np.nanmean(chosen[PERFORMER]['rare'])):.1f} %")]
+        judged("alive: diversity over the performer's", variety(ours) / variety(own), at_least(DIVERSITY),
+               reason=f"the lstm's {variety(lstm) / variety(own):.2f}"),
+        judged("alive: longest run over the performer's", runs["ours"] / runs["own"], at_most(RUNS),
+               reason=f"the lstm's {runs['lstm'] / runs['own']:.2f}"),
+        judged("alive: distinct pairs over the performer's", pairs["ours"] / pairs["own"], at_least(PAIRS),
+               reason=f"the lstm's {pairs['lstm'] / pairs['own']:.2f}"),
+        judged("alive: hands in speech over the performer's", speed, Bound(1 - SPEED, 1 + SPEED),
+               reason=f"the lstm's {theirs[0]:.2f}"),
+        judged("alive: hands in silence over the performer's", still, at_most(1.0),
+               reason=f"the lstm's {theirs[1]:.2f}; rest is a rule, not a policy's choice"),
+        judged("alive: out of distribution, % less the performer's", rare, at_most(0.0), digits=1,
+               reason=f"of {float(np.nanmean(chosen[PERFORMER]['rare'])):.1f} %")]
     if by:
         one, other = (gesture_features.pooled(row.motions[::seeds], by[0]) for row in (ours, lstm))
         apart = fgd.difference(one, other, gesture_features.pooled(list(real), by[0]))
-        out.append(Clause("alive: FGD less the lstm's", apart, f"upper bound at most {FGD}", bool(apart.high <= FGD),
-                          by[0].name))
+        out.append(judged("alive: FGD less the lstm's", apart, Bound(high=FGD, of=HIGH), reason=by[0].name))
     out.append(_seen_alike(ours, lstm))
     return out
 
 
-def _seen_alike(ours: PlayedFigures, lstm: PlayedFigures) -> Clause:
+def _seen_alike(ours: PlayedFigures, lstm: PlayedFigures) -> Verdict:
     """How many figures for the eye differ from the lstm's beyond what chance alone would make of as many."""
     differs = []
     for name, values_ in ours.eyes.items():
@@ -264,39 +264,41 @@ def _seen_alike(ours: PlayedFigures, lstm: PlayedFigures) -> Clause:
             differs.append((name.removeprefix("eye_"), between.low > 0 or between.high < 0))
     moved = [name for name, other in differs if other]
     most = max(1.0, math.ceil(2 * MOVED * len(differs)))
-    return Clause.judged("alive: figures for the eye that differ from the lstm's", float(len(moved)), at_most(most),
-                         digits=0, reason=f"of {len(differs)}, {MOVED:.0%} by chance: {', '.join(moved) or 'none'}")
+    return judged("alive: figures for the eye that differ from the lstm's", float(len(moved)), at_most(most),
+                  digits=0, reason=f"of {len(differs)}, {MOVED:.0%} by chance: {', '.join(moved) or 'none'}")
 
 
-def timed(judged: Judged) -> list[Clause]:
+def timed(measures: RacerMeasures) -> list[Verdict]:
     """PMB, and the mismatch test."""
-    ours = judged.ours
-    speeds = judged.mean("speech_speed", ours), judged.mean("speech_speed", MATCHED)
-    beat = judged.paired("pmb", ours, MATCHED)
-    own = judged.played[ours].values
+    ours = measures.ours
+    speeds = measures.mean("speech_speed", ours), measures.mean("speech_speed", MATCHED)
+    beat = measures.paired("pmb", ours, MATCHED)
+    own = measures.played[ours].values
     right = stats.paired(own["judge"], own["judge_shifted"])
-    others = {row: stats.paired(judged.played[row].values["judge"], judged.played[row].values["judge_shifted"])
+    others = {row: stats.paired(measures.played[row].values["judge"], measures.played[row].values["judge_shifted"])
               for row in (PERFORMER, MATCHED)}
-    return [Clause.judged("timing: PMB above chance less the lstm's, points", beat, at_least(PMB), digits=1,
-                          reason=f"hands {speeds[0]:.3f} and {speeds[1]:.3f} m/s; beats cut the blocks, so this is no "
-                          "win to claim"),
+    return [judged("timing: PMB above chance less the lstm's, points", beat, at_least(PMB), digits=1,
+                   reason=f"hands {speeds[0]:.3f} and {speeds[1]:.3f} m/s; beats cut the blocks, so this is no "
+                   "win to claim"),
             positive("mismatch: own sound less that of eight blocks later, by the judge", right,
                      "; ".join(f"{row} {other.text(4)}" for row, other in others.items()))]
 
 
-def knob(judged: Judged) -> list[Clause]:
+def knob(measures: RacerMeasures) -> list[Verdict]:
     """Training reward and judge must rise together with beta, and the floors hold."""
-    names = [MATCHED if beta == 0 else advantage_row(beta) for beta in judged.betas]
+    names = [MATCHED if beta == 0 else advantage_row(beta) for beta in measures.betas]
     names[0] = LSTM
     out = []
     for key, title in (("reward", "training reward"), ("judge", "judge")):
-        steps = [judged.mean(key, name) for name in names]
+        steps = [measures.mean(key, name) for name in names]
         rises = [after - before for before, after in zip(steps, steps[1:], strict=False)]
         told = ", ".join(f"{step:.4f}" for step in steps)
-        out.append(Clause(f"knob: the {title} rises over beta {judged.betas[0]:g} to {judged.betas[-1]:g}",
-                          judged.paired(key, names[-1], names[0]), "every step above 0", min(rises) > 0,
-                          f"at beta {', '.join(f'{beta:g}' for beta in judged.betas)}: {told}", 4))
-    own = judged.chosen[PERFORMER]["lexeme_diversity"]
-    least = min(float(np.nanmean(judged.chosen[name]["lexeme_diversity"]) / np.nanmean(own)) for name in names)
-    out.append(Clause.judged("knob: least diversity over the performer's on the way", least, at_least(DIVERSITY)))
+        whole = measures.paired(key, names[-1], names[0])
+        out.append(judged(f"knob: least step of the {title} over beta {measures.betas[0]:g} to {measures.betas[-1]:g}",
+                          min(rises), Bound(low=0.0, strict=True), digits=4,
+                          reason=f"at beta {', '.join(f'{beta:g}' for beta in measures.betas)}: {told}; from the first "
+                                 f"to the last {whole.text(4)}"))
+    own = measures.chosen[PERFORMER]["lexeme_diversity"]
+    least = min(float(np.nanmean(measures.chosen[name]["lexeme_diversity"]) / np.nanmean(own)) for name in names)
+    out.append(judged("knob: least diversity over the performer's on the way", least, at_least(DIVERSITY)))
     return out

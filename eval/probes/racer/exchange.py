@@ -12,9 +12,9 @@ from typing import cast
 import numpy as np
 
 from eval import stats
+from eval.claim import Bound, Verdict, judged, skipped
 from eval.context import EvalContext
 from eval.policy import Decisions, Policy, every_reward, taken, walk
-from eval.probes.motion.clauses import Clause
 from eval.probes.racer.playing import MATCHED, PlayedPolicy
 from gesticulator.bundle.config import Config
 from gesticulator.training.stages import ADVANTAGE, Run
@@ -26,15 +26,15 @@ NAME = "models exchanged: training reward of lexemes by critics that the judge t
 
 
 def clauses(context: EvalContext, tables: Mapping[str, EnsembleReward], decisions: Decisions,
-            rows: Mapping[str, PlayedPolicy], train: bool) -> list[Clause]:
+            rows: Mapping[str, PlayedPolicy], train: bool) -> list[Verdict]:
     """One clause; not judged where there are no such critics."""
     config: Config = context.bundle.config
     run = Run(config, context.store, context.work, progress=context.progress)
     stage = exchanged_stage()
     if not train and not run.finished(stage):
-        return [Clause.skipped(NAME, "no critics were taught by the judge (--exchange)")]
+        return [skipped(NAME, "no critics were taught by the judge (--exchange)")]
     if not run.finished(ADVANTAGE):
-        return [Clause.skipped(NAME, "--work is not the work folder of the bundle's training")]
+        return [skipped(NAME, "--work is not the work folder of the bundle's training")]
     critics = run.get(stage)
     bundle = context.bundle.with_parts(advantage=critics)
     ours = cast(AdvantageInterpreter, bundle.interpreter_named("advantage"))
@@ -49,4 +49,4 @@ def clauses(context: EvalContext, tables: Mapping[str, EnsembleReward], decision
             free = walk(policy, decisions, take)[0]
             earned[name].append(float(taken(every_reward(tables[""], take, free), free[1:]).mean()))
     between = stats.paired(np.array(earned["ours"]), np.array(earned["lstm"]))
-    return [Clause(NAME, between, "above 0", bool(between.mean > 0), "by lexeme, free-running", 4)]
+    return [judged(NAME, between, Bound(low=0.0, strict=True), digits=4, reason="by lexeme, free-running")]

@@ -26,9 +26,9 @@ from data_module.layers import freeze
 from data_module.types import Array
 from eval import stats
 from eval.baselines import ROLLED
+from eval.claim import Verdict, at_least, judged, skipped
 from eval.context import EvalContext
 from eval.metrics.ranking import agreement
-from eval.probes.motion.clauses import Clause, at_least
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.advantage import gains
@@ -75,17 +75,17 @@ def agreed(first: EnsembleReward, second: EnsembleReward, takes: Sequence[Demons
     return RewardAgreement(found["single"], found.get("returns", stats.Interval.undefined()))
 
 
-def clauses(context: EvalContext, tables: Sequence[EnsembleReward], takes: Sequence[Demonstration]) -> list[Clause]:
+def clauses(context: EvalContext, tables: Sequence[EnsembleReward], takes: Sequence[Demonstration]) -> list[Verdict]:
     """Both correlations against their bounds, and what one model of each says alone."""
     teacher, judge = tables
     whole = agreed(teacher, judge, takes)
     alone = agreed(teacher.of([0], 0.0), judge.of([0], 0.0), takes)
     size = len(teacher.tables)
     reason = f"{size} and {len(judge.tables)} models; one of each: "
-    return [Clause.judged("two ensembles agree on single lexemes, r", whole.single, at_least(SINGLE),
-                          reason=f"{reason}{alone.single.text()}"),
-            Clause.judged(f"two ensembles agree on returns of {HORIZON} blocks, r", whole.returns, at_least(RETURNS),
-                          reason=f"{reason}{alone.returns.text()}")]
+    return [judged("two ensembles agree on single lexemes, r", whole.single, at_least(SINGLE),
+                   reason=f"{reason}{alone.single.text()}"),
+            judged(f"two ensembles agree on returns of {HORIZON} blocks, r", whole.returns, at_least(RETURNS),
+                   reason=f"{reason}{alone.returns.text()}")]
 
 
 # ------------------------------------------------------------------------------------- what is there to be heard
@@ -132,25 +132,25 @@ def taught(context: EvalContext, steps: int, by: int) -> dict[str, Array]:
     return {key: np.array([row[key] for row in found]) for key in ("told", "worse", "motion_r1", "chance_r1")}
 
 
-def control_clauses(context: EvalContext, steps: int) -> list[Clause]:
+def control_clauses(context: EvalContext, steps: int) -> list[Verdict]:
     """What the right sound tells, what rolled sound tells, and the difference; shown, not judged."""
     if steps == 0:
         why = "no retraining was asked for (--control-steps)"
-        return [Clause.skipped("what sound tells of a lexeme, nats, over retrained with rolled sound", why)]
+        return [skipped("what sound tells of a lexeme, nats, over retrained with rolled sound", why)]
     if not isinstance(context.bundle.lexicon, MovementLexicon):
-        return [Clause.skipped("what sound tells of a lexeme, nats, over retrained with rolled sound",
-                               "the lexicon is not one of movements")]
+        return [skipped("what sound tells of a lexeme, nats, over retrained with rolled sound",
+                        "the lexicon is not one of movements")]
     right, wrong = taught(context, steps, 0), taught(context, steps, ROLLED)
     about = f"{steps} steps each; windows of the test split"
     return [
-        Clause.judged("what sound tells of a lexeme, nats", stats.mean_interval(right["told"]), digits=3, reason=about),
-        Clause.judged("the same, retrained with rolled sound", stats.mean_interval(wrong["told"]), digits=3),
-        Clause.judged("what sound tells of a lexeme, nats, over retrained with rolled sound",
-                      stats.paired(right["told"], wrong["told"]), digits=3,
-                      reason="all that the sound of the moment can teach a reward here"),
-        Clause.judged("lexemes that suit the sound less than the performer's, %",
-                      stats.mean_interval(100 * right["worse"]), digits=1, reason="chance 50"),
-        Clause.judged("the same, retrained with rolled sound, %", stats.mean_interval(100 * wrong["worse"]), digits=1),
-        Clause.judged("windows of 8 recordings' that find their sound, %", stats.mean_interval(
+        judged("what sound tells of a lexeme, nats", stats.mean_interval(right["told"]), digits=3, reason=about),
+        judged("the same, retrained with rolled sound", stats.mean_interval(wrong["told"]), digits=3),
+        judged("what sound tells of a lexeme, nats, over retrained with rolled sound",
+               stats.paired(right["told"], wrong["told"]), digits=3,
+               reason="all that the sound of the moment can teach a reward here"),
+        judged("lexemes that suit the sound less than the performer's, %",
+               stats.mean_interval(100 * right["worse"]), digits=1, reason="chance 50"),
+        judged("the same, retrained with rolled sound, %", stats.mean_interval(100 * wrong["worse"]), digits=1),
+        judged("windows of 8 recordings' that find their sound, %", stats.mean_interval(
             100 * right["motion_r1"]), digits=1, reason=f"rolled {100 * float(wrong['motion_r1'].mean()):.1f}, chance "
             f"{100 * float(right['chance_r1'].mean()):.1f}")]

@@ -16,9 +16,9 @@ import torch
 
 from data_module.types import Array
 from eval import stats
+from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged
 from eval.context import EvalContext
 from eval.policy import Decisions, Policy, PolicyJudge, rank_correlation, return_to_go, taken, walk
-from eval.probes.motion.clauses import ANY, Clause, ClauseBound, at_least, at_most
 from eval.probes.racer.playing import PERFORMER, PlayedPolicy, teacher_inputs
 from gesticulator.training.stages.interpreter import teacher_logits
 from gesticulator.training.stages.reward import taught_reward
@@ -61,7 +61,7 @@ def honesty(context: EvalContext, decisions: Decisions, tables: Mapping[str, Ens
     for take in decisions.takes:
         actions, blocks = torch.as_tensor(take.lexemes), torch.as_tensor(take.blocks)
         earned = taken(taught.sequence_every(actions, blocks)[1:].double().numpy(), take.lexemes[1:])
-        judged = tables["judge_"].sequence_every(actions, blocks)[1:].double().numpy()
+        rewards = tables["judge_"].sequence_every(actions, blocks)[1:].double().numpy()
         odds = teacher_logits(prior, context.corpus, take.blocks, take.lexemes).log_softmax(-1)
         heard = teacher_inputs(context, take.recording)
         found = critics.values(*heard)
@@ -79,26 +79,26 @@ def honesty(context: EvalContext, decisions: Decisions, tables: Mapping[str, Ens
             rows[name].append({
                 "bias": float((values[kept] - returns[kept]).mean()) / spread,
                 "spearman": rank_correlation(values[kept], returns[kept]),
-                "partial": float(np.nanmean(partial_correlations(q, judged, odds.double().numpy())))})
+                "partial": float(np.nanmean(partial_correlations(q, rewards, odds.double().numpy())))})
     return {name: {key: np.array([row[key] for row in own]) for key in own[0]} for name, own in rows.items()}
 
 
-def honesty_clauses(found: Mapping[str, Columns]) -> list[Clause]:
+def honesty_clauses(found: Mapping[str, Columns]) -> list[Verdict]:
     """The advantage policy's against their bounds; those of literal CQL beside them, shown."""
     out = []
     for name, columns in found.items():
-        judged = name == "advantage"
+        binding = name == "advantage"
         bias = stats.mean_interval(columns["bias"])
 
-        def bound(own: ClauseBound, asked: bool = judged) -> ClauseBound:
-            return own if asked else ANY
+        def bound(own: Bound, binding: bool = binding) -> Bound:
+            return own if binding else ANY
 
-        out += [Clause.judged(f"Q honest, {name}: bias, standard deviations of the return", bias,
-                              bound(ClauseBound(-BIAS, BIAS))),
-                Clause.judged(f"Q honest, {name}: Spearman's rho with the return-to-go",
-                              stats.mean_interval(columns["spearman"]), bound(at_least(SPEARMAN))),
-                Clause.judged(f"Q honest, {name}: partial r with the judge's reward given log pi",
-                              stats.mean_interval(columns["partial"]), bound(at_least(PARTIAL)))]
+        out += [judged(f"Q honest, {name}: bias, standard deviations of the return", bias,
+                       bound(Bound(-BIAS, BIAS))),
+                judged(f"Q honest, {name}: Spearman's rho with the return-to-go",
+                       stats.mean_interval(columns["spearman"]), bound(at_least(SPEARMAN))),
+                judged(f"Q honest, {name}: partial r with the judge's reward given log pi",
+                       stats.mean_interval(columns["partial"]), bound(at_least(PARTIAL)))]
     return out
 
 
@@ -145,9 +145,9 @@ def milliseconds(context: EvalContext) -> float:
     return 1e3 * float(np.median(spent[_TIMED:]))
 
 
-def cost_clauses(context: EvalContext, parts: Sequence[str]) -> list[Clause]:
+def cost_clauses(context: EvalContext, parts: Sequence[str]) -> list[Verdict]:
     """Milliseconds a block, and that the bundle holds no judge. parts: files of the bundle as it was read."""
-    return [Clause.judged("cost of a block on one thread, ms", milliseconds(context), at_most(MILLISECONDS),
-                          reason="behaviour policy and critics; time of the processor"),
-            Clause.judged("reward models in the bundle", float(sum("reward" in part for part in parts)), at_most(0.0),
-                          digits=0)]
+    return [judged("cost of a block on one thread, ms", milliseconds(context), at_most(MILLISECONDS),
+                   reason="behaviour policy and critics; time of the processor"),
+            judged("reward models in the bundle", float(sum("reward" in part for part in parts)), at_most(0.0),
+                   digits=0)]
