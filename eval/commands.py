@@ -3,18 +3,74 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from eval.draw import DRAWINGS
-from eval.plugin import choice, verb
+from data_module.errors import InputError
+from eval.pictures import DRAWINGS
 from eval.probes import PROBES
-from gesticulator.cli import Command
+from gesticulator.cli import PROGRAM, Command
 
 if TYPE_CHECKING:
     from eval.table import Table
 
+
+@dataclass(frozen=True)
+class Plugin:
+    """module: has `arguments(parser)`, which adds what it takes, and `run(arguments)`. about: one line for --list."""
+
+    module: str
+    about: str
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add what it takes."""
+        importlib.import_module(self.module).arguments(parser)
+
+    def run(self, arguments: argparse.Namespace) -> Any:
+        """What the module's `run` gives; InputError for input that cannot be used."""
+        return importlib.import_module(self.module).run(arguments)
+
+
+def verb(about: str, module: str, *examples: str) -> Command:
+    """A command that is a module, whose `run` gives the exit code."""
+    plugin = Plugin(module, about)
+    return Command(about, plugin.arguments, plugin.run, examples)
+
+
+def choice(word: str, about: str, known: Mapping[str, tuple[str, str]], show: Callable[[Any, Any], None],
+           extra: Callable[[argparse.ArgumentParser], None], examples: Sequence[str]) -> Command:
+    """The command `word NAME ...` over a dict of (module, one line about it), with --list.
+
+    show: takes what the plugin's `run` gave, and the arguments. extra: adds arguments that all of the dict have.
+    """
+    def arguments(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--list", action="store_true", help="list the names and exit")
+        parser.add_argument("name", nargs="?", metavar="NAME", help="see --list")
+        parser.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="NAME --help lists its options")
+
+    def run(given: argparse.Namespace) -> int:
+        if given.list:
+            width = max(map(len, known))
+            print("\n".join(f"{name:<{width}}  {summary}" for name, (_, summary) in known.items()))
+            return 0
+        if given.name not in known:
+            wrong = f"{given.name!r} is unknown" if given.name else "is missing"
+            raise InputError(f"the name after {word}", wrong, f"choose among {', '.join(known)}")
+        plugin = Plugin(*known[given.name])
+        parser = argparse.ArgumentParser(f"{PROGRAM} {word} {given.name}", description=plugin.about)
+        plugin.arguments(parser)
+        extra(parser)
+        chosen = parser.parse_args(given.rest)
+        show(plugin.run(chosen), chosen)
+        return 0
+
+    return Command(about, arguments, run, examples)
+
+
+# --------------------------------------------------------------------------------------------------------- the verbs
 
 def _publish(tables: Sequence[Table], arguments: argparse.Namespace) -> None:
     from eval.table import publish
@@ -30,10 +86,10 @@ def _name_files(files: Sequence[Path], arguments: argparse.Namespace) -> None:
     print("\n".join(map(str, files)))
 
 
-SCORE = verb("compare real, generated and other motion, with negative controls", "eval.score",
+SCORE = verb("compare real, generated and other motion, with negative controls", "eval.score.command",
              "score --truth STORE --system ours=bvh_folder",
              "score --truth real --system ours=generated --speech wav --bundle shipped --out score.json")
-ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.ablate",
+ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.runner.ablate",
               "ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
               "ablate --data STORE --work DIR --ray local:8", "ablate --data STORE --work DIR --slurm mem_gb=8",
               "ablate --tables --out docs/results/ablation")
@@ -41,13 +97,10 @@ PROBE = choice("probe", "answer one question about a bundle or a data set (--lis
                ("probe --list", "probe quality --data STORE", "probe gate --data STORE --out gate.json"))
 REPORT = verb("collect all stored results on one page", "eval.report",
               "report", "report --results docs/results --out docs/report")
-STUDY = verb("make a user study, or analyse its ratings", "eval.study",
+STUDY = verb("make a user study, or analyse its ratings", "eval.study.command",
              "study make --systems ours=DIR truth=DIR --out FOLDER",
              "study analyse --key FOLDER/key.json ratings-*.json --out study.json")
 DRAW = choice("draw", "draw a strip, a video or the lexicon (--list shows them)", DRAWINGS, _name_files,
               lambda parser: None, ("draw strip gesture.bvh --sound speech.wav",
                                     "draw video gesture.bvh --sound speech.wav --out film.mp4",
                                     "draw lexicon --data STORE --out FOLDER"))
-VERBS: dict[str, Command] = {"score": SCORE, "ablate": ABLATE, "probe": PROBE, "report": REPORT, "study": STUDY,
-                             "draw": DRAW}
-"""By name, for `python -m eval`; `gesticulator` finds them as entry points."""

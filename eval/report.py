@@ -48,8 +48,9 @@ PICTURES = {
 CHAPTERS = ("metrics.joint_error", "metrics.fgd", "metrics.gesture_features", "metrics.pmb", "metrics.diversity",
             "metrics.accuracy", "metrics.smoothness", "metrics.beat_consistency", "metrics.mismatch",
             "metrics.evaluate", "metrics.audio_clusters", "metrics.eye", "metrics.eye.body", "metrics.eye.hands",
-            "metrics.eye.trunk", "metrics.eye.strokes", "metrics.eye.voice", "metrics.eye.frechet", "corpus_bounds",
-            "style_from_sound", "planned_strokes", "unit_selection", "baselines", "stats")
+            "metrics.eye.trunk", "metrics.eye.strokes", "metrics.eye.voice", "metrics.eye.frechet",
+            "acceptance.corpus.bounds", "acceptance.corpus.style_from_sound", "acceptance.corpus.planned_strokes",
+            "baselines.unit_selection", "baselines.controls", "stats")
 """The modules of `eval` whose docstrings are the chapters."""
 COMMANDS = """\
 gesticulator build performer --out STORE                   # a corpus, or see `gesticulator build --help`
@@ -249,7 +250,7 @@ def _number(value: Any) -> str:
 
 def _other_lines(results: Results) -> list[str]:
     """What the probes and the benchmarks found; and those that were not run."""
-    told = {name: (PROBES[probe].about, f"gesticulator probe {probe}") for name, probe in probe_files().items()}
+    told = {name: (PROBES[probe][1], f"gesticulator probe {probe}") for name, probe in probe_files().items()}
     told |= BENCHMARKS
     lines = []
     for name, (question, command) in told.items():

@@ -14,14 +14,16 @@ import torch
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.store import Store
-from eval import ablate, row_context, runner
-from eval.baselines import RandomStyle
-from eval.cells import CellStore, summaries
-from eval.draw import paper
+from eval.baselines.controls import RandomStyle
+from eval.commands import ABLATE
 from eval.metrics.gesture_features import RawFeatures
-from eval.row_context import AblationContext
 from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, rg
+from eval.rows.cells import CellStore, summaries
 from eval.rows.row import COLUMNS
+from eval.runner import ablate, row_context
+from eval.runner import figures as paper
+from eval.runner import row as runner
+from eval.runner.row_context import AblationContext
 from eval.stats import Interval
 from eval.table import load, loads
 from generator import losses
@@ -226,7 +228,7 @@ def test_what_cannot_be_asked(tiny_store: Path, tmp_path: Path, capsys: pytest.C
     for wrong, word in ((["--only", "nothing"], "choose among"), (["--system", "ours=."], "name of a row"),
                         (["--seeds", "0"], "--seeds 0")):
         with pytest.raises(SystemExit) as error:
-            ablate.main([*given, *wrong])
+            ABLATE.main("gesticulator ablate", [*given, *wrong])
         assert error.value.code == 2 and word in capsys.readouterr().err
     with pytest.raises(SystemExit):
-        ablate.main([])
+        ABLATE.main("gesticulator ablate", [])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion
-from eval.baselines import jittered
+from eval.baselines.controls import jittered
 from eval.metrics.beat_consistency import (
     consistency,
     joint_beats,

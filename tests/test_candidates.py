@@ -9,7 +9,7 @@ import pytest
 
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
-from eval import baselines
+from eval.baselines import controls as baselines
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
 from gesticulator.drawing.candidates import FASTEST, CandidateChooser, in_time, not_thrown

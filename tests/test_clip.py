@@ -11,7 +11,7 @@ import pytest
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.types import Motion, Speech
-from eval.clip import ClipMeasurement, measure, motion_values, rhythm
+from eval.clip.measure import ClipMeasurement, measure, motion_values, rhythm
 
 
 def moving(fps: float, seconds: float = 3.0) -> Motion:

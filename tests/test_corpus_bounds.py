@@ -19,13 +19,15 @@ from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
 from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
-from eval import baselines, corpus_bounds, style_from_sound
+from eval.acceptance.corpus import bounds as corpus_bounds
+from eval.acceptance.corpus import command as corpus
+from eval.acceptance.corpus import style_from_sound
+from eval.acceptance.corpus.bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
+from eval.acceptance.corpus.style_from_sound import StyledWindows
+from eval.baselines import controls as baselines
 from eval.claim import Verdict
 from eval.commands import PROBE
-from eval.corpus_bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
 from eval.metrics.eye import common_body
-from eval.probes import corpus
-from eval.style_from_sound import StyledWindows
 from eval.table import load
 
 GOOD = {"eye_hand_height_correlation": 0.4, "eye_one_handed": 30.0, "eye_one_hanging": 25.0, "eye_head": 13.0,

@@ -31,7 +31,7 @@ GUIDE = [page for page in WRITTEN if page != CHANGELOG]
 README_LINES = 150
 TABLE_ROWS = 12
 PICTURE_BYTES = 60_000
-KEPT_MODULES = {"gesticulator", "gesticulator.infer", "data_module.build", "eval", "eval.ablate"}
+KEPT_MODULES = {"gesticulator", "gesticulator.infer", "data_module.build"}
 FOREIGN_MODULES = {"venv", "pip", "pytest"}
 OLD_COMMANDS = {
     "data_module.build", "eval", "eval.ablate", "eval.beat_labels", "eval.claims", "eval.corpus", "eval.figures",

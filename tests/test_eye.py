@@ -20,7 +20,7 @@ from data_module.motion.kinematics import resample
 from data_module.motion.skeletons import CHARACTER, to_character
 from data_module.speech.audio import load_speech
 from data_module.types import Array, Motion, Speech
-from eval import baselines
+from eval.baselines import controls as baselines
 from eval.metrics import EYE_METRICS, eye
 from eval.metrics.eye import frechet, hands, strokes, trunk, voice
 from eval.metrics.eye.body import HZ, common_body

@@ -17,11 +17,12 @@ from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import write_flac
 from data_module.store import StoreWriter
 from data_module.types import Speech
-from eval import baselines, eye_table
+from eval.baselines import controls as baselines
 from eval.commands import PROBE
-from eval.eye_table import CONTROLS, EyeSample, controls, eye_tables, heading
 from eval.metrics import EYE_METRICS
 from eval.metrics.eye import ReferenceSpace, figures, frechet, hear
+from eval.metrics.eye import sample as eye_table
+from eval.metrics.eye.sample import CONTROLS, EyeSample, controls, eye_tables, heading
 from eval.probes import eye as probe
 from eval.table import Table, load
 from gesticulator.bundle.features import SpeechFeatures

@@ -20,7 +20,7 @@ from data_module.motion.representation import bone_directions, ted_positions
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Store
 from data_module.types import Array, Motion
-from eval import baselines as controls
+from eval.baselines import controls
 from eval.metrics import fgd
 from eval.metrics import gesture_features as networks
 from eval.metrics.fgd import Gaussian, distance, frechet_distance, gaussian

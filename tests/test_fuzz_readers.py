@@ -52,7 +52,7 @@ from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fin
 from data_module.text.transcript import FORMATS, read_transcript
 from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
-from eval import foreign
+from eval.clip import foreign
 from eval.metrics.eye import ReferenceSpace
 from eval.metrics.gesture_features import reference_windows
 

@@ -15,7 +15,7 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Array, Motion
-from eval.baselines import jittered, mean_pose
+from eval.baselines.controls import jittered, mean_pose
 from eval.metrics.joint_error import joint_error, motion_error
 
 

@@ -24,7 +24,7 @@ from data_module.performer.procedural import procedural_strokes
 from data_module.performer.text import compose
 from data_module.speech.audio import write_flac
 from data_module.types import Speech
-from eval.clip import ClipMeasurement
+from eval.clip.measure import ClipMeasurement
 from eval.commands import PROBE
 from eval.metrics.diversity import expected_kinds
 from eval.probes import languages

@@ -24,10 +24,10 @@ from data_module.store import Recording, RecordingInfo, Store, StoreWriter
 from data_module.truth import PlayedStroke, Truth
 from data_module.types import Blocks, Motion, Speech, Word
 from eval.commands import DRAW
-from eval.draw import embedding
-from eval.draw import lexicon_map as maps
-from eval.draw.lexicon_sheet import in_words
-from eval.encode import EncodedMotion, encode_motion
+from eval.metrics.encode import EncodedMotion, encode_motion
+from eval.pictures import embedding
+from eval.pictures import lexicon_map as maps
+from eval.pictures.lexicon_sheet import in_words
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.command import BUNDLE

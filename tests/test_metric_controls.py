@@ -13,8 +13,16 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Motion
-from eval import baselines as controls
-from eval.baselines import CONTROLS, donors, jittered, reversed_in_time, shuffled, split_halves, to_common_length
+from eval.baselines import controls
+from eval.baselines.controls import (
+    CONTROLS,
+    donors,
+    jittered,
+    reversed_in_time,
+    shuffled,
+    split_halves,
+    to_common_length,
+)
 
 
 def clip(frames: int, seed: int, fps: float = 20.0) -> Motion:

@@ -14,11 +14,11 @@ import torch
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion, Speech
-from eval import score
-from eval.clip_set import common_clips
-from eval.foreign import Clip
+from eval.clip.clip_set import common_clips
+from eval.clip.foreign import Clip
 from eval.metrics import EYE_METRICS, METRICS, SET_METRICS
 from eval.metrics.gesture_features import RawFeatures
+from eval.score import command as score
 from gesticulator.bundle import bundle as bundles
 from interpreters.reward import RewardEnsemble
 

@@ -25,16 +25,16 @@ from data_module.motion.movement import Pasts, joined
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import StoreWriter
 from data_module.types import Array, Motion, Speech, Word
-from eval import baselines
+from eval.acceptance.motion import command as probe
+from eval.acceptance.motion import movements, rest, seen, steering
+from eval.acceptance.motion.movements import ALL, ALONE, HeldOut
+from eval.acceptance.motion.rest import Rested
+from eval.baselines import controls as baselines
 from eval.claim import Verdict
 from eval.commands import PROBE
-from eval.eye_table import EyeSample
 from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
-from eval.probes import motion as probe
-from eval.probes.motion import movements, rest, seen, steering
-from eval.probes.motion.movements import ALL, ALONE, HeldOut
-from eval.probes.motion.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
-from eval.probes.motion.rest import Rested
+from eval.metrics.eye.sample import EyeSample
+from eval.runner.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
 from lexicon.movement import MovementLexicon

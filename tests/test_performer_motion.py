@@ -27,9 +27,9 @@ from data_module.performer.strokes import (
 from data_module.performer.types import Played, Spoken
 from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Motion, Speech, Word
+from eval.acceptance.corpus.planned_strokes import gain_r2, longest_repetition, stroke_misses
 from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import figures
-from eval.planned_strokes import gain_r2, longest_repetition, stroke_misses
 
 PUPPET = "puppet"
 

@@ -13,11 +13,11 @@ from data_module.errors import InputError
 from data_module.motion.motion_beats import beats_of_speed
 from data_module.speech.onsets import merged
 from data_module.types import BeatFlag, Beats, Speech, Word
-from eval.draw import embedding, plots
-from eval.draw.embedding import colours
-from eval.draw.strips import BEAT_COLOURS, BEAT_NAMES, save_strip
 from eval.metrics import pmb
 from eval.metrics.audio_clusters import association
+from eval.pictures import embedding, plots
+from eval.pictures.embedding import colours
+from eval.pictures.strips import BEAT_COLOURS, BEAT_NAMES, save_strip
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 from matplotlib.colors import to_hex

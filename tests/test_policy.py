@@ -17,13 +17,13 @@ from untrained import with_policies
 from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.store import Store
-from eval import policy
-from eval.baselines import Random, ReplayInterpreter
-from eval.context import EvalContext
+from eval.baselines.controls import Random, ReplayInterpreter
 from eval.metrics import gesture_features
-from eval.policy import Decisions, Policy, PolicyJudge
 from eval.probes import policies
 from eval.rows.row import DECISIONS, VALUES
+from eval.runner import policy
+from eval.runner.context import EvalContext
+from eval.runner.policy import Decisions, Policy, PolicyJudge
 from eval.stats import Interval
 from eval.table import Marked
 from gesticulator.bundle import bundle as bundles

@@ -13,9 +13,9 @@ from untrained import with_policies
 
 from data_module.errors import InputError
 from data_module.store import Store
-from eval import policy_training as training
-from eval.policy_training import RacerContext
 from eval.rows.racer import ROWS, twins
+from eval.runner import racer as training
+from eval.runner.racer import RacerContext
 from gesticulator.bundle.config import with_settings
 from interpreters.actor_critic import ActorCritic
 from interpreters.cql import ConservativeQ, QNetwork

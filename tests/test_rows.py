@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 
 from data_module.errors import InputError
-from eval import ablate, stats
-from eval.ablate import FIGURES
-from eval.cells import Cell, Cells, CellStore, summaries
+from eval import stats
 from eval.claim import FAILS, HOLDS, UNDECIDED, Claim
-from eval.row_context import AblationContext, configured
+from eval.commands import ABLATE
 from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, SYSTEMS, TABLES, claims, racer, rg, tables
+from eval.rows.cells import Cell, Cells, CellStore, summaries
 from eval.rows.claims import BOUNDS, CLAIMS, PaperClaim
 from eval.rows.row import COLUMNS, DECISIONS
+from eval.runner.ablate import FIGURES
+from eval.runner.row_context import AblationContext, configured
 from eval.stats import Interval
 from eval.table import Column, Table, dumps, load, loads, save
 from gesticulator.bundle import config as configs
@@ -117,7 +118,7 @@ def test_tables_hold_rows_and_columns_that_there_are() -> None:
 
 
 def test_all_tables_and_figures_of_both_papers_are_there(capsys: pytest.CaptureFixture[str]) -> None:
-    assert ablate.main(["--list"]) == 0
+    assert ABLATE.main("gesticulator ablate", ["--list"]) == 0
     shown = capsys.readouterr().out
     for name in (*ROWS, *FIGURES, *REFERENCES, *CONTROLS):
         assert re.search(rf"^{re.escape(name)} ", shown, re.MULTILINE), name
@@ -315,7 +316,7 @@ def test_a_control_beats_a_column_by_its_direction() -> None:
 def test_tables_and_claims_are_drawn_again_from_the_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "ablation"
     with pytest.raises(SystemExit) as error:
-        ablate.main(["--tables", "--out", str(out)])
+        ABLATE.main("gesticulator ablate", ["--tables", "--out", str(out)])
     assert error.value.code == 2 and "holds no cells" in capsys.readouterr().err
     for seed in (1, 2, 3):
         CellStore(out).add(cell(OURS, seed, 1.0 * seed))
@@ -325,7 +326,7 @@ def test_tables_and_claims_are_drawn_again_from_the_cells(tmp_path: Path, capsys
     step = {"mean": 2.0, "low": 1.0, "high": 3.0, "n": 5}
     save([Table("x", {"a": Column("a")}, {}, facts={"claim": [step, {**step, "low": 0.4}]})],
          tmp_path / "earlier" / "style_editing.json")
-    assert ablate.main(["--tables", "--out", str(out)]) == 0
+    assert ABLATE.main("gesticulator ablate", ["--tables", "--out", str(out)]) == 0
     first = load(out / "table.json")[0]
     assert first.facts["rows"]["no-style"]["figures"]["fgd"]["mean"] == 4.5 and first.facts["preset"] == "tiny"
     table = next(one for one in load(out / "table.json") if one.title == "Ours less each row")

@@ -24,20 +24,21 @@ from data_module.motion.skeletons import CHARACTER, NAME_TABLES, facing
 from data_module.motion.smplx import SKELETON as SMPLX
 from data_module.store import Store
 from data_module.types import Motion, Speech
-from eval import foreign, score
-from eval.baselines import jittered, mean_pose
-from eval.clip_set import TRUTH, common_clips
+from eval.baselines.controls import jittered, mean_pose
+from eval.clip import foreign
+from eval.clip.clip_set import TRUTH, common_clips
+from eval.clip.foreign import Clip, read_motion
 from eval.commands import SCORE
-from eval.encode import SpeechBlocks, encode_motion, judged_reward
-from eval.foreign import Clip, read_motion
-from eval.judges import with_judges
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
+from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.gesture_features import RawFeatures
-from eval.played_rows import PlayedBundle
-from eval.reward_probe import RewardProbe
-from eval.score import flags, mean_of
-from eval.score_tables import FLOOR, STILL, Flag, Scores, tables
+from eval.metrics.reward_model import RewardProbe
+from eval.runner.judges import with_judges
+from eval.score import command as score
+from eval.score.command import flags, mean_of
+from eval.score.played_rows import PlayedBundle
+from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, load, save
 from gesticulator.bundle import bundle as bundles

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data_module.speech.audio import load_speech
-from eval.clip import measure
+from eval.clip.measure import measure
 from eval.table import load, markdown
 from gesticulator.bundle import bundle as bundles
 from gesticulator.performance import Performance

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
-from eval.baselines import jittered, reversed_in_time
+from eval.baselines.controls import jittered, reversed_in_time
 from eval.metrics import smoothness
 from eval.metrics.smoothness import BIN, BINS, derivative, hand_speeds, hellinger, motion_smoothness, speed_histogram
 

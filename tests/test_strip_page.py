@@ -11,9 +11,9 @@ from performances import perform
 from data_module.errors import InputError
 from data_module.motion import bvh
 from eval.commands import DRAW
-from eval.draw import strip_page
-from eval.draw.strip_page import BEAT_CREDIT, page_times
-from eval.draw.strips import PAGE, Source, draw_page
+from eval.pictures import strip_page
+from eval.pictures.strip_page import BEAT_CREDIT, page_times
+from eval.pictures.strips import PAGE, Source, draw_page
 
 matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 

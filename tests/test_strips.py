@@ -11,7 +11,7 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, facing
 from data_module.types import Motion
 from eval.commands import DRAW
-from eval.draw import DRAWINGS, strips
+from eval.pictures import DRAWINGS, strips
 from gesticulator.export import figure
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")

@@ -22,10 +22,11 @@ from scipy import stats
 from data_module.errors import InputError
 from data_module.motion import bvh
 from data_module.types import Array, Speech
-from eval import anova, study
-from eval.anova import Key
 from eval.commands import STUDY
 from eval.stats import crossed_means
+from eval.study import anova
+from eval.study import command as study
+from eval.study.anova import Key
 from eval.table import load
 from gesticulator.export.figure import figure_points
 

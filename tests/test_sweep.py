@@ -19,11 +19,12 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.store import Store
-from eval import ablate, row_context, sweep
-from eval.cells import PARTS, Cell, CellStore
+from eval.commands import ABLATE
 from eval.metrics.gesture_features import RawFeatures
-from eval.row_context import AblationContext
 from eval.rows import rg
+from eval.rows.cells import PARTS, Cell, CellStore
+from eval.runner import ablate, row_context, sweep
+from eval.runner.row_context import AblationContext
 from gesticulator.batch.run import TaskOutcome, done_here
 from gesticulator.bundle import config as configs
 from gesticulator.training.stages import Run
@@ -115,20 +116,20 @@ def command(context: AblationContext, tmp_path: Path, monkeypatch: pytest.Monkey
 def test_jobs_that_are_processes_of_this_machine_make_the_cell(
         command: list[str], plain: dict[tuple[str, int], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("submitit", reason="submitit is not installed: pip install 'gesticulator[slurm]'")
-    assert ablate.main([*command, "--slurm", "cluster=local", "timeout_min=10"]) == 0
+    assert ABLATE.main("gesticulator ablate", [*command, "--slurm", "cluster=local", "timeout_min=10"]) == 0
     deadline = time.monotonic() + 600
     while not list((tmp_path / "work" / "slurm").glob("*/*_0_result.pkl"))[1:] and time.monotonic() < deadline:
         time.sleep(0.2)
     assert not (tmp_path / "out" / "cells.jsonl").exists() and list((tmp_path / "out" / PARTS).iterdir())
     monkeypatch.setattr(row_context, "assemble", None)  # the cell is there: nothing is trained or played
-    assert ablate.main(command) == 0
+    assert ABLATE.main("gesticulator ablate", command) == 0
     assert cells_of(tmp_path / "out") == {("ours", 1): plain["ours", 1]} and (tmp_path / "out" / "table.md").exists()
 
 
 def test_the_command_on_ray_makes_the_cell(command: list[str], plain: dict[tuple[str, int], Any], tmp_path: Path
                                            ) -> None:
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'gesticulator[scale]'")
-    assert ablate.main([*command, "--ray", "local:1"]) == 0
+    assert ABLATE.main("gesticulator ablate", [*command, "--ray", "local:1"]) == 0
     assert cells_of(tmp_path / "out") == {("ours", 1): plain["ours", 1]}
 
 

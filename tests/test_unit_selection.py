@@ -14,12 +14,12 @@ from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Store, StoreWriter
-from eval import unit_selection
+from eval.baselines import unit_selection
+from eval.baselines.unit_selection import FADE, Sounds, UnitDatabase, UnitSelection, joined
 from eval.commands import SCORE
 from eval.metrics.eye import figures
 from eval.stats import Interval
 from eval.table import Marked, load
-from eval.unit_selection import FADE, Sounds, UnitDatabase, UnitSelection, joined
 
 
 @pytest.fixture(scope="module")

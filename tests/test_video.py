@@ -17,7 +17,7 @@ from data_module.motion import bvh, rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Speech
 from eval.commands import DRAW
-from eval.draw import video
+from eval.pictures import video
 from gesticulator.export import film
 from gesticulator.export.figure import figure_points
 

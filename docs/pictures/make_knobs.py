@@ -16,8 +16,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data_module.speech.audio import load_speech
-from eval.draw.strips import PAGE, Source, draw_page, save_strip
 from eval.metrics.eye import RANGES
+from eval.pictures.strips import PAGE, Source, draw_page, save_strip
 from eval.stats import Interval
 from eval.table import load
 from gesticulator import Gesticulator

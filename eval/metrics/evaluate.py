@@ -29,9 +29,9 @@ import numpy as np
 from data_module.motion.motion_beats import MODES, motion_beats
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Motion, Speech
-from eval.encode import EncodedMotion
 from eval.metrics import CLIP_METRICS, EYE_METRICS, eye, pmb
 from eval.metrics.beat_consistency import consistency, mean_score, motion_joint_beats
+from eval.metrics.encode import EncodedMotion
 from eval.metrics.joint_error import motion_error
 from eval.metrics.mismatch import wrapped
 from eval.metrics.smoothness import motion_smoothness
@@ -151,7 +151,7 @@ def synchrony(name: str, beats: MotionBeats, track: OnsetTrack) -> float:
 def lexeme_values(own: EncodedMotion | None, truth: EncodedMotion | None, reward: float, judged: bool) -> Values:
     """Both of `LEXEME_METRICS` of a motion beside the speaker's own; None where there is no speech.
 
-    reward: of `eval.encode.judged_reward`. judged: whether the bundle has a model that judges.
+    reward: of `eval.metrics.encode.judged_reward`. judged: whether the bundle has a model that judges.
     """
     out, nan = Values(), float("nan")
     if own is None or truth is None:

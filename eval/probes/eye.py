@@ -19,8 +19,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from data_module.blocks import cut
 from data_module.corpora.folder import SOUNDS
 from data_module.errors import InputError
@@ -30,16 +28,16 @@ from data_module.motion.kinematics import resample
 from data_module.speech.audio import load_speech
 from data_module.store import Recording, Store
 from data_module.types import Array, Motion, Speech
-from eval import baselines
-from eval.clip import real_take
-from eval.eye_table import CORPUS, EyeSample, controls, eye_tables
-from eval.foreign import find_motions, named, read_motion
+from eval.baselines import controls as baselines
+from eval.baselines.unit_selection import NAME as UNITS
+from eval.baselines.unit_selection import UnitDatabase, UnitSelection
+from eval.clip.foreign import edges_of_plan, find_motions, named, read_motion
+from eval.clip.measure import real_take
 from eval.metrics.eye import ReferenceSpace, VoiceActivity, hear
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
-from eval.score import UNITS
+from eval.metrics.eye.sample import CORPUS, EyeSample, controls, eye_tables
 from eval.table import Table
-from eval.unit_selection import UnitDatabase, UnitSelection
 from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 
@@ -230,21 +228,6 @@ def _read(name: str, place: Path, sounds: Sequence[SpeechClip], space: Reference
             sample.add(moved, sound.heard, edges_of_plan(file.with_suffix(".json")), space,
                        group=sound.name)
     return sample
-
-
-def edges_of_plan(plan: Path) -> Array | None:
-    """[N + 1] seconds of the blocks of a plan (`infer --explain`, or {"edges": [...]}); None where there is none."""
-    if not plan.is_file():
-        return None
-    try:
-        told = json.loads(plan.read_text(encoding="utf-8"))
-        edges = np.array(told["edges"] if "edges" in told else
-                         [*(block["start"] for block in told["blocks"]), told["blocks"][-1]["end"]], dtype=np.float64)
-    except (ValueError, KeyError, TypeError, IndexError):
-        raise InputError(plan, "tells no block edges", "write it with infer --explain, or take it away") from None
-    if edges.ndim != 1 or not np.isfinite(edges).all() or (np.diff(edges) <= 0).any():
-        raise InputError(plan, "has edges that do not rise", "write it again")
-    return edges
 
 
 def _test_voices(players: Sequence[Player], recordings: Sequence[Recording], corpus: EyeSample,

@@ -33,9 +33,9 @@ from data_module.errors import InputError
 from data_module.speech.silence import FRAME, frame_levels
 from data_module.store import Recording, Store
 from data_module.types import Array, Motion, Speech
-from eval.draw.lexicon_map import block_of_frames, evenly
-from eval.encode import encode_motion
+from eval.clip.excerpts import block_of_frames, evenly
 from eval.metrics.calibration import auc, brier, calibration, calibration_error
+from eval.metrics.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
 from eval.stats import mean_interval, of_groups, paired
 from eval.table import Cell, Column, Table

@@ -28,11 +28,12 @@ import torch
 
 from data_module.errors import InputError
 from data_module.store import Store
-from eval.eye_table import CORPUS, EyeSample
-from eval.foreign import named
+from eval.acceptance.motion.movements import BEST, encode
+from eval.acceptance.motion.seen import POOLED, TO_CORPUS, measured, own_motion, sample_of
+from eval.clip.foreign import named
 from eval.metrics.eye import ReferenceSpace
-from eval.probes.motion.movements import BEST, encode
-from eval.probes.motion.renderings import (
+from eval.metrics.eye.sample import CORPUS, EyeSample
+from eval.runner.renderings import (
     AcceptanceVoice,
     BundleSystem,
     KeptRenderings,
@@ -41,7 +42,6 @@ from eval.probes.motion.renderings import (
     described,
     held_out_voices,
 )
-from eval.probes.motion.seen import POOLED, TO_CORPUS, measured, own_motion, sample_of
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
 from gesticulator.bundle import bundle as bundles

@@ -23,9 +23,9 @@ from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.speech.audio import load_speech
 from data_module.types import Array, Speech
-from eval.clip import real_take
+from eval.clip.excerpts import excerpt_of_speech
+from eval.clip.measure import real_take
 from eval.metrics import eye
-from eval.probes.style_editing import excerpt_of_speech
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
 from gesticulator.performance import Performance

@@ -31,7 +31,7 @@ from data_module.performer.text import compose
 from data_module.speech.audio import load_speech
 from data_module.store import Store
 from data_module.types import Array, Motion, Speech
-from eval.clip import ClipMeasurement, measure
+from eval.clip.measure import ClipMeasurement, measure
 from eval.metrics import pmb
 from eval.metrics.diversity import entropy, expected_kinds
 from eval.stats import Interval, mean_interval

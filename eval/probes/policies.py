@@ -3,7 +3,7 @@
 The lexemes that are judged are the ones that the generator then plays, gate open. Rows: `performer` is the true lexemes
 with the silent hint, `lstm` and `statistical` draw as the bundle draws, `cql` chooses as the bundle has it (arg max,
 RACER), `majority` never changes, `greedy` takes the lexeme of the highest training reward at each block by trying them
-all, and `random` draws any lexeme alike. What is measured, and what fools it: `eval.policy`.
+all, and `random` draws any lexeme alike. What is measured, and what fools it: `eval.runner.policy`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from tqdm import tqdm
 from data_module.errors import InputError
 from data_module.types import Array, Motion
 from eval import stats
-from eval.baselines import Majority, Random
-from eval.clip import measure, motion_values
-from eval.context import EvalContext
+from eval.baselines.controls import Majority, Random
+from eval.clip.measure import measure, motion_values
 from eval.metrics import fgd, gesture_features
-from eval.policy import RARE, SEED, Choices, Decisions, Policy, PolicyJudge, Rewards, greedy, perform, walk
 from eval.rows.row import COLUMNS, DECISIONS, EPISODE, PLAYED, VALUES, RowColumn
+from eval.runner.context import EvalContext
+from eval.runner.policy import RARE, SEED, Choices, Decisions, Policy, PolicyJudge, Rewards, greedy, perform, walk
 from eval.table import Cell, Column, Marked, Table
 from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator

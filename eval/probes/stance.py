@@ -23,7 +23,7 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import LEG_JOINTS, find_table
 from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Array, Motion, Speech
-from eval.foreign import find_motions, named
+from eval.clip.foreign import find_motions, named
 from eval.table import Column, Table
 from gesticulator.pipeline import Gesticulator
 

@@ -24,9 +24,9 @@ import numpy as np
 
 from data_module.errors import InputError
 from eval import stats
-from eval.cells import Cells
 from eval.claim import FAILS, HOLDS, UNDECIDED, WHOLE, Bound, Claim, Verdict
 from eval.rows import OURS, PERFORMER, TABLES, racer
+from eval.rows.cells import Cells
 from eval.rows.row import COLUMNS, DECIDED, DECISIONS, RowColumn
 from eval.rows.tables import pairs
 from eval.table import Column, Table, load

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from eval import stats
-from eval.cells import Cells, weights_of
 from eval.metrics import pmb
 from eval.rows import CONTROLS, FLOOR, OURS, PERFORMER, REFERENCES, SYSTEMS, TABLES, racer, rg
+from eval.rows.cells import Cells, weights_of
 from eval.rows.row import COLUMNS, DECIDED, DECISIONS, PLAYED, PaperTable, RowColumn, TableLine
 from eval.table import Cell, Column, Table
 
 Rows = Mapping[str, Mapping[str, Any]]
-"""`eval.cells.summaries`."""
+"""`eval.rows.cells.summaries`."""
 
 
 def mean_of(rows: Rows, name: str, key: str) -> float:

@@ -1,0 +1,1 @@
+"""Acceptance of a corpus of gestures."""

@@ -1,0 +1,1 @@
+"""Acceptance of a bundle's motion, in four groups of claims."""

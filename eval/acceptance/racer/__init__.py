@@ -1,0 +1,1 @@
+"""Acceptance of RACER: does offline reinforcement learning pay here?"""

@@ -1,0 +1,117 @@
+"""The clips that several systems have in common, brought onto one frame rate and one length, so that they compare."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from data_module.errors import InputError
+from data_module.motion.kinematics import resample
+from data_module.types import Motion, Speech
+from eval.clip.foreign import Clip
+
+TRUTH = "truth"
+_UNEVEN = 0.5
+"""Seconds by which lengths may differ without a note."""
+
+
+@dataclass
+class ClipSet:
+    """The same clips by every row. groups: those of one group share their sound. speeches: None where not known.
+
+    motions: by row, one for each clip; notes: what was left out or changed.
+    """
+
+    names: list[str]
+    groups: list[str]
+    speeches: list[Speech | None]
+    motions: dict[str, list[Motion]]
+    fps: float
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of all clips."""
+        return sum(motion.duration for motion in self.motions[TRUTH])
+
+
+def common_clips(folders: Mapping[str, Mapping[str, Clip]], rate: float | None = None, piece: float | None = None
+                 ) -> ClipSet:
+    """The clips that all of truth and systems have, at one frame rate, each of one length, in pieces where asked.
+
+    rate: frames a second, the lowest of all where it is None. piece: seconds. InputError when no name is common.
+    """
+    names, notes = shared_names({row: list(clips) for row, clips in folders.items()})
+    fps = rate or min(clips[name].motion.fps for clips in folders.values() for name in names)
+    made = ClipSet([], [], [], {row: [] for row in folders}, fps, [*notes, *_body_notes(folders, names, fps)])
+    for name in names:
+        _add(made, {row: clips[name] for row, clips in folders.items()}, piece)
+    return made
+
+
+def shared_names(names: Mapping[str, Sequence[str]]) -> tuple[list[str], list[str]]:
+    """The names that all rows have, in the truth's order, and a note for each row that has more.
+
+    InputError when there is none.
+    """
+    common = [name for name in names[TRUTH] if all(name in others for others in names.values())]
+    if not common:
+        raise InputError("truth and systems", "have no clip in common", "give files of one clip one name: "
+                         + "; ".join(f"{row} has {listed(held, 3)}" for row, held in names.items()))
+    notes = []
+    for row, held in names.items():
+        over: dict[str, list[str]] = {}
+        for name in held:
+            lacking = ", ".join(other for other, theirs in names.items() if name not in theirs)
+            if lacking:
+                over.setdefault(lacking, []).append(name)
+        notes += [f"{row}: {listed(some, 4)} {'is' if len(some) == 1 else 'are'} not compared, because {lacking} "
+                  f"{'have' if ',' in lacking else 'has'} none of {'that name' if len(some) == 1 else 'these names'}"
+                  for lacking, some in over.items()]
+    return common, notes
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """The first names, and how many more there are."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _body_notes(folders: Mapping[str, Mapping[str, Clip]], names: Sequence[str], fps: float) -> list[str]:
+    """What a row has had to give up to be compared: frame rate, joints that it lacks."""
+    notes = []
+    for row, clips in folders.items():
+        rates = sorted({clips[name].motion.fps for name in names} - {fps})
+        if rates:
+            notes.append(f"{row}: brought from {', '.join(f'{rate:g}' for rate in rates)} to {fps:g} fps")
+        absent = sorted({joint for name in names for joint in clips[name].motion.absent})
+        if absent:
+            notes.append(f"{row}: {', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not known, so that MAJE "
+                         "and MAD are over the other joints: compare them with care with rows that have more")
+    return notes
+
+
+def _add(made: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> None:
+    """One clip of all rows, cut to the shortest and into pieces."""
+    first, fps = clips[TRUTH], made.fps
+    speech = next((clip.speech for clip in clips.values() if clip.speech is not None), None)
+    motions = {row: resample(clip.motion, fps) for row, clip in clips.items()}
+    frames = min(map(len, motions.values()))
+    if speech is not None:
+        frames = max(1, min(frames, int(speech.duration * fps + 1e-6)))
+    made.notes += [f"{first.name}: {row} lasts {motion.duration:.2f} s, and {frames / fps:.2f} s are compared"
+                   for row, motion in motions.items() if motion.duration - frames / fps > _UNEVEN]
+    step = frames if piece is None else max(1, round(piece * fps))
+    for number in range(max(1, frames // step)):
+        begin, end = number * step, min((number + 1) * step, frames)
+        made.names.append(first.name if frames // step < 2 else f"{first.name}, piece {number + 1}")
+        made.groups.append(first.group or first.name)
+        made.speeches.append(None if speech is None else _cropped(speech, begin / fps, end / fps))
+        for row, motion in motions.items():
+            made.motions[row].append(motion.crop(begin, end))
+
+
+def _cropped(speech: Speech, begin: float, end: float) -> Speech:
+    """The sound from `begin` to `end` seconds, without its words."""
+    first = min(round(begin * speech.sample_rate), len(speech.samples) - 1)
+    last = max(first + 1, round(end * speech.sample_rate))
+    return replace(speech, samples=speech.samples[first:last], words=None)

@@ -1,0 +1,53 @@
+"""Which recordings of a store are looked at, and which stretch of each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.errors import InputError
+from data_module.store import Recording, RecordingInfo, Split, Store
+from data_module.types import Array, Speech, Word
+
+
+def evenly(store: Store, split: str, limit: int | None = None) -> list[RecordingInfo]:
+    """The recordings of a split ("all" for every one), or `limit` of them, evenly chosen; InputError when empty."""
+    infos = store.recordings if split == "all" else store.of_split(cast(Split, split))
+    if not infos:
+        raise InputError(store.path, f"has no recordings in its {split} split", "choose another split")
+    if limit is not None and limit < 1:
+        raise InputError("--limit", "must be 1 or more", "leave it out for all")
+    count = len(infos) if limit is None else min(limit, len(infos))
+    return [infos[i] for i in np.linspace(0, len(infos) - 1, count).round().astype(int)]
+
+
+def block_of_frames(edges: Array, count: int, fps: float) -> NDArray[np.int64]:
+    """[count] the block that each stretch between two frames lies in."""
+    return np.clip(np.searchsorted(edges, (np.arange(count) + 0.5) / fps) - 1, 0, len(edges) - 2)
+
+
+def excerpt(recording: Recording, seconds: float) -> Recording:
+    """The middle `seconds` of a recording (all of it when it is shorter), with the words that lie in it."""
+    speech, motion = recording.speech, recording.motion
+    start, stop = _middle(speech, seconds)
+    frames = motion.crop(round(start * motion.fps), max(round(stop * motion.fps), round(start * motion.fps) + 1))
+    return replace(recording, speech=excerpt_of_speech(speech, seconds), motion=frames)
+
+
+def excerpt_of_speech(speech: Speech, seconds: float) -> Speech:
+    """The middle `seconds` of speech, with the words that lie in it."""
+    start, stop = _middle(speech, seconds)
+    first, last = (round(at * speech.sample_rate) for at in (start, stop))
+    words = None if speech.words is None else tuple(
+        Word(word.text, word.start - start, word.end - start) for word in speech.words
+        if start <= word.start and word.end <= stop)
+    return replace(speech, samples=np.ascontiguousarray(speech.samples[first:last]), words=words)
+
+
+def _middle(speech: Speech, seconds: float) -> tuple[float, float]:
+    """Where the middle `seconds` begin and end."""
+    start = max(0.0, (speech.duration - seconds) / 2)
+    return start, min(speech.duration, start + seconds)

@@ -1,0 +1,158 @@
+"""What is measured on one clip of motion beside its speech: the only measurer, for every table of `eval`.
+
+Speeds are those of the wrists as seen from the facing hips, m/s; times are seconds from the clip's begin. The formulas
+themselves are the metric chapters'.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.motion import bvh, skeletons
+from data_module.motion.kinematics import positions_of, resample
+from data_module.motion.motion_beats import motion_beats
+from data_module.speech.audio import load_speech
+from data_module.speech.onsets import detect_onsets
+from data_module.speech.silence import FRAME, pauses, silent_frames
+from data_module.types import Array, Motion, Speech
+from eval.baselines.controls import to_common_length
+from eval.metrics import pmb
+from eval.metrics.joint_error import JointError, motion_error
+from eval.metrics.smoothness import HANDS, derivative
+
+SETTLED = 1.0
+"""Seconds of silence after which a frame counts as silent: by then the hands have come to rest."""
+TAKE = Path("takes") / "beat_scott"
+"""In GESTICULATOR_DATA: a real take, one BVH and one WAV."""
+TAKE_FPS = 15.0
+"""Frame rate of the take (BEAT states 1/15 s in the file)."""
+
+
+@dataclass(frozen=True)
+class Rhythm:
+    """PMB at one delta beside its chance level, all in percent; NaN without motion beats. p_value: one-sided."""
+
+    pmb: float
+    chance: float
+    above_chance: float
+    p_value: float
+
+
+def rhythm(beats: Array, onsets: Array, duration: float, delta: float = pmb.DELTA, *, seed: int = 0) -> Rhythm:
+    """PMB of motion beats [n] with onsets [m], and its share above that of the same beats shifted (RG Eq. 22).
+
+    ValueError as in `pmb.pmb` and `pmb.chance`.
+    """
+    percent, chance = pmb.pmb(beats, onsets, delta), pmb.chance(beats, onsets, duration, delta, seed=seed)
+    return Rhythm(percent, chance.mean, 100.0 * pmb.above_chance(percent, chance.mean), chance.p_value)
+
+
+@dataclass
+class ClipMeasurement:
+    """One clip. onsets [m], beats [n]: of the speech and the motion, seconds. hand_speed [T - 1, 2]: m/s; silent
+    [T - 1]: frames in a settled silence; heights [T, 2]: of the hands over the hips, metres. seam_speed: the fastest
+    joint beside each inner block edge, m/s; empty where no edges are known."""
+
+    onsets: Array
+    beats: Array
+    duration: float
+    hand_speed: Array
+    silent: NDArray[np.bool_]
+    heights: Array
+    seam_speed: Array = field(default_factory=lambda: np.zeros(0))
+
+    def rhythm(self, delta: float = pmb.DELTA, *, seed: int = 0) -> Rhythm:
+        """PMB and its chance level."""
+        return rhythm(self.beats, self.onsets, self.duration, delta, seed=seed)
+
+    @property
+    def beats_per_second(self) -> float:
+        """Motion beats, Hz."""
+        return len(self.beats) / self.duration
+
+    @property
+    def speech_speed(self) -> float:
+        """Mean hand speed outside settled silence, m/s; NaN where there is no such frame."""
+        return _mean(self.hand_speed[~self.silent])
+
+    @property
+    def silence_speed(self) -> float:
+        """Mean hand speed in settled silence, m/s; NaN where there is no such frame."""
+        return _mean(self.hand_speed[self.silent])
+
+    def piece(self, start: float, end: float, fps: float) -> ClipMeasurement:
+        """What lies between two times, at the motion's frame rate. It keeps the thresholds of the whole, and no seams.
+
+        Pieces whose times join hold everything once.
+        """
+        onsets, beats = (own[(own >= start) & (own < end)] - start for own in (self.onsets, self.beats))
+        first = round(start * fps)
+        last = round(end * fps) if end < self.duration else len(self.hand_speed) + 1
+        return ClipMeasurement(onsets, beats, end - start, self.hand_speed[first:last], self.silent[first:last],
+                               self.heights[first:last])
+
+
+def _mean(values: Array) -> float:
+    return float(values.mean()) if values.size else float("nan")
+
+
+def measure(motion: Motion, speech: Speech, edges: Array | None = None, onsets: Array | None = None) -> ClipMeasurement:
+    """Everything about a motion of the 16-joint character and its speech.
+
+    edges: [B + 1] block edges in seconds, for the speed across the seams. onsets: those of the speech, where they are
+    known already.
+    """
+    motion = skeletons.upper_body(motion)
+    positions = positions_of(skeletons.facing(motion))
+    hands = positions[:, [motion.skeleton.index(name) for name in HANDS]]
+    speed = derivative(hands, motion.fps, 1)
+    onsets = detect_onsets(speech.samples, speech.sample_rate) if onsets is None else onsets
+    clip = ClipMeasurement(onsets, motion_beats(motion), speech.duration, speed,
+                           _settled(speech, len(speed), motion.fps), hands[..., 1] - positions[:, :1, 1])
+    if edges is not None and len(speed):
+        seams = np.clip(np.round(edges[1:-1] * motion.fps).astype(int), 1, len(speed) - 1)
+        # The two frames that meet at the beat.
+        fastest = derivative(positions, motion.fps, 1).max(axis=1)
+        clip.seam_speed = np.maximum(fastest[seams - 1], fastest[seams])
+    return clip
+
+
+def _settled(speech: Speech, frames: int, fps: float) -> NDArray[np.bool_]:
+    """[frames] of motion before which the speech was silent for `SETTLED` seconds."""
+    quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
+    window = round(SETTLED / FRAME)
+    settled = np.convolve(quiet, np.ones(window))[:len(quiet)] >= window - 0.5
+    at = np.minimum((np.arange(frames) / fps / FRAME).astype(int), len(settled) - 1)
+    return np.asarray(settled[at], dtype=bool)
+
+
+def against(motion: Motion, truth: Motion) -> JointError:
+    """MAJE and MAD beside the speaker's own motion, which is brought to the same frame rate; cut to the shorter."""
+    ours, theirs = to_common_length([motion], [resample(truth, motion.fps)])
+    return motion_error(ours[0], theirs[0])
+
+
+def motion_values(clip: ClipMeasurement, motion: Motion, truth: Motion, seed: int) -> dict[str, float]:
+    """What tables show of a clip: PMB above chance (percent, at `pmb.DELTA`), mean hand speeds (m/s), MAJE (mm) and
+    MAD (mm/s^2)."""
+    error = against(motion, truth)
+    return {"pmb_above_chance": clip.rhythm(seed=seed).above_chance, "speech_speed": clip.speech_speed,
+            "silence_speed": clip.silence_speed, "maje": error.maje, "mad": error.mad}
+
+
+def real_take(fps: float) -> tuple[Motion, Speech] | None:
+    """The real take that lies in GESTICULATOR_DATA, on our character at this frame rate; None without it."""
+    place = os.environ.get("GESTICULATOR_DATA")
+    folder = Path(place) / TAKE if place else None
+    if folder is None or not folder.is_dir():
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", bvh.BvhWarning)
+        motion = bvh.read_bvh(next(iter(sorted(folder.glob("*.bvh")))), fps=TAKE_FPS)
+    return resample(skeletons.to_character(motion), fps), load_speech(next(iter(sorted(folder.glob("*.wav")))))

@@ -1,0 +1,290 @@
+"""Lexeme interpreters as policies: what they choose on recorded speech, and what is measured of the choice.
+
+Every policy is given the performer's first lexeme of a recording and chooses the rest by itself, in silent blocks among
+the silent lexemes alone (where the bundle masks). M blocks are M - 1 decisions; S lexemes.
+
+What fools it: the training reward is what `greedy` and Q-networks were made to please. A policy that gains there and
+not under the judging model, which trained on other recordings, has found a hole in the reward and not a better gesture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+from scipy.stats import spearmanr
+from torch import Tensor
+from tqdm import tqdm
+
+from data_module.store import Recording
+from data_module.types import Array, Motion
+from eval.baselines.controls import ReplayInterpreter
+from eval.metrics.accuracy import lexeme_accuracy
+from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
+from eval.rows.row import EPISODE
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.features import SpeechFeatures
+from gesticulator.pipeline import Gesticulator
+from gesticulator.training.stages import Corpus
+from gesticulator.training.stages.interpreter import teacher_logits
+from gesticulator.training.stages.q_network import features_of, takes_of
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
+from interpreters.episodes import Demonstration
+from interpreters.lstm import LstmInterpreter
+
+Lexemes = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+RARE = 0.01
+"""A choice that the lstm gives less than this is out of distribution."""
+SEED = 0
+_TEMPERATURES = (0.002, 50.0)
+"""Between these a matched one is sought; Q values may differ by hundredths."""
+
+
+# ------------------------------------------------------------------------------- quantities: arrays in, numbers out
+
+def episode_return(rewards: Array, steps: int = EPISODE) -> float:
+    """The sum of r over `steps` decisions, the mean over all such windows of rewards [n]; NaN for fewer than that."""
+    if len(rewards) < steps:
+        return float("nan")
+    return float(np.lib.stride_tricks.sliding_window_view(rewards, steps).sum(axis=1).mean())
+
+
+def taken(values: Array, lexemes: Lexemes) -> Array:
+    """[n] the value of the lexeme that was taken, from the values of all [n, S]."""
+    return np.asarray(np.take_along_axis(values, lexemes[:, None], axis=1)[:, 0], dtype=np.float64)
+
+
+def regret(rewards: Array, lexemes: Lexemes, allowed: Mask) -> float:
+    """Mean over i of max_a r(s_i, a) - r(s_i, a_i), a among those allowed; rewards and allowed: [n, S]."""
+    return float((np.where(allowed, rewards, -np.inf).max(axis=1) - taken(rewards, lexemes)).mean())
+
+
+def silent_share(lexemes: Lexemes, silent: Mask, silent_lexemes: Lexemes) -> float:
+    """Percent of silent blocks with a silent lexeme; NaN without a silent block."""
+    return 100.0 * float(np.isin(lexemes[silent], silent_lexemes).mean()) if silent.any() else float("nan")
+
+
+def return_to_go(rewards: Array, gamma: float) -> Array:
+    """[n] G_i = r_i + gamma G_{i+1}, nothing after the last (RACER Eq. 1)."""
+    out, after = np.empty(len(rewards)), 0.0
+    for i in range(len(rewards) - 1, -1, -1):
+        out[i] = after = float(rewards[i]) + gamma * after
+    return out
+
+
+def conservative_gaps(q: Array, lexemes: Lexemes, allowed: Mask) -> tuple[float, float]:
+    """E[logsumexp Q - Q(a)] and E[max Q - Q(a)] over the lexemes a of the data, q and allowed [n, S] (RACER Eq. 11).
+
+    The first is what the conservative term brings down, and is the NLL of the data, in nats, if Q were logits.
+    """
+    masked, data = np.where(allowed, q, -np.inf), taken(q, lexemes)
+    return float((logsumexp(masked, axis=1) - data).mean()), float((masked.max(axis=1) - data).mean())
+
+
+def rank_correlation(first: Array, second: Array) -> float:
+    """Spearman's rho of two rows [n]; NaN where either is constant or has fewer than two values."""
+    if len(first) < 2 or np.ptp(first) == 0 or np.ptp(second) == 0:
+        return float("nan")
+    return float(spearmanr(first, second).statistic)
+
+
+def entropy_of(scores: Tensor) -> float:
+    """Mean entropy in nats of softmax(scores [n, S])."""
+    odds = scores.double().log_softmax(-1)
+    return float(-(odds.exp() * odds).sum(-1).mean())
+
+
+def matched_temperature(scores: Tensor, nats: float) -> float:
+    """The temperature at which softmax(scores [n, S] / T) has this mean entropy; by bisection: entropy rises with T."""
+    low, high = _TEMPERATURES
+    for _ in range(40):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if entropy_of(scores / middle) < nats else (low, middle)
+    return float(f"{(low * high) ** 0.5:.4g}")
+
+
+def allowed_lexemes(silent: Mask, silent_lexemes: Lexemes, size: int) -> Mask:
+    """[M, S] True where a lexeme may be chosen: any in speech, a silent one in silence (all, where there is none)."""
+    allowed = np.ones((len(silent), size), dtype=bool)
+    if len(silent_lexemes):
+        allowed[silent] = np.isin(np.arange(size), silent_lexemes)
+    return allowed
+
+
+# --------------------------------------------------------------------------------------------------------- policies
+
+@dataclass(frozen=True)
+class Decisions:
+    """What all policies decide on. takes: recordings with the performer's lexemes (hinted); the first lexeme of a take
+    is given, decision i is block i from 1 on. silent: [n] the silent lexemes; masked: whether they are all that may be
+    chosen in silence. size: S."""
+
+    corpus: Corpus
+    takes: list[Demonstration]
+    silent: Lexemes
+    masked: bool
+    size: int
+
+    @classmethod
+    def of(cls, bundle: bundles.Bundle, corpus: Corpus, labels: Lexemes, limit: int | None = None) -> Decisions:
+        """The first `limit` test recordings that hold a decision, with lexemes from labels [N]."""
+        takes = [take for take in takes_of(corpus, labels, "test") if len(take.blocks) > 1]
+        return cls(corpus, takes[:limit], bundle.silent, bundle.config.silence.mask, len(bundle.vectors))
+
+    def allowed(self, take: Demonstration) -> Mask:
+        """[M, S] which lexemes may be chosen on each block."""
+        return allowed_lexemes(take.silent & self.masked, self.silent, self.size)
+
+    def features(self, block: int, text: bool = False) -> BlockFeatures:
+        """What an interpreter hears, sees and reads of a block of the corpus (see `features_of`)."""
+        words = self.corpus.text(np.array([block]))[0] if text else None
+        return replace(features_of(self.corpus)(block), text=words)
+
+
+@dataclass(frozen=True)
+class Policy:
+    """An interpreter and how a lexeme is chosen from its scores (`interpreters.select`)."""
+
+    interpreter: LexemeInterpreter
+    temperature: float = 0.0
+    top: int | None = None
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a policy did on each take, [M] lexemes: on its own past, and on the performer's."""
+
+    free: list[Lexemes]
+    forced: list[Lexemes]
+
+
+class Rewards(Protocol):
+    """What is asked of a reward table (interpreters/reward.py)."""
+
+    window: int
+    """Blocks that a reward looks back on."""
+
+    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """[B, S] rewards of each last lexeme after a history [B, W - 1] on blocks [B, W]."""
+        ...
+
+    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
+        """[M, S] rewards of each lexeme at each block of a recording, the ones before it as they are."""
+        ...
+
+
+@torch.inference_mode()
+def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: bool = False) -> tuple[Lexemes, Array]:
+    """The lexemes [M] that a policy takes and its scores [M - 1, S] for them; the first lexeme is given.
+
+    teacher: its past is the performer's lexemes. Draws depend on the seed and the recording alone.
+    """
+    rng, allowed = np.random.default_rng([SEED, take.recording]), decisions.allowed(take)
+    reads = isinstance(policy.interpreter, LstmInterpreter) and policy.interpreter.config.reads
+    lexemes, scores = take.lexemes.copy(), np.empty((len(take.blocks) - 1, decisions.size))
+    state = policy.interpreter.start(take.speaker, int(lexemes[0]))
+    for i in range(1, len(lexemes)):
+        previous = int((take.lexemes if teacher else lexemes)[i - 1])
+        features = decisions.features(int(take.blocks[i]), reads)
+        scores[i - 1], state = policy.interpreter.step(state, features, previous)
+        lexemes[i] = select(scores[i - 1], allowed=np.flatnonzero(allowed[i]), temperature=policy.temperature,
+                            top=policy.top, rng=rng)
+    return lexemes, scores
+
+
+def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstration, teacher: bool) -> float:
+    """Percent of a take's blocks, but the first, on which the best score is the performer's lexeme (RG Table 6)."""
+    return lexeme_accuracy(walk(Policy(interpreter), decisions, take, teacher)[0][1:], take.lexemes[1:]).percent
+
+
+def greedy(rewards: Rewards, decisions: Decisions, take: Demonstration, teacher: bool = False) -> Lexemes:
+    """The lexemes [M] of the highest reward at each block, found by trying every one after those before.
+
+    No other choice has a higher reward at that block; over many blocks a patient one may do better still.
+    """
+    lexemes, allowed = take.lexemes.copy(), decisions.allowed(take)
+    for i in range(1, len(lexemes)):
+        begin = max(0, i - rewards.window + 1)
+        past = torch.as_tensor((take.lexemes if teacher else lexemes)[begin:i])[None]
+        blocks = torch.as_tensor(take.blocks[begin:i + 1])[None]
+        each = rewards.every(past, blocks, torch.ones(blocks.shape))[0].double().numpy()
+        lexemes[i] = int(np.where(allowed[i], each, -np.inf).argmax())
+    return lexemes
+
+
+@torch.inference_mode()
+def behaviour(model: LstmInterpreter, decisions: Decisions, take: Demonstration, lexemes: Lexemes) -> Array:
+    """[M - 1] pi_beta: what the lstm, among those allowed, gives each of `lexemes` [M] after the ones before it."""
+    logits = teacher_logits(model, decisions.corpus, take.blocks, lexemes)
+    blocked = torch.as_tensor(~decisions.allowed(take)[1:])
+    share = logits.double().masked_fill(blocked, -torch.inf).softmax(dim=-1).numpy()
+    return taken(share, lexemes[1:])
+
+
+def every_reward(rewards: Rewards, take: Demonstration, lexemes: Lexemes) -> Array:
+    """[M - 1, S] the reward that each lexeme would have had at each decision."""
+    each: Array = rewards.sequence_every(torch.as_tensor(lexemes), torch.as_tensor(take.blocks))[1:].double().numpy()
+    return each
+
+
+# --------------------------------------------------------------------------------------------- figures of one take
+
+@dataclass(frozen=True)
+class PolicyJudge:
+    """What choices are judged by. tables: reward tables by the prefix of their columns; lstm: tells common choices from
+    rare ones; training: the lexemes of the training split."""
+
+    decisions: Decisions
+    tables: Mapping[str, Rewards]
+    lstm: LstmInterpreter
+    training: Sequence[Lexemes]
+
+    def lexeme_values(self, take: Demonstration, free: Lexemes, forced: Lexemes) -> dict[str, float]:
+        """What the lexemes [M] of one take tell: chosen on the policy's own past, and on the performer's."""
+        own, right, allowed = free[1:], take.lexemes[1:], self.decisions.allowed(take)[1:]
+        values = dict[str, float]()
+        for prefix, rewards in self.tables.items():
+            each = every_reward(rewards, take, free)
+            got = taken(each, own)
+            values |= {f"{prefix}return": episode_return(got), f"{prefix}cosine": float(got.mean()),
+                       f"{prefix}regret": regret(each, own, allowed)}
+        return values | {
+            "accuracy": 100.0 * float((own == right).mean()),
+            "teacher_forced": 100.0 * float((forced[1:] == right).mean()),
+            "lexeme_diversity": diversity(own, self.decisions.size).nats, "longest_run": longest_run([own]),
+            "distinct_2": distinct_2([free]),
+            "rare": 100.0 * float((behaviour(self.lstm, self.decisions, take, free) < RARE).mean()),
+            "unseen_bigrams": 100.0 * unseen_bigrams([free], self.training),
+            "silent": silent_share(own, take.silent[1:], self.decisions.silent)}
+
+    def score_values(self, policy: Policy, take: Demonstration, valued: Rewards | None, gamma: float
+                     ) -> dict[str, float]:
+        """What scores tell as Q values: the gaps on the performer's lexemes, by how much Q overrates the first decision
+        and Spearman's rho of Q with the return-to-go on the policy's own. valued: the reward whose discounted sum they
+        estimate; None where they are no values."""
+        _, on_data = walk(policy, self.decisions, take, teacher=True)
+        nll, gap = conservative_gaps(on_data, take.lexemes[1:], self.decisions.allowed(take)[1:])
+        values = {"nll": nll, "gap": gap, "calibration": float("nan"), "spearman": float("nan")}
+        if valued is not None:
+            lexemes, scores = walk(policy, self.decisions, take)
+            q = taken(scores, lexemes[1:])
+            returns = return_to_go(taken(every_reward(valued, take, lexemes), lexemes[1:]), gamma)
+            values |= {"calibration": float(q[0] - returns[0]), "spearman": rank_correlation(q, returns)}
+        return values
+
+
+def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequence[Lexemes], label: str,
+            progress: bool, encoded: Sequence[SpeechFeatures] | None = None) -> list[Motion]:
+    """What the generator makes of these lexemes [M] for the speech of these recordings, the gate open. encoded: the
+    recordings' speech, where it was encoded before."""
+    replay = ReplayInterpreter(lexemes, len(system.bundle.vectors))
+    return [system(replace(recording.speech, words=None), speaker=recording.info.speaker, interpreter=replay,
+                   temperature=0.0, activity=1.0, encoded=encoded[place] if encoded else None).motion
+            for place, recording in enumerate(tqdm(recordings, desc=label, disable=not progress))]

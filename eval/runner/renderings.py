@@ -1,0 +1,308 @@
+"""What the acceptance looks at: voices, systems that gesture for them, and their renderings, kept between runs.
+
+A rendering is kept in a folder under a key of everything that it is made of: the bundle, the sound, the seed, what was
+asked, and the program itself, so that no change is overlooked. All figures are of what was read back, so that a second
+run gives the same to the digit.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import importlib.util
+import io
+import json
+import time
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.arrays import as_floats
+from data_module.errors import InputError
+from data_module.files import write_bytes
+from data_module.motion import rotation
+from data_module.motion.kinematics import resample
+from data_module.speech import audio
+from data_module.store import Split, Store
+from data_module.types import Array, Motion, Skeleton, Speech
+from eval.baselines import controls as baselines
+from eval.baselines.unit_selection import UnitDatabase, UnitSelection
+from eval.clip.excerpts import excerpt
+from eval.clip.foreign import edges_of_plan, find_motions, read_motion
+from eval.metrics.eye import VoiceActivity, hear
+from eval.metrics.eye.body import HZ
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.config import with_settings
+from gesticulator.bundle.features import SpeechFeatures
+from gesticulator.performance import Performance
+from gesticulator.pipeline import Gesticulator
+
+TAKE, TEST = "take", "test"
+"""Where a voice comes from: the real take, or the store's test split."""
+SECONDS = 60.0
+"""Of each test recording: a minute, over which drift is asked for."""
+SHORTEST = 20.0
+"""Seconds: shorter recordings have no repetition and hardly a stroke to speak of; they are left out."""
+PROGRAM = ("data_module", "lexicon", "interpreters", "generator", "gesticulator")
+
+
+@dataclass(frozen=True)
+class AcceptanceVoice:
+    """A voice. own: what its speaker does, where known; performer: whose habits are asked for; group: voices of one
+    group are alike; place: `TAKE`, `TEST`, or "made" for sounds that were put together."""
+
+    name: str
+    speech: Speech
+    place: str
+    own: Motion | None = None
+    performer: str | None = None
+    group: str = ""
+
+    @cached_property
+    def heard(self) -> VoiceActivity:
+        """What the figures need of the sound."""
+        return hear(self.speech)
+
+    @cached_property
+    def key(self) -> str:
+        """Of sound and words."""
+        told = hashlib.sha256(self.speech.samples.tobytes())
+        told.update(repr((self.speech.sample_rate, self.speech.words)).encode())
+        return told.hexdigest()
+
+
+def held_out_voices(store: Store, limit: int | None, joints: int, split: Split = "test") -> list[AcceptanceVoice]:
+    """The middle minute of every recording of a split that lasts long enough, with its performer's motion in so many
+    joints."""
+    chosen = [info for info in store.of_split(split) if info.seconds >= SHORTEST][:limit]
+    if not chosen:
+        raise InputError(store.path, f"has no {split} recording of {SHORTEST:g} s or more", "build a larger store")
+    out = []
+    for info in chosen:
+        piece = excerpt(store.load(info.name, joints), SECONDS)
+        out.append(AcceptanceVoice(info.name, piece.speech, TEST, piece.motion, info.speaker,
+                                   info.group or info.name))
+    return out
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What a system made. edges: [N + 1] seconds of its blocks, None where they are not known; silent: [N]; lexemes:
+    [N] those played; drawn: [N, K, D_m] the blocks as they were drawn; both empty where there are none. spent: seconds
+    of computing."""
+
+    motion: Motion
+    edges: Array | None
+    silent: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    lexemes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    drawn: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0, 0), np.float32))
+    spent: float = 0.0
+
+    def packed(self) -> bytes:
+        """As an archive of arrays."""
+        skeleton, memory = self.motion.skeleton, io.BytesIO()
+        np.savez(memory, rotations=self.motion.rotations.astype(np.float32),
+                 root=self.motion.root_positions.astype(np.float32), fps=self.motion.fps,
+                 names=np.array(skeleton.names), parents=np.array(skeleton.parents), offsets=skeleton.offsets,
+                 absent=np.array(self.motion.absent, dtype=str),
+                 edges=np.zeros(0) if self.edges is None else self.edges, silent=self.silent, lexemes=self.lexemes,
+                 drawn=self.drawn, spent=self.spent)
+        return memory.getvalue()
+
+    @classmethod
+    def unpacked(cls, data: bytes) -> Rendering:
+        """The inverse, but for single precision; ValueError or KeyError where it is none."""
+        with np.load(io.BytesIO(data), allow_pickle=False) as held:
+            skeleton = Skeleton(tuple(held["names"].tolist()), tuple(held["parents"].tolist()), held["offsets"])
+            motion = Motion(skeleton, rotation.normalise(as_floats(held["rotations"])), as_floats(held["root"]),
+                            float(held["fps"]), tuple(held["absent"].tolist()))
+            return cls(motion, held["edges"] if len(held["edges"]) else None, held["silent"], held["lexemes"],
+                       held["drawn"], float(held["spent"]))
+
+
+Pair = tuple[Rendering, Rendering | None]
+"""A rendering, and what the system makes of the same sound rolled."""
+
+
+@cache
+def program_key(packages: tuple[str, ...] = PROGRAM) -> str:
+    """Of every line of these packages; all that make motion when not told."""
+    told = hashlib.sha256()
+    for package in packages:
+        spec = importlib.util.find_spec(package)
+        for place in () if spec is None else spec.submodule_search_locations or ():
+            for file in sorted(Path(place).rglob("*.py")):
+                told.update(file.read_bytes())
+    return told.hexdigest()
+
+
+class KeptRenderings:
+    """A folder of renderings; without one nothing is kept."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+
+    def get(self, key: Sequence[Any]) -> tuple[Rendering | None, Path | None]:
+        """The rendering of a key and where it belongs; a damaged file counts as none."""
+        if self._folder is None:
+            return None, None
+        file = self._folder / f"{hashlib.sha256(json.dumps(list(key), default=str).encode()).hexdigest()[:24]}.npz"
+        try:
+            return Rendering.unpacked(file.read_bytes()), file
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None, file
+
+    @staticmethod
+    def put(made: Rendering, file: Path | None) -> Rendering:
+        """Keep it; what comes back is what would be read."""
+        data = made.packed()
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(file, data)
+        return Rendering.unpacked(data)
+
+
+class ListeningGesticulator(Gesticulator):
+    """The pipeline, with an ear on the blocks that were drawn."""
+
+    drawn: NDArray[np.float32]
+
+    def to_motion(self, features: NDArray[np.float32], *rest: Any, **named: Any) -> Motion:
+        self.drawn = features
+        return super().to_motion(features, *rest, **named)
+
+
+class RenderedSystem(Protocol):
+    """Who gestures. `pairs` gives its renderings of a voice, one for each seed, where it has any."""
+
+    name: str
+
+    def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
+        """With the sound rolled where that can be had."""
+
+
+class BundleSystem:
+    """A bundle that is played here, at the guidance and temperature that it was frozen with."""
+
+    def __init__(self, name: str, folder: Path, kept: KeptRenderings) -> None:
+        self.name, self.folder, self._kept = name, folder, kept
+        bundle = bundles.load(folder)
+        self.gesticulator = ListeningGesticulator(bundle)
+        self.key = hashlib.sha256((folder / bundles.INDEX).read_bytes()).hexdigest()
+        self._encoded: dict[str, tuple[SpeechFeatures, float]] = {}
+
+    @property
+    def bundle(self) -> bundles.Bundle:
+        """What is played."""
+        return self.gesticulator.bundle
+
+    def bare(self) -> BundleSystem:
+        """The same without rest and life laid over what the generator draws."""
+        other = copy.copy(self)
+        config = with_settings(self.bundle.config, ["silence.rest=decay", "silence.rest_decay=0"])
+        other.gesticulator = ListeningGesticulator(replace(self.bundle, config=config))
+        other.key, other._encoded = f"{self.key} bare", {}
+        return other
+
+    @property
+    def megabytes(self) -> float:
+        """Of its files."""
+        return sum(file.stat().st_size for file in self.folder.iterdir() if file.is_file()) / 1e6
+
+    def speaker(self, voice: AcceptanceVoice) -> str | None:
+        """Its own performer where the bundle knows her, else the bundle's default."""
+        return voice.performer if voice.performer in self.gesticulator.speakers else None
+
+    def render(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any) -> Rendering:
+        """A voice with a seed. asked: options beside speaker and seed, in plain values."""
+        found, file = self._kept.get(("bundle", self.key, program_key(), voice.key, self.speaker(voice), seed, rolled,
+                                      sorted(asked.items())))
+        if found is not None:
+            return found
+        made, spent = self.perform(voice, seed, rolled, **asked)
+        return self._kept.put(Rendering(made.motion, made.blocks.edges, made.blocks.silent, made.lexemes,
+                                        self.gesticulator.drawn, spent), file)
+
+    def perform(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any
+                ) -> tuple[Performance, float]:
+        """The same as a performance that is not kept, and the seconds that it took, features included."""
+        speech = audio.resample(voice.speech, audio.SAMPLE_RATE)
+        begin = time.perf_counter()
+        if voice.key not in self._encoded:
+            # One voice at a time: the features of an hour do not fit.
+            encoded = self.gesticulator.encode_speech(speech)
+            self._encoded = {voice.key: (encoded, time.perf_counter() - begin)}
+            begin = time.perf_counter()
+        encoded, listening = self._encoded[voice.key]
+        made = self.gesticulator(speech, encoded=baselines.rolled(encoded) if rolled else encoded, seed=seed,
+                                 speaker=self.speaker(voice), **asked)
+        return made, listening + time.perf_counter() - begin
+
+    def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
+        """Every seed, and with the sound rolled."""
+        return [(self.render(voice, seed), self.render(voice, seed, rolled=True)) for seed in seeds]
+
+
+class UnitSystem:
+    """Unit selection over a store's whole training split."""
+
+    def __init__(self, name: str, store: Store, work: Path | None, kept: KeptRenderings) -> None:
+        self.name, self._store, self._work, self._kept = name, store, work, kept
+
+    @cached_property
+    def _units(self) -> UnitSelection:
+        return UnitSelection(UnitDatabase.of(self._store, work=self._work))
+
+    def _render(self, voice: AcceptanceVoice, seed: int, rolled: bool) -> Rendering:
+        source = importlib.util.find_spec("eval.baselines.unit_selection")
+        assert source is not None and source.origin is not None
+        code = hashlib.sha256(Path(source.origin).read_bytes()).hexdigest()
+        found, file = self._kept.get(("units", self._store.fingerprint, program_key(), code, voice.key, seed, rolled))
+        if found is not None:
+            return found
+        begin = time.perf_counter()
+        made = self._units(voice.speech, seed=seed, rolled=baselines.ROLLED if rolled else 0)
+        return self._kept.put(Rendering(made.motion, made.blocks.edges, made.blocks.silent,
+                                        spent=time.perf_counter() - begin), file)
+
+    def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
+        """Every seed, and with the sound rolled."""
+        return [(self._render(voice, seed, False), self._render(voice, seed, True)) for seed in seeds]
+
+
+class FiledSystem:
+    """Motion files of another: VOICE.bvh or VOICE.ANYTHING.bvh, with the edges of its blocks in a plan beside it.
+    The real take's voice is called "take", those of the test split as their recordings."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.name = name
+        self._files, _ = find_motions(folder)
+
+    def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
+        """All of its files for a voice, whatever the seeds; nothing rolled."""
+        own = [file for stem, file in self._files.items() if stem == voice.name or stem.startswith(f"{voice.name}.")]
+        return [(Rendering(resample(read_motion(file), HZ), edges_of_plan(file.with_suffix(".json"))), None)
+                for file in own]
+
+
+def system_at(name: str, place: Path, kept: KeptRenderings) -> RenderedSystem:
+    """A bundle where the folder holds one, else motion files; InputError where it holds neither."""
+    return BundleSystem(name, place, kept) if (place / bundles.INDEX).is_file() else FiledSystem(name, place)
+
+
+def described(voices: Sequence[AcceptanceVoice]) -> dict[str, Any]:
+    """Voices for the facts of a table."""
+    return {"voices": [{"name": voice.name, "seconds": round(voice.speech.duration, 2), "place": voice.place}
+                       for voice in voices]}
+
+
+def plan_of(rendering: Rendering) -> str:
+    """What lies beside a motion file, so that it is judged at its own blocks."""
+    return json.dumps({"edges": [] if rendering.edges is None else rendering.edges.tolist()})
+

@@ -1,0 +1,475 @@
+"""`gesticulator score`: real, generated and foreign motion side by side, on the same clips, with the controls.
+
+    gesticulator score --truth DIR --system NAME=DIR ... [--speech DIR] [--fgd FOLDER] [--work DIR] [--bundle DIR]
+                       [--units STORE] [--split test] [--piece SECONDS] [--rate FPS] [--fps NAME=RATE]
+                       [--out results/score.json]
+
+Every DIR holds motion by clip (see `eval.clip.foreign` for what can be read), or is a store, of which one split counts,
+or a bundle, which is played for the sounds of the truth; clips are matched by their names, only those that all have are
+read, and what does not match is named. All motion is brought onto the 16-joint character, to the lowest frame rate
+among them (or --rate) and, clip by clip, to the shortest length. Each figure is a mean over clips with its bootstrap 95
+% interval, or of the set of clips, with the basic bootstrap's; systems are compared in pairs over the same clips.
+`eval.metrics.METRICS` lists the figures.
+
+Beside the systems stand rows of motion known to be wrong (`eval.baselines`), made of the truth: shuffled among the
+speeches, played backwards, with 2 cm of jitter, with the right arm's motion on both arms, the mean pose of each clip,
+held still, and that pose bobbing at the onsets. One half of the truth
+against the other is the floor of distances between sets. A metric that a control beats is marked, and by whom said: it
+cannot tell good from bad in that respect, and a good value of it proves nothing.
+
+What fools a table as a whole: few clips (a long take can be cut by --piece, but pieces of one take are alike, so that
+intervals are too narrow), and the many columns: of twenty, one is beyond its 95 % by chance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.store import SPLITS, Store
+from data_module.types import Array, Motion
+from eval import stats
+from eval.baselines import controls as baselines
+from eval.baselines.unit_selection import NAME as UNITS
+from eval.clip.clip_set import TRUTH, ClipSet, common_clips, listed, shared_names
+from eval.clip.foreign import Clip, named, names_in, read_folder
+from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd
+from eval.metrics.diversity import entropy, lexeme_moments, variance_of_moments
+from eval.metrics.encode import EncodedMotion, SpeechBlocks, encode_motion, judged_reward
+from eval.metrics.evaluate import (
+    LEXEME_METRICS,
+    MOTION_METRICS,
+    SYNCHRONY,
+    MotionBeats,
+    OnsetTrack,
+    Values,
+    clip_values,
+    eye_values,
+    lexeme_values,
+    synchrony,
+)
+from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_features, load, networks, pooled, published
+from eval.metrics.mismatch import Mismatch, matrix, mismatch
+from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
+from eval.runner.judges import with_judges
+from eval.score.played_rows import PlayedBundle, unit_selection_row
+from eval.score.tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
+from eval.stats import Indices, Interval
+from eval.table import Marked, publish
+
+RAW_FRAMES = (34, 60)
+"""Windows of the raw directions, at 15 fps, where networks of two lengths are not to be had."""
+MOST = 60
+"""Clips of a mismatch test at most, evenly chosen: it tries all pairs."""
+SAME = (1e-9, 1e-4)
+"""Figures that differ by less, absolutely or relatively, are equal: rounding of files and of sums leaves as much."""
+
+
+# ------------------------------------------------------------------------------------------------------------ rows
+
+@dataclass
+class ScoreRow:
+    """A set of motions and what was measured. kind: "truth", "system" or "control".
+
+    values: metric -> [clips]; sets: metric -> a figure of the clips with these numbers; features: network -> [n, E] by
+    clip; reasons: metric -> why its figure is undefined.
+    """
+
+    name: str
+    kind: str
+    motions: list[Motion]
+    beats: list[MotionBeats]
+    values: dict[str, Array] = field(default_factory=dict)
+    sets: dict[str, Callable[[Indices], float]] = field(default_factory=dict)
+    features: dict[str, list[Array]] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ScoreContext:
+    """What all rows are measured with. speeches: the blocks of each clip's speech as the bundle cuts it, None without
+    the one or the other; truth: the speakers' own motion in them."""
+
+    clips: ClipSet
+    tracks: list[OnsetTrack | None]
+    networks: Mapping[str, Features]
+    bundle: Any
+    seed: int
+    voices: list[eye.VoiceActivity | None]
+    space: eye.ReferenceSpace | None
+    speeches: list[SpeechBlocks | None]
+    truth: list[EncodedMotion | None] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, clips: ClipSet, networks: Mapping[str, Features], bundle: Any, seed: int) -> ScoreContext:
+        """Each speech is heard, cut and encoded once for all rows."""
+        speeches = [None if speech is None or bundle is None else SpeechBlocks.of(bundle, speech)
+                    for speech in clips.speeches]
+        made = cls(clips, [None if speech is None else OnsetTrack.of(speech) for speech in clips.speeches], networks,
+                   bundle, seed, [None if speech is None else eye.hear(speech) for speech in clips.speeches],
+                   eye.ReferenceSpace.found(), speeches)
+        return replace(made, truth=made.encoded(clips.motions[TRUTH]))
+
+    def encoded(self, motions: Sequence[Motion]) -> list[EncodedMotion | None]:
+        """Motions of all clips as the bundle reads them; None where nothing is said."""
+        return [None if speech is None else encode_motion(self.bundle, motion, speech.blocks, speech.speaker)
+                for motion, speech in zip(motions, self.speeches, strict=True)]
+
+    def row(self, name: str, kind: str, motions: list[Motion]) -> ScoreRow:
+        """Everything about one set of motions."""
+        row = ScoreRow(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
+        own = self.clips.motions[TRUTH]
+        truth = baselines.to_common_length(motions, own)[1]
+        _put(row, MOTION_METRICS, [
+            clip_values(motion, theirs, beats, track, self.seed + k) for k, (motion, theirs, beats, track)
+            in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
+        _put(row, tuple(EYE_METRICS), [
+            eye_values(motion, voice, None if speech is None else speech.blocks.edges, self.space)
+            for motion, voice, speech in zip(motions, self.voices, self.speeches, strict=True)])
+        row.features = {key: pooled(motions, network) for key, network in self.networks.items()}
+        ours, theirs = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
+                        for clips in (motions, own))
+        row.sets["speed_distance"] = lambda chosen: hellinger(ours[chosen].sum(0), theirs[chosen].sum(0))
+        self._lexemes(row)
+        return row
+
+    def _lexemes(self, row: ScoreRow) -> None:
+        """What the lexemes nearest to a row's blocks say, where there is a lexicon."""
+        of_sets = ("diversity", "motion_variance")
+        if self.bundle is None:
+            row.values |= {metric: np.full(len(row.motions), np.nan) for metric in LEXEME_METRICS}
+            row.reasons |= dict.fromkeys((*of_sets, *LEXEME_METRICS), "no lexicon was given (--bundle)")
+            return
+        encoded, judged = self.encoded(row.motions), self.bundle.reward_judge is not None
+        _put(row, LEXEME_METRICS, [lexeme_values(
+            motion, truth, math.nan if motion is None or speech is None else judged_reward(self.bundle, motion, speech),
+            judged) for motion, truth, speech in zip(encoded, self.truth, self.speeches, strict=True)])
+        if not any(encoded):
+            row.reasons |= dict.fromkeys(of_sets, "no speech is known")
+            return
+        vectors = self.bundle.lexicon.vectors.double().numpy()
+        moments = lexeme_moments([None if one is None else (one.latents.double().numpy(), one.labels)
+                                  for one in encoded], vectors)
+        row.sets["diversity"] = lambda chosen: entropy(moments[0][chosen].sum(axis=0))
+        row.sets["motion_variance"] = lambda chosen: variance_of_moments(
+            *(part[chosen].sum(axis=0) for part in moments))
+
+
+def _put(row: ScoreRow, metrics: Sequence[str], every: Sequence[Values]) -> None:
+    """The values of all clips into a row, and why some have none."""
+    for metric in metrics:
+        row.values[metric] = np.array([values.numbers[metric] for values in every])
+        why = sorted({values.reasons[metric] for values in every if metric in values.reasons})
+        if why:
+            lacking = int(np.isnan(row.values[metric]).sum())
+            row.reasons[metric] = f"{lacking} of {len(every)} clips: {'; '.join(why)}"
+
+
+def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.VoiceActivity | None] = ()
+                 ) -> tuple[dict[str, list[Motion]], list[str]]:
+    """Each control's motions, and why one could not be made. voices: of each clip, None where its speech is
+    not known; without any nothing bobs."""
+    truth, notes = clips.motions[TRUTH], []
+    made = {STILL: baselines.mean_pose(truth)}
+    groups: list[str] | None = clips.groups
+    try:
+        baselines.donors(truth, seed, groups)
+    except ValueError:
+        groups = None
+        notes.append("clips of one sound could not be kept apart in the shuffled row and the halves: too few groups")
+    for name, make in baselines.CONTROLS.items():
+        try:
+            made[name] = (baselines.shuffled(truth, seed, groups) if name == "shuffled" else make(truth, seed))
+        except ValueError as error:
+            notes.append(f"no row {name}: {error}")
+    if any(voices):
+        made[BOBBING] = baselines.bobbing(truth, [np.zeros(0) if voice is None else voice.onsets[0]
+                                                  for voice in voices])
+    return made, notes
+
+
+# --------------------------------------------------------------------------------------------------------- figures
+
+def row_figures(row: ScoreRow, truth: ScoreRow, context: ScoreContext
+                ) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
+    """Every metric of a row, and the distances by network."""
+    out: dict[str, Interval] = {name: stats.mean_interval(values, seed=context.seed)
+                                for name, values in row.values.items()}
+    for name in SET_METRICS:
+        least = 0.0 if name == "speed_distance" else -math.inf
+        out[name] = (stats.of_set(row.sets[name], len(row.motions), seed=context.seed, least=least)
+                     if name in row.sets else Interval.undefined())
+    distances = {key: fgd.measure(row.features[key], truth.features[key], network, paired=True, seed=context.seed)
+                 for key, network in context.networks.items()}
+    figures = {name: Marked(value, reason=row.reasons.get(name, _undefined(name, value)))
+               for name, value in out.items()}
+    return figures | {key: fgd_cell(figure, row.kind == TRUTH) for key, figure in distances.items()}, distances
+
+
+def _undefined(name: str, value: Interval) -> str:
+    return "" if math.isfinite(value.mean) else f"{name} is not defined for these clips"
+
+
+def fgd_cell(figure: fgd.Figure, sure: bool = False) -> Marked:
+    """A distance; (?) where the sample is too small for it. sure: of the truth against itself."""
+    doubt = not sure and math.isfinite(figure.distance) and figure.verdict.startswith("no")
+    return Marked(replace(figure.interval, mean=figure.distance), "(?)" if doubt else "", figure.reason)
+
+
+def floor_figures(truth: ScoreRow, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
+    """Distances between two halves of the truth; what is no distance between sets has none."""
+    out = {name: Marked(Interval.undefined(), reason=NO_FLOOR) for name in (*CLIP_METRICS, *EYE_METRICS, *SET_METRICS)}
+    place = {id(motion): k for k, motion in enumerate(truth.motions)}
+    groups = context.clips.groups if len(set(context.clips.groups)) > 1 else None
+    try:
+        both = baselines.split_halves(truth.motions, context.seed, groups)
+    except ValueError as error:
+        return out | {key: Marked(Interval.undefined(), reason=str(error))
+                      for key in ("speed_distance", *context.networks)}, {}
+    halves = [[place[id(motion)] for motion in half] for half in both]
+    counts = [np.sum([speed_histogram(hand_speeds(truth.motions[k])) for k in half], axis=0) for half in halves]
+    out["speed_distance"] = Marked(Interval.exact(hellinger(counts[0], counts[1]), min(map(len, halves))))
+    distances = {}
+    for key, network in context.networks.items():
+        first, second = ([truth.features[key][k] for k in half] for half in halves)
+        distances[key] = fgd.measure(first, second, network, seed=context.seed)
+    return out | {key: fgd_cell(figure) for key, figure in distances.items()}, distances
+
+
+def differences(first: ScoreRow, second: ScoreRow, truth: ScoreRow, context: ScoreContext) -> dict[str, Marked]:
+    """First less second, paired over clips, with intervals."""
+    out = {name: stats.paired(first.values[name], second.values[name], seed=context.seed)
+           for name in (*CLIP_METRICS, *EYE_METRICS)}
+    for name in SET_METRICS:
+        if name in first.sets and name in second.sets:
+            out[name] = stats.of_set(_less(first.sets[name], second.sets[name]), len(first.motions), seed=context.seed)
+    for key in context.networks:
+        out[key] = fgd.difference(first.features[key], second.features[key], truth.features[key])
+    return {name: Marked(value) for name, value in out.items()}
+
+
+def _less(first: Callable[[Indices], float], second: Callable[[Indices], float]) -> Callable[[Indices], float]:
+    """First less second, of the same clips."""
+    return lambda chosen: first(chosen) - second(chosen)
+
+
+def mismatches(rows: Sequence[ScoreRow], context: ScoreContext) -> dict[str, dict[str, Mismatch]]:
+    """The mismatch test of each row by each metric of synchrony."""
+    known = [k for k, track in enumerate(context.tracks) if track is not None]
+    few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
+    tracks = [track for k in few if (track := context.tracks[k]) is not None]
+
+    def tried(name: str, beats: Sequence[MotionBeats]) -> Array:
+        return matrix(lambda i, j: synchrony(name, beats[i], tracks[j]), len(beats))
+
+    return {row.name: {name: mismatch(tried(name, [row.beats[k] for k in few]), seed=context.seed)
+                       for name in SYNCHRONY} for row in rows}
+
+
+# ----------------------------------------------------------------------------------------------------------- flags
+
+def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, Metric], seed: int) -> list[Flag]:
+    """Which control beats what, by which metric.
+
+    A control beats a system when its value is the better one, by more than rounding; the truth when it is as good or
+    better by a metric where more is better; the floor when a distance between sets is no larger. It is not told from
+    the truth when the paired interval of their difference holds 0. One that is as good as a system says so too: what is
+    known to be wrong does no worse.
+    """
+    found = []
+    systems = [row.name for row in rows.values() if row.kind == "system"]
+    for name, metric in metrics.items():
+        for control in (row for row in rows.values() if row.kind == "control"):
+            says = _against_truth(name, metric, control, rows[TRUTH], figures, seed)
+            own = _badness(metric, figures, name, control.name)
+            theirs = {system: _badness(metric, figures, name, system) for system in systems}
+            beaten = [system for system, value in theirs.items() if _below(own, value)]
+            alike = [system for system, value in theirs.items() if math.isfinite(own) and math.isfinite(value)
+                     and not _below(own, value) and not _below(value, own)]
+            says += [f"beats {', '.join(beaten)}"] if beaten else []
+            says += [f"is as good as {', '.join(alike)}"] if alike else []
+            if says and metric.good:
+                found.append(Flag(name, control.name, "; ".join(says)))
+    return found
+
+
+def mean_of(figures: Figures, row: str, metric: str) -> float:
+    """A figure without its interval; NaN where it is not there."""
+    cell = figures.get(row, {}).get(metric)
+    return cell.value.mean if cell is not None and isinstance(cell.value, Interval) else math.nan
+
+
+def _below(first: float, second: float) -> bool:
+    return second - first > SAME[0] + SAME[1] * max(abs(first), abs(second))
+
+
+def _badness(metric: Metric, figures: Figures, name: str, row: str) -> float:
+    value = mean_of(figures, row, name)
+    if metric.good == "near":
+        return abs(value - mean_of(figures, TRUTH, name))
+    return -value if metric.good == "high" else value
+
+
+def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow, figures: Figures, seed: int
+                   ) -> list[str]:
+    own, theirs = mean_of(figures, control.name, name), mean_of(figures, TRUTH, name)
+    if not (math.isfinite(own) and math.isfinite(theirs)):
+        return []
+    if metric.good == "low":
+        floor = mean_of(figures, FLOOR, name)
+        return [f"is no farther than half of the truth from the other ({own:.3g}, {floor:.3g})"] if own <= floor else []
+    if metric.good == "high" and own >= theirs:
+        return [f"beats the truth ({own:.3g}, {theirs:.3g})"]
+    apart = (stats.paired(control.values[name], truth.values[name], seed=seed) if name in control.values
+             else stats.of_set(_less(control.sets[name], truth.sets[name]), len(truth.motions), seed=seed))
+    near = apart.low <= 0.0 <= apart.high
+    return [f"is not told from the truth ({own:.3g}, {theirs:.3g})"] if near or own == theirs else []
+
+
+def score(clips: ClipSet, networks: Mapping[str, Features], bundle: Any = None, *, with_controls: bool = True,
+          seed: int = 0) -> Scores:
+    """Measure all rows on the same clips."""
+    context = ScoreContext.of(clips, networks, bundle, seed)
+    made, notes = control_rows(clips, seed, context.voices) if with_controls else ({}, [])
+    rows = {name: context.row(name, TRUTH if name == TRUTH else "system", motions)
+            for name, motions in clips.motions.items()}
+    rows |= {name: context.row(name, "control", motions) for name, motions in made.items()}
+    both = {name: row_figures(row, rows[TRUTH], context) for name, row in rows.items()}
+    if with_controls:
+        both[FLOOR] = floor_figures(rows[TRUTH], context)
+    figures = {name: pair[0] for name, pair in both.items()}
+    distances = {name: pair[1] for name, pair in both.items()}
+    metrics = {**CLIP_METRICS, **EYE_METRICS, **SET_METRICS,
+               **{key: replace(METRICS["fgd"], title=f"FGD, {key}") for key in networks}}
+    systems = [row for row in rows.values() if row.kind == "system"]
+    return Scores(
+        clips.names, round(clips.seconds, 2), clips.fps, metrics,
+        {name: rows[name].kind if name in rows else "floor" for name in both}, figures,
+        {f"{a.name} - {b.name}": differences(a, b, rows[TRUTH], context)
+         for a, b in itertools.combinations(systems, 2)},
+        distances, mismatches(list(rows.values()), context),
+        flags(rows, figures, metrics, seed), [*clips.notes, *notes])
+
+
+# --------------------------------------------------------------------------------------------------------- command
+
+def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict[str, Features]:
+    """What FGD is measured in, two window lengths at least: the papers' network (fgd_folder), our own that lie in work
+    (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
+    found: list[Features] = [published(fgd_folder)] if fgd_folder else []
+    own = sorted(file.parent for file in work.rglob("gesture_features.json")) if work is not None else []
+    if work is not None and not own and (truth / "store.json").is_file():
+        work.mkdir(parents=True, exist_ok=True)
+        found += [one for one in networks(Store.open(truth), work) if one.name.startswith("own")]
+    found += [as_features(load(folder)) for folder in own]
+    for frames in RAW_FRAMES:
+        lengths = {round(one.frames / one.fps, 6) for one in found}
+        if len(lengths) < 2 and round(frames / FPS, 6) not in lengths:
+            found.append(RawFeatures(frames))
+    table: dict[str, Features] = {}
+    for one in found:
+        length = f"{one.frames} frames"
+        name = one.name if one.name.endswith(length) else f"{one.name}, {length}"
+        # Two networks of our own may differ only in what they were trained on.
+        table[name if name not in table else f"{name} ({one.sha256[:8]})"] = one
+    return table
+
+
+def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]], list[str]]:
+    """The clips of truth and systems, and what was left out of their folders."""
+    systems = named(arguments.system, "--system")
+    for name in (TRUTH, FLOOR, STILL, BOBBING, UNITS, *baselines.CONTROLS):
+        if name in systems:
+            raise InputError(f"--system {name}", "is the name of a row of its own", "choose another")
+    rates = {name: _positive(f"--fps {name}", value) for name, value in named(arguments.fps, "--fps").items()}
+    unknown = sorted(set(rates) - {TRUTH, *systems})
+    if unknown:
+        raise InputError(f"--fps {unknown[0]}", "names no system", f"choose among {', '.join((TRUTH, *systems))}")
+    played = {name: bundle for name, place in systems.items() if (bundle := PlayedBundle.named(place))}
+    for name in sorted(set(rates) & set(played)):
+        raise InputError(f"--fps {name}", "is for motion files, and a bundle is played at its own rate", "leave it out")
+    places = {TRUTH: arguments.truth,
+              **{name: Path(place) for name, place in systems.items() if name not in played}}
+    names, notes = shared_names({name: names_in(place, arguments.split) for name, place in places.items()})
+    folders: dict[str, dict[str, Clip]] = {}
+    for name, place in places.items():
+        folders[name], left_out = read_folder(place, arguments.speech, rates.get(name), names, arguments.split)
+        notes += [f"{name}: {one}" for one in left_out]
+    folders |= {name: bundle.row(folders[TRUTH], arguments.seed) for name, bundle in played.items()}
+    silent = [name for name in names if all(clips[name].speech is None for clips in folders.values())]
+    if silent and arguments.speech is not None:
+        raise InputError(arguments.speech, f"has no sound for {listed(silent, 3)}",
+                         "put a sound of that name there, or leave --speech out")
+    return folders, notes
+
+
+def _positive(what: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = float("nan")
+    if not (np.isfinite(number) and number > 0):
+        raise InputError(what, f"is {value}", "give a number over 0")
+    return number
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What `gesticulator score` takes."""
+    add = parser.add_argument
+    add("--truth", type=Path, required=True, metavar="DIR", help="the speakers' own motion, or a store")
+    add("--system", action="append", required=True, metavar="NAME=DIR",
+        help="motion files, or a bundle ('shipped' for the shipped one) that is run on the audio of the truth, "
+        "NAME=BUNDLE:INTERPRETER; can be repeated")
+    add("--speech", type=Path, metavar="DIR", help="folder of the audio (default: beside the motion)")
+    add("--fgd", type=Path, metavar="FOLDER", help="folder of the Human3.6M network of the papers")
+    add("--work", type=Path, metavar="DIR",
+        help="work folder for our own networks of gesture features; that of the bundle's training also contains the "
+        "judging reward model")
+    add("--bundle", metavar="DIR",
+        help="bundle whose lexicon measures diversity, motion variance and lexeme accuracy, and whose judging model "
+        "in --work measures the reward ('shipped' for the shipped one)")
+    add("--split", default="test", choices=(*SPLITS, "all"), help="split of the store to compare (default: test)")
+    add("--piece", metavar="SECONDS", help="cut long clips into pieces of this length")
+    add("--rate", metavar="FPS", help="frame rate of the comparison (default: the lowest of all)")
+    add("--fps", action="append", default=[], metavar="NAME=RATE",
+        help="frame rate of a system's files, or truth=RATE, if they state none or a wrong one")
+    add("--units", metavar="STORE",
+        help="add unit selection from this store's training split, the baseline that a system has to beat")
+    add("--no-controls", action="store_true", help="leave out the negative controls")
+    add("--seed", type=int, default=0)
+    add("--out", type=Path, metavar="FILE.json", help="output file; a .md is written beside it")
+
+
+def scored(arguments: argparse.Namespace) -> Scores:
+    """What the command measures; InputError for what the user gave and cannot be used."""
+    rate, piece = (None if value is None else _positive(name, value)
+                   for name, value in (("--rate", arguments.rate), ("--piece", arguments.piece)))
+    bundle = None
+    if arguments.bundle:
+        from gesticulator.bundle import bundle as bundles
+
+        bundle = with_judges(bundles.load(bundles.SHIPPED if arguments.bundle == "shipped" else arguments.bundle),
+                             arguments.work)
+        # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
+        _ = bundle.block_models
+    folders, left_out = read_all(arguments)
+    if arguments.units:
+        folders[UNITS] = unit_selection_row(folders[TRUTH], Store.open(arguments.units), arguments.work, arguments.seed)
+    networks = networks_of(arguments.fgd, arguments.work, arguments.truth)
+    clips = common_clips(folders, rate, piece)
+    clips.notes[:0] = left_out
+    return score(clips, networks, bundle, with_controls=not arguments.no_controls, seed=arguments.seed)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, write and show."""
+    publish(tables(scored(arguments)), arguments.out)
+    return 0

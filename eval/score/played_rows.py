@@ -1,0 +1,65 @@
+"""Rows of `gesticulator score` that are made here for the truth's own sounds: a bundle, played, and unit selection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from data_module.errors import InputError
+from data_module.motion.skeletons import to_character
+from data_module.store import Store
+from data_module.types import Speech
+from eval.clip.foreign import Clip
+from gesticulator.bundle import bundle as bundles
+from gesticulator.pipeline import Gesticulator
+from interpreters import INTERPRETERS
+
+SHIPPED = "shipped"
+
+
+@dataclass(frozen=True)
+class PlayedBundle:
+    """A bundle and who chooses its lexemes (None: its first interpreter)."""
+
+    folder: Path
+    interpreter: str | None = None
+
+    @classmethod
+    def named(cls, place: str) -> PlayedBundle | None:
+        """BUNDLE or BUNDLE:INTERPRETER, where BUNDLE may be "shipped"; None for a place that holds no bundle."""
+        before, colon, after = place.rpartition(":")
+        own, chooser = (before, after) if colon and after in INTERPRETERS else (place, None)
+        folder = bundles.SHIPPED if own == SHIPPED else Path(own)
+        return cls(folder, chooser) if (folder / bundles.INDEX).is_file() else None
+
+    def row(self, truth: Mapping[str, Clip], seed: int) -> dict[str, Clip]:
+        """What it makes of the truth's sounds, in the manner of each clip's own speaker where the bundle knows her.
+
+        InputError for a clip without speech, and where the bundle lacks the interpreter.
+        """
+        system = Gesticulator(bundles.load(self.folder))
+        row = {}
+        for name, clip in truth.items():
+            speech = speech_of(name, clip, "to gesture to", "give --speech, or motion files for --system")
+            speaker = speech.speaker if speech.speaker in system.speakers else None
+            made = system(speech, speaker=speaker, interpreter=self.interpreter, seed=seed)
+            row[name] = replace(clip, motion=to_character(made.motion))  # without fingers, as files are read
+        return row
+
+
+def unit_selection_row(truth: Mapping[str, Clip], store: Store, work: Path | None, seed: int) -> dict[str, Clip]:
+    """What unit selection makes of the truth's speech; InputError for a clip without speech."""
+    from eval.baselines.unit_selection import UnitDatabase, UnitSelection
+
+    units = UnitSelection(UnitDatabase.of(store, work=work))
+    return {name: replace(clip, motion=units(
+        speech_of(name, clip, "to select units by", "give --speech, or leave --units out"), seed=seed).motion)
+        for name, clip in truth.items()}
+
+
+def speech_of(name: str, clip: Clip, what: str, to_do: str) -> Speech:
+    """The sound of a clip; InputError where it has none."""
+    if clip.speech is None:
+        raise InputError(name, f"has no sound {what}", to_do)
+    return clip.speech

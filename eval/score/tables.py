@@ -1,0 +1,167 @@
+"""What `eval.score` measures, and its tables: figures by part, the mismatch test, the flags, and how to read them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from eval.clip.clip_set import TRUTH
+from eval.metrics import Metric, fgd
+from eval.metrics.mismatch import Mismatch
+from eval.table import Cell, Column, Marked, Table, shown_cell
+
+FEW = 10
+"""Clips below which intervals are too narrow."""
+FLOOR, STILL, BOBBING = "truth, half against half", "still", "bobbing"
+NO_FLOOR = "a floor is of distances between sets"
+
+Figures = dict[str, dict[str, Marked]]
+"""row -> metric -> a figure, with the reason where it is undefined or not to be trusted."""
+
+
+@dataclass(frozen=True)
+class Flag:
+    """What a control does to a metric."""
+
+    metric: str
+    control: str
+    says: str
+
+
+@dataclass(frozen=True)
+class Scores:
+    """All that was measured. metrics: by column, FGD by network; kinds: row -> "truth", "system", "control", "floor".
+
+    distances: row -> network -> an FGD with what it depends on.
+    """
+
+    clips: Sequence[str]
+    seconds: float
+    fps: float
+    metrics: Mapping[str, Metric]
+    kinds: Mapping[str, str]
+    figures: Figures
+    differences: Figures
+    distances: Mapping[str, Mapping[str, fgd.Figure]]
+    mismatch: Mapping[str, Mapping[str, Mismatch]]
+    flags: Sequence[Flag]
+    notes: Sequence[str]
+
+
+_GOOD = {"low": "less is better", "high": "more is better", "near": "near the truth's is good", "": "no judgement"}
+_PARTS = {"joints": "Joints against the speaker's own", "beats": "Motion beats and onsets",
+          "consistency": "Beat consistency", "vigour": "Vigour and smoothness", "lexemes": "As the bundle reads it",
+          "eye hands": "What the eye sees: two hands", "eye trunk": "What the eye sees: trunk and life",
+          "eye strokes": "What the eye sees: strokes", "eye voice": "What the eye sees: in time with the voice",
+          "eye frechet": "What the eye sees: everything at once", "sets": "Sets of motion",
+          "fgd": "Sets of motion, by a network's features"}
+_ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
+         "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
+         "jitter": "the truth with every joint 2 cm off, anew in each frame",
+         "mirrored": "the truth with the right arm's motion on both arms",
+         BOBBING: "the truth's mean pose whose forearms stop at every onset"}
+_LEGEND = (
+    "[low, high]: 95 % interval over clips. -: undefined, the reason is told below. (!): a metric that a control "
+    "beats, see below. (?): a distance of a set too small for it, see \"FGD of\".",
+    "PMB: share of motion beats with an onset of the speech within so many seconds. Beats A: where the arms brake "
+    "hardest; B: where they stand still. Chance is the same motion with the speech moved.")
+
+
+def tables(scores: Scores) -> list[Table]:
+    """What is compared, a table for each part, and what to make of it; metrics that a control beats bear (!)."""
+    flagged = {flag.metric for flag in scores.flags}
+    out = [_about(scores)]
+    for part, title in _PARTS.items():
+        metrics = {name: metric for name, metric in scores.metrics.items() if metric.part == part}
+        rows = {name: row for name, row in scores.figures.items() if part in ("sets", "fgd") or name != FLOOR}
+        if metrics:
+            columns = {name: Column(f"{metric.title}{' (!)' if name in flagged else ''}",
+                                    f"{metric.unit}{', ' if metric.unit else ''}{_GOOD[metric.good]}", metric.digits,
+                                    metric.good) for name, metric in metrics.items()}
+            out.append(Table(title, columns, {name: {key: row[key] for key in columns if key in row}
+                                              for name, row in {**rows, **scores.differences}.items()}, "row"))
+    return [*out, _mismatch_table(scores), _fgd_table(scores), _flag_table(scores), *_reason_tables(scores)]
+
+
+def _about(scores: Scores) -> Table:
+    """What is compared, what the rows are, how cells are to be read."""
+    clips, kinds = len(scores.clips), scores.kinds
+    few = f" Fewer than {FEW} clips: the intervals are too narrow." if clips < FEW else ""
+    rows: dict[str, str] = {TRUTH: _ROWS[TRUTH]} | {name: "judged" for name, kind in kinds.items() if kind == "system"}
+    rows |= {name: f"{_ROWS[name]} (control, known to be wrong)" for name, kind in kinds.items() if kind == "control"}
+    if FLOOR in kinds:
+        rows[FLOOR] = "as far apart as two sets of real motion of this size are"
+    if scores.differences:
+        rows["A - B"] = "the difference of two systems, paired over clips"
+    facts = {"clips": list(scores.clips), "seconds": scores.seconds, "fps": scores.fps, "notes": list(scores.notes),
+             "systems": [name for name, kind in kinds.items() if kind == "system"],
+             "controls": [name for name, kind in kinds.items() if kind == "control"]}
+    return Table(f"{clips} clip{'' if clips == 1 else 's'}, {scores.seconds:.0f} s, at {scores.fps:g} fps.{few}",
+                 {"what": Column("what it is")}, {name: {"what": told} for name, told in rows.items()}, "row",
+                 [*_LEGEND, *(f"Note: {note}." for note in scores.notes)], facts)
+
+
+def _mismatch_table(scores: Scores) -> Table:
+    """Right speech against others'; a row for each row and metric."""
+    rows: dict[str, dict[str, Any]] = {}
+    for name, tests in scores.mismatch.items():
+        for metric, test in tests.items():
+            digits = scores.metrics[metric].digits + 1
+            cells: dict[str, Cell] = {"right": test.right, "wrong": test.wrong, "difference": test.difference}
+            rows[f"{name}, {scores.metrics[metric].title}"] = {
+                **{key: shown_cell(cell, digits) for key, cell in cells.items()},
+                "p": test.reason or f"{test.p_value:.3g}"}
+    clips = len(scores.clips)
+    notes = [f"With {clips} clips p cannot be below {1 / math.factorial(clips):.3g}: look at the differences, or take "
+             "more clips (or --piece)."] if 1 < clips < 5 else []
+    facts = {name: {metric: test.to_dict() for metric, test in tests.items()}
+             for name, tests in scores.mismatch.items()}
+    return Table("Mismatch test", {"right": Column("right speech"), "wrong": Column("others'"),
+                                   "difference": Column("difference"), "p": Column("p")}, rows, "row, metric", notes,
+                 facts)
+
+
+def _fgd_table(scores: Scores) -> Table:
+    """Is each distance of enough windows?"""
+    rows: dict[str, dict[str, Any]] = {}
+    for name, distances in scores.distances.items():
+        for key, figure in distances.items() if name != TRUTH else ():
+            rows[f"{name}, {key}"] = {
+                "network": f"{figure.features} ({figure.sha256[:12]})",
+                "window": f"{figure.frames} at {figure.fps:g} fps",
+                "windows": f"{figure.windows[0]} / {figure.windows[1]}", "needed": figure.needed,
+                "bias": f"{figure.bias:.2g}" if math.isfinite(figure.bias) else None, "enough": figure.verdict}
+    heads = {"network": "network (SHA-256)", "window": "window", "windows": "windows of it / of the truth",
+             "needed": "needed", "bias": "bias of the sample", "enough": "enough?"}
+    return Table("FGD of", {key: Column(title) for key, title in heads.items()}, rows, "row, network", [
+        "Bias of the sample: as far as two samples of this size of one motion are apart by chance, if windows were "
+        "independent; those of one clip are not, so it is more."])
+
+
+def _flag_table(scores: Scores) -> Table:
+    """Which metrics cannot be trusted."""
+    title, column = "Metrics that a control beats", {"says": Column("by what")}
+    if "control" not in scores.kinds.values():
+        return Table(title, {}, {}, notes=["No controls were measured, so nothing here says which metric can be "
+                                           "trusted."])
+    told: dict[str, list[str]] = {}
+    for flag in scores.flags:
+        told.setdefault(scores.metrics[flag.metric].heading, []).append(f"*{flag.control}* {flag.says}")
+    return Table(title, column if told else {}, {name: {"says": ". ".join(says)} for name, says in told.items()},
+                 "metric", [] if told else ["None."],
+                 {"flags": [vars(flag) | {"title": scores.metrics[flag.metric].heading} for flag in scores.flags]})
+
+
+def _reason_tables(scores: Scores) -> list[Table]:
+    """Why figures are undefined, if any are; by reason."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for metric, column in scores.metrics.items():
+        cells = {name: row[metric] for name, row in scores.figures.items() if metric in row and column.part != "fgd"}
+        for reason in dict.fromkeys(cell.reason for cell in cells.values() if cell.reason not in ("", NO_FLOOR)):
+            rows = ", ".join(name for name, cell in cells.items() if cell.reason == reason)
+            found.setdefault((reason, rows), []).append(column.heading)
+    return [Table("Undefined", {"rows": Column("rows"), "why": Column("why")}, {
+        "; ".join(titles): {"rows": rows, "why": reason} for (reason, rows), titles in found.items()}, "metrics")
+    ] if found else []

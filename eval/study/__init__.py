@@ -1,0 +1,1 @@
+"""A user study: the page for raters, and what their answers say."""
