@@ -9,6 +9,8 @@ computed anew in either case. The LSTM interpreter stands beside it for scale; s
 from __future__ import annotations
 
 import argparse
+import shlex
+import sys
 import time
 from dataclasses import replace
 
@@ -16,7 +18,7 @@ import numpy as np
 import torch
 
 from data_module.layers import freeze
-from eval.table import Column, Table, publish
+from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle import bundle as bundles
 from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.cql import QNetwork
@@ -65,12 +67,14 @@ def main() -> None:
     rows = {"Q-network, cached": row(network, blocks, window, 5), "Q-network, full": row(full, blocks, window, 5),
             "Q-network of the paper's size, cached": row(paper, blocks, window, 1),
             "lstm": row(bundle.block_models.interpreter, blocks, window, 5)}
-    publish([table(rows, window)], a.out)
+    publish([table(rows, window)], a.out,
+            Provenance.now(shlex.join(["python", "benchmarks/q_network.py", *sys.argv[1:]])))
 
 
 def table(rows: dict[str, dict[str, float]], window: int) -> Table:
     """What is shown."""
-    return Table("", {key: Column(key, "ms a block") for key in ("window filling", "past the window")}, rows,
+    return Table("What a block costs the Q-network", {
+        key: Column(key, "ms a block") for key in ("window filling", "past the window")}, rows,
                  "one thread", facts={"decisions": window})
 
 

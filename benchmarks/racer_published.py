@@ -8,13 +8,15 @@ steps: the losses must fall. It tells that the presets run and what a step costs
 from __future__ import annotations
 
 import argparse
+import shlex
+import sys
 import time
 
 import torch
 from torch import Tensor
 
 from data_module.layers import parameter_count
-from eval.table import Column, Table, publish
+from eval.table import Column, Provenance, Table, publish
 from gesticulator.training import presets
 from interpreters.cql import ConservativeQ, QNetwork
 from lexicon.racer import FRAMES, RacerCodec
@@ -64,12 +66,14 @@ def main() -> None:
     assert network.values(batch["previous"][:, :decisions], batch["audio"][:, :decisions], batch["speaker"],
                           batch["silent"][:, :decisions]).shape == (count, decisions, config.racer.size)
     rows["Q-network and target"] = trained(ConservativeQ(network), batch, a.steps, 1e-4)
-    publish([table(rows, count, a.steps)], a.out)
+    publish([table(rows, count, a.steps)], a.out,
+            Provenance.now(shlex.join(["python", "benchmarks/racer_published.py", *sys.argv[1:]])))
 
 
 def table(rows: dict[str, dict[str, float]], windows: int, steps: int) -> Table:
     """What is shown."""
-    return Table("", {key: Column(key, digits=3) for key in next(iter(rows.values()))}, rows,
+    return Table("RACER at its published widths", {
+        key: Column(key, digits=3) for key in next(iter(rows.values()))}, rows,
                  f"one batch of {windows} windows", facts={"windows": windows, "steps": steps})
 
 

@@ -10,6 +10,7 @@ than those of `tests/test_retarget_rigs.py`, which run with the tests.
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -21,7 +22,7 @@ sys.path.insert(0, str(ROOT))
 from dataclasses import replace  # noqa: E402
 
 from data_module.types import Motion  # noqa: E402
-from eval.table import Column, Table, publish  # noqa: E402
+from eval.table import Column, Provenance, Table, publish  # noqa: E402
 from gesticulator import Gesticulator  # noqa: E402
 from gesticulator.characters.joints import find_joints  # noqa: E402
 from gesticulator.characters.mapping import SURE  # noqa: E402
@@ -68,7 +69,8 @@ def main() -> None:
                        in LIMITS.items())
     publish([Table("Rigs nobody mapped", COLUMNS, rows, "names like", notes=(
         f"The worst of {FRAMES} frames of a gesture and of all rigs of a kind. Bounds: {bounds}.",),
-        facts={"rigs": a.rigs, "seed": a.seed, "frames": FRAMES})], a.out)
+        facts={"rigs": a.rigs, "seed": a.seed, "frames": FRAMES})], a.out,
+            Provenance.now(shlex.join(["python", "benchmarks/retarget.py", *sys.argv[1:]])))
 
 
 def row(of: list[dict[str, float]]) -> dict[str, float | str]:

@@ -22,6 +22,8 @@ from typing import Any
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 
+__all__ = ["Bound", "Claim", "Verdict", "at_least", "at_most", "judged", "verdict_table"]
+
 MEAN, LOW, HIGH, WHOLE = "mean", "low", "high", "whole"
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 SHOWN = {True: "yes", False: "NO", None: ""}

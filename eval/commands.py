@@ -73,9 +73,10 @@ def choice(word: str, about: str, known: Mapping[str, tuple[str, str]], show: Ca
 # --------------------------------------------------------------------------------------------------------- the verbs
 
 def _publish(tables: Sequence[Table], arguments: argparse.Namespace) -> None:
+    from eval.runner.context import provenance
     from eval.table import publish
 
-    publish(tables, arguments.out)
+    publish(tables, arguments.out, provenance(arguments))
 
 
 def _out(parser: argparse.ArgumentParser) -> None:

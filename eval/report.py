@@ -27,7 +27,7 @@ from data_module.files import write_text
 from eval.metrics import METRICS
 from eval.probes import PROBES
 from eval.stats import Interval
-from eval.table import Column, Table, load, loads, shown_cell
+from eval.table import Column, Provenance, Table, load_with_provenance, loads, shown_cell
 
 TITLE = "Gesticulator: what was measured"
 CLAIMS = "gesticulator ablate --tables"
@@ -83,6 +83,7 @@ class Results:
 
     folder: Path
     tables: Mapping[str, list[Table]]
+    about: Mapping[str, Provenance]
     figures: list[ReportFigure]
     unreadable: list[str]
 
@@ -96,18 +97,22 @@ def gather(folder: Path) -> Results:
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", "name the one that the evaluation commands write to")
     tables: dict[str, list[Table]] = {}
+    about: dict[str, Provenance] = {}
     unreadable: list[str] = []
-    for name in ("claims", "ablation/table", "score", *probe_files(), *BENCHMARKS):
+    known = ("claims", "ablation/table", "score", *probe_files(), *BENCHMARKS)
+    others = [file.relative_to(folder).with_suffix("").as_posix() for file in sorted(folder.rglob("*.json"))]
+    for name in dict.fromkeys((*known, *others)):
         file = folder / f"{name}.json"
         if file.is_file():
             try:
-                tables[name] = load(file)
+                tables[name], about[name] = load_with_provenance(file)
             except InputError:
-                unreadable.append(f"{name}.json")
+                if name in known:
+                    unreadable.append(f"{name}.json")
     figures = _figures(folder, unreadable)
     if not tables and not any(figure.picture is None or figure.picture.parent.parent == folder for figure in figures):
         raise InputError(folder, "holds no results", "run an evaluation command first: gesticulator --help")
-    return Results(folder, tables, figures, unreadable)
+    return Results(folder, tables, about, figures, unreadable)
 
 
 def probe_files() -> dict[str, str]:
@@ -207,7 +212,7 @@ def _tables_of(results: Results, name: str, command: str, level: int = 3) -> lis
     """All tables of a file of results, their titles as headings; or how to make it."""
     if name not in results.tables:
         return [f"`{name}.json` is not there: `{command}` makes it."]
-    return [f"By `{command}`.", "", *(re.sub(r"^### ", "#" * level + " ", table.markdown())
+    return [results.about[name].markdown(), *(re.sub(r"^### ", "#" * level + " ", table.markdown())
                                       for table in results.tables[name])]
 
 
@@ -256,6 +261,10 @@ def _other_lines(results: Results) -> list[str]:
     for name, (question, command) in told.items():
         if name in results.tables:
             lines += [f"### {question[0].upper()}{question[1:]}", "", *_tables_of(results, name, command, 4)]
+    answered = [name for name in results.tables if name not in (*told, "claims", "ablation/table", "score")]
+    for name in answered:
+        lines += [f"### {name.rpartition('/')[2].replace('_', ' ').capitalize()}, measured once", "",
+                  *_tables_of(results, name, "", 4)]
     lacking = [f"`{name}.json` (`{command}`)" for name, (_, command) in told.items() if name not in results.tables]
     return [*lines, *([f"Not there: {', '.join(lacking)}."] if lacking else [])]
 

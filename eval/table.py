@@ -1,16 +1,22 @@
 """The table: every judge gives its figures as one, and it is shown as Markdown, on the terminal, and kept as JSON.
 
 A cell is an interval, a number, a text, or None for nothing. What is undefined is NaN in numbers and null in JSON,
-which has no NaN. A file of results is FILE.json with {"tables": [...]} for programs, and beside it the same as FILE.md
-for readers. Raw values that no table shows (curves, settings) are `facts` of a table.
+which has no NaN. A file of results is FILE.json with {"about": ..., "tables": [...]} for programs, and beside it the
+same as FILE.md for readers; "about" says where the figures come from (`Provenance`), and nothing is written without it.
+Raw values that no table shows (curves, settings) are `facts` of a table.
 """
 
 from __future__ import annotations
 
+import datetime
+import hashlib
 import json
 import math
+import os
+import platform
+import subprocess
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +26,52 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from eval.stats import Interval
 
-__all__ = ["Column", "Table", "load", "markdown", "publish", "save"]
+__all__ = ["Column", "Provenance", "Table", "load", "markdown", "publish", "save"]
+
+MOST_COLUMNS = 8
+"""Of a table on a page, the names of the rows among them; a wider one goes on below with the same rows."""
+NOT_RECORDED = "not recorded"
+NO_BUNDLE = "none"
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where figures come from. command: as it was typed; commit: of the program; bundle: the first 12 digits of the
+    SHA-256 of its index, or `NO_BUNDLE`; date: ISO 8601; machine: cores, processor and system."""
+
+    command: str
+    commit: str
+    bundle: str
+    date: str
+    machine: str
+
+    def __post_init__(self) -> None:
+        empty = [one.name for one in fields(self) if not getattr(self, one.name).strip()]
+        if empty:
+            raise ValueError(f"a table needs its {', '.join(empty)}")
+
+    @classmethod
+    def now(cls, command: str, index: Path | None = None) -> Provenance:
+        """Of figures that are made now and here. index: the bundle's; None where no bundle is measured."""
+        bundle = NO_BUNDLE if index is None else hashlib.sha256(index.read_bytes()).hexdigest()[:12]
+        return cls(command, _commit(), bundle, datetime.date.today().isoformat(),
+                   f"{os.cpu_count()} cores, {platform.machine()}, {platform.system()}")
+
+    def markdown(self) -> str:
+        """One paragraph that stands above the tables."""
+        commit, bundle = (value if value in (NOT_RECORDED, NO_BUNDLE) else f"`{value}`"
+                          for value in (self.commit, self.bundle))
+        return (f"`{self.command}` · commit {commit} · bundle {bundle} · {self.date} · machine: {self.machine}\n")
+
+
+def _commit() -> str:
+    """The commit of the checkout that this file lies in ("-dirty": changed since); `NOT_RECORDED` without one."""
+    try:
+        found = subprocess.run(["git", "describe", "--always", "--dirty", "--exclude=*"], cwd=Path(__file__).parent,
+                               capture_output=True, text=True, check=True, timeout=10)
+    except (OSError, subprocess.SubprocessError):
+        return NOT_RECORDED
+    return found.stdout.strip() or NOT_RECORDED
 
 
 @dataclass(frozen=True)
@@ -64,17 +115,20 @@ class Table:
     notes: Sequence[str] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
 
-    def cells(self) -> list[list[str]]:
-        """What is shown: headings first, then the rows."""
-        shown = [[self.head, *(column.heading for column in self.columns.values())]]
-        return shown + [[name, *(shown_cell(row.get(key), column.digits) for key, column in self.columns.items())]
+    def cells(self, keys: Sequence[str] | None = None) -> list[list[str]]:
+        """What is shown of some columns (all): headings first, then the rows."""
+        columns = {key: self.columns[key] for key in (self.columns if keys is None else keys)}
+        shown = [[self.head, *(column.heading for column in columns.values())]]
+        return shown + [[name, *(shown_cell(row.get(key), column.digits) for key, column in columns.items())]
                         for name, row in self.rows.items()]
 
     def markdown(self) -> str:
-        """Title, table, notes."""
-        first, *rest = self.cells() if self.columns else [[]]
+        """Title, table, notes; a table of more than `MOST_COLUMNS` columns in parts of the same rows."""
         lines = [f"### {self.title}", ""] if self.title else []
-        if first:
+        keys = list(self.columns)
+        parts = math.ceil(len(keys) / (MOST_COLUMNS - 1))
+        for keys_of_part in np.array_split(np.array(keys, dtype=object), parts) if parts else ():
+            first, *rest = self.cells(list(keys_of_part))
             lines += [_line(first), "|---" * len(first) + "|", *map(_line, rest), ""]
         return "\n".join([*lines, *(f"{note}\n" for note in self.notes)]).rstrip() + "\n"
 
@@ -165,32 +219,37 @@ def _undefined(value: Any) -> Any:
     return math.nan if value is None else value
 
 
-def markdown(tables: Iterable[Table]) -> str:
-    """All tables for a reader."""
-    return "\n".join(table.markdown() for table in tables)
+def markdown(tables: Iterable[Table], about: Provenance | None = None) -> str:
+    """All tables for a reader, below where they come from."""
+    return "\n".join([*([about.markdown()] if about else []), *(table.markdown() for table in tables)])
 
 
-def save(tables: Sequence[Table], out: str | Path) -> None:
+def save(tables: Sequence[Table], out: str | Path, about: Provenance) -> None:
     """Write `out` (.json) and its .md, each whole or not at all; the folder is made where it lacks."""
     place = Path(out)
     place.parent.mkdir(parents=True, exist_ok=True)
-    write_text(place, dumps({"tables": [table.to_dict() for table in tables]}, indent=1))
-    write_text(place.with_suffix(".md"), markdown(tables))
+    write_text(place, dumps({"about": asdict(about), "tables": [table.to_dict() for table in tables]}, indent=1))
+    write_text(place.with_suffix(".md"), markdown(tables, about))
 
 
 def load(path: str | Path) -> list[Table]:
     """The tables of a file of results; InputError where it is none."""
+    return load_with_provenance(path)[0]
+
+
+def load_with_provenance(path: str | Path) -> tuple[list[Table], Provenance]:
+    """The tables of a file of results and where they come from; InputError where it is none."""
     try:
-        held = json.loads(Path(path).read_text())
-        return [Table.from_dict(own) for own in held["tables"]]
+        held = json.loads(Path(path).read_text(encoding="utf-8"))
+        return [Table.from_dict(own) for own in held["tables"]], Provenance(**held["about"])
     except FileNotFoundError as error:
         raise InputError(path, "is not there", "run the command that writes it") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(path, "holds no tables", "run the command that writes it again") from error
 
 
-def publish(tables: Sequence[Table], out: str | Path | None) -> None:
-    """`save` where a file is asked for, and the tables on the screen."""
+def publish(tables: Sequence[Table], out: str | Path | None, about: Provenance) -> None:
+    """`save` where a file is wanted, and the tables on the screen."""
     if out:
-        save(tables, out)
+        save(tables, out, about)
     print("\n".join(table.terminal() for table in tables), end="")

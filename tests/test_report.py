@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,24 @@ from eval.commands import REPORT
 from eval.metrics import METRICS
 from eval.probes import PROBES
 from eval.stats import Interval
-from eval.table import Column, Table, save
+from eval.table import (
+    MOST_COLUMNS,
+    NO_BUNDLE,
+    NOT_RECORDED,
+    Column,
+    Provenance,
+    Table,
+    load_with_provenance,
+    markdown,
+    save,
+)
 
 DOCS = Path(__file__).parent.parent / "docs"
+STORED = [file for file in sorted((DOCS / "results").rglob("*.json")) if file.with_suffix(".md").is_file()
+          and file.stem != "cluster"]
+"""Files of tables; the page of the cluster is written by its benchmark."""
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><path d="M0 0L9 9"/></svg>'
+ABOUT = Provenance("gesticulator probe x", "abc1234", NO_BUNDLE, "2026-01-02", NOT_RECORDED)
 STORE = {"store": {"name": "made up", "fingerprint": "f" * 64}}
 
 
@@ -33,14 +48,16 @@ def one(title: str, value: float, facts: dict[str, Any] | None = None) -> Table:
 def results(tmp_path: Path) -> Path:
     """A folder of results as the commands leave it, without the probe of languages."""
     folder = tmp_path / "docs" / "results"
-    save([one("Claims", 1.0, {"count": {"holds": 3, "does not hold": 1}})], folder / "claims.json")
-    save([one("RG Table 1 (test)", 12.5, STORE), one("RG Table 2 (test)", 13.5)], folder / "ablation" / "table.json")
+    save([one("Claims", 1.0, {"count": {"holds": 3, "does not hold": 1}})], folder / "claims.json", ABOUT)
+    save([one("RG Table 1 (test)", 12.5, STORE), one("RG Table 2 (test)", 13.5)],
+         folder / "ablation" / "table.json", ABOUT)
     save([one("Vigour", 14.5), Table("Flags", {}, {}, facts={"flags": [
         {"metric": "jerk", "title": "joint jerk, m/s^3", "control": "reversed", "says": "is not told"}]})],
-        folder / "score.json")
-    for number, name in enumerate(report.probe_files()):
+        folder / "score.json", ABOUT)
+    for number, (name, probe) in enumerate(report.probe_files().items()):
         if name != "languages":
-            save([one(f"of {name}", 100.0 + number)], folder / f"{name}.json")
+            save([one(f"of {name}", 100.0 + number)], folder / f"{name}.json",
+                 replace(ABOUT, command=f"gesticulator probe {probe}"))
     for file, paper, numbers in (("figure-18", "RG Fig. 18", {"size-10": {"fgd": 1.5, "pmb": float("nan")}}),
                                  ("figure-5", "RG Fig. 5 and 8a", {"p": {"of": list(range(99))}})):
         (folder / "ablation" / f"{file}.json").write_text(json.dumps({
@@ -118,6 +135,17 @@ def test_nothing_at_all_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixtu
         told = capsys.readouterr().err
         assert left.value.code == 2 and word in told and told.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("file", STORED, ids=lambda file: file.relative_to(DOCS).as_posix())
+def test_a_stored_table_says_where_it_comes_from_and_fits_a_page(file: Path) -> None:
+    tables, about = load_with_provenance(file)
+    page = file.with_suffix(".md").read_text()
+    assert page == markdown(tables, about), "what is read is what is kept"
+    assert page.startswith(f"`{about.command}` · commit ")
+    heads = [line for line in page.splitlines() if set(line) == {"|", "-"}]
+    assert heads and all(line.count("---") <= MOST_COLUMNS for line in heads)
+    assert all(table.title for table in tables)
 
 
 def test_the_stored_results_are_all_shown(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from eval.rows.row import COLUMNS, DECISIONS
 from eval.runner.ablate import FIGURES
 from eval.runner.row_context import AblationContext, configured
 from eval.stats import Interval
-from eval.table import Column, Table, dumps, load, loads, save
+from eval.table import NO_BUNDLE, NOT_RECORDED, Column, Provenance, Table, dumps, load, loads, save
 from gesticulator.bundle import config as configs
 from gesticulator.training import presets
 from gesticulator.training.stages import (
@@ -58,6 +58,7 @@ def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
         seen[variant] = name
         assert name == OURS or variant != json.dumps([configs.to_dict(base), "lstm", "interpreted", "test"])
         assert row.question and row.training == "stages"
+ABOUT = Provenance("gesticulator ablate", "abc1234", NO_BUNDLE, "2026-01-02", NOT_RECORDED)
 
 
 def test_the_row_without_the_hint_lets_any_lexeme_sound_in_silence() -> None:
@@ -322,10 +323,10 @@ def test_tables_and_claims_are_drawn_again_from_the_cells(tmp_path: Path, capsys
         CellStore(out).add(cell(OURS, seed, 1.0 * seed))
         CellStore(out).add(cell("no-style", seed, 2.0 * seed))
     facts = {"preset": "tiny", "shared": {}, "refused": {}, "store": {"test_recordings": 2}}
-    save([Table("Ablation", {}, {}, facts=facts)], out / "table.json")
+    save([Table("Ablation", {}, {}, facts=facts)], out / "table.json", ABOUT)
     step = {"mean": 2.0, "low": 1.0, "high": 3.0, "n": 5}
     save([Table("x", {"a": Column("a")}, {}, facts={"claim": [step, {**step, "low": 0.4}]})],
-         tmp_path / "earlier" / "style_editing.json")
+         tmp_path / "earlier" / "style_editing.json", ABOUT)
     assert ABLATE.main("gesticulator ablate", ["--tables", "--out", str(out)]) == 0
     first = load(out / "table.json")[0]
     assert first.facts["rows"]["no-style"]["figures"]["fgd"]["mean"] == 4.5 and first.facts["preset"] == "tiny"

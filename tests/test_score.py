@@ -40,7 +40,7 @@ from eval.score.command import flags, mean_of
 from eval.score.played_rows import PlayedBundle
 from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
-from eval.table import Marked, load, save
+from eval.table import Marked, Provenance, load, save
 from gesticulator.bundle import bundle as bundles
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.corpus import prepare
@@ -127,7 +127,7 @@ def test_differences_are_paired(result: Scores) -> None:
 
 def test_the_tables_hold_every_figure_and_come_back(result: Scores, tmp_path: Path) -> None:
     made = tables(result)
-    save(made, tmp_path / "s.json")
+    save(made, tmp_path / "s.json", Provenance.now("gesticulator score"))
     back = load(tmp_path / "s.json")
     found = {(row, key): cell for table in back for row, cells in table.rows.items() for key, cell in cells.items()}
     for row, figures in result.figures.items():

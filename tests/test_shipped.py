@@ -9,7 +9,7 @@ import pytest
 
 from data_module.speech.audio import load_speech
 from eval.clip.measure import measure
-from eval.table import load, markdown
+from eval.table import load_with_provenance, markdown
 from gesticulator.bundle import bundle as bundles
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
@@ -77,8 +77,8 @@ def test_every_shipped_performer_moves_differently(example: Performance) -> None
 
 
 def test_the_stored_figures_are_those_of_the_shipped_weights() -> None:
-    tables = load(ROOT / "docs/results/quality.json")
-    assert markdown(tables) == (ROOT / "docs/results/quality.md").read_text(), "what is read is what is kept"
+    tables, about = load_with_provenance(ROOT / "docs/results/quality.json")
+    assert markdown(tables, about) == (ROOT / "docs/results/quality.md").read_text(), "what is read is what is kept"
     assert tables[0].facts["store"]["fingerprint"] == bundles.read_index(bundles.SHIPPED)["provenance"]["fingerprint"]
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,22 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from eval.stats import Interval
-from eval.table import Cell, Column, Marked, Table, dumps, load, loads, publish, save
+from eval.table import (
+    MOST_COLUMNS,
+    NO_BUNDLE,
+    NOT_RECORDED,
+    Cell,
+    Column,
+    Marked,
+    Provenance,
+    Table,
+    dumps,
+    load,
+    load_with_provenance,
+    loads,
+    publish,
+    save,
+)
 
 VALUES = st.recursive(st.floats() | st.integers() | st.booleans() | st.text(),
                       lambda own: st.lists(own, max_size=3) | st.dictionaries(st.text(), own, max_size=3), max_leaves=8)
@@ -53,12 +71,48 @@ def test_numbers_of_numpy_are_numbers() -> None:
         "n": 3, "yes": True, "x": [0.5]}
 
 
+ABOUT = Provenance("gesticulator probe x", "abc1234", NO_BUNDLE, "2026-01-02", NOT_RECORDED)
+
+
+def test_no_table_is_written_without_saying_where_it_comes_from(tmp_path: Path) -> None:
+    for name in ("command", "commit", "bundle", "date", "machine"):
+        with pytest.raises(ValueError, match=name):
+            replace(ABOUT, **{name: " "})
+    (tmp_path / "x.json").write_text(dumps({"tables": [TABLE.to_dict()]}))
+    with pytest.raises(InputError, match="holds no tables"):
+        load(tmp_path / "x.json")
+
+
+def test_provenance_has_the_commit_and_the_hash_of_the_bundles_index(tmp_path: Path) -> None:
+    index = tmp_path / "bundle.json"
+    index.write_bytes(b"weights")
+    about = Provenance.now("gesticulator probe x", index)
+    assert about.bundle == hashlib.sha256(b"weights").hexdigest()[:12] and "cores" in about.machine
+    assert about.commit == NOT_RECORDED or re.fullmatch("[0-9a-f]{7,}(-dirty)?", about.commit)
+    assert Provenance.now("gesticulator probe x").bundle == NO_BUNDLE
+    assert ABOUT.markdown() == ("`gesticulator probe x` · commit `abc1234` · bundle none · 2026-01-02 · "
+                                "machine: not recorded\n")
+
+
+def test_a_wide_table_goes_on_below_with_the_same_rows() -> None:
+    keys = [f"k{number}" for number in range(17)]
+    wide = Table("Wide", {key: Column(key) for key in keys}, {"ours": {key: float(key[1:]) for key in keys}}, "row")
+    lines = [line.strip("| ").split(" | ") for line in wide.markdown().splitlines() if line.startswith("| ")]
+    assert [len(line) for line in lines] == [7, 7, 7, 7, 6, 6]
+    assert max(map(len, lines)) <= MOST_COLUMNS
+    assert [key for head in lines[::2] for key in head[1:]] == keys
+    assert [float(value) for row in lines[1::2] for value in row[1:]] == list(range(17))
+    assert all(row[0] == "ours" for row in lines[1::2]) and all(head[0] == "row" for head in lines[::2])
+
+
 def test_a_table_comes_back_from_its_file_and_markdown_stands_beside_it(tmp_path: Path) -> None:
-    save([TABLE, TABLE], tmp_path / "new" / "x.json")
-    first, second = load(tmp_path / "new" / "x.json")
+    save([TABLE, TABLE], tmp_path / "new" / "x.json", ABOUT)
+    (first, second), about = load_with_provenance(tmp_path / "new" / "x.json")
+    assert about == ABOUT
     assert first.rows["ours"] == ROW and first.columns == TABLE.columns and first.notes == ["One note."]
     assert first.rows["theirs"] == {"a": None, "b": None} and math.isnan(first.facts["curve"][1])
-    assert (tmp_path / "new" / "x.md").read_text() == first.markdown() + "\n" + second.markdown()
+    assert (tmp_path / "new" / "x.md").read_text() == "\n".join(
+        [ABOUT.markdown(), first.markdown(), second.markdown()])
 
 
 def test_markdown_has_as_many_cells_in_each_line_and_shows_units_digits_marks() -> None:
@@ -69,7 +123,7 @@ def test_markdown_has_as_many_cells_in_each_line_and_shows_units_digits_marks() 
 
 
 def test_a_table_is_printed_where_no_file_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    publish([TABLE], None)
+    publish([TABLE], None, ABOUT)
     shown = capsys.readouterr().out
     assert "1.2 [1.0, 1.5]" in shown and "One note." in shown
 

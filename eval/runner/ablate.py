@@ -35,6 +35,7 @@ from eval.rows import CONTROLS, REFERENCES, ROWS, TABLES, rg
 if TYPE_CHECKING:
     from eval.rows.cells import Cells
     from eval.runner.row_context import AblationContext
+    from eval.table import Provenance
 
 SEEDS = 3
 FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-10", "figure-11",
@@ -103,14 +104,16 @@ def run_rows(context: AblationContext, names: Sequence[str], seeds: int) -> None
 
 
 def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = SEEDS,
-           systems: Mapping[str, Path] | None = None, at_once: AtOnce | None = None) -> dict[str, Any]:
+           systems: Mapping[str, Path] | None = None, at_once: AtOnce | None = None,
+           about: Provenance | None = None) -> dict[str, Any]:
     """Run the rows and figures that are asked for (all) and not finished; write the tables of all that is finished.
 
     systems: folders of other systems' motion for the test speech. at_once: does rows and seeds at once and gives what
-    failed. Gives the facts of the first table.
+    failed. about: where the figures come from. Gives the facts of the first table.
     """
     from eval.rows.cells import family, summaries
     from eval.runner.row import reference, system
+    from eval.table import Provenance
 
     names = chosen_rows(only)
     context.cells.gather()
@@ -135,7 +138,7 @@ def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = S
         from eval.runner import figures as paper
 
         refused |= {name: why for name in drawn if (why := paper.draw(context, name, facts["rows"]))}
-    write(cells, facts, context.out)
+    write(cells, facts, context.out, about or Provenance.now("gesticulator ablate"))
     return facts
 
 
@@ -147,14 +150,14 @@ def current(context: AblationContext, cells: Cells) -> Cells:
     return {name: by_seed for name, by_seed in fresh.items() if by_seed}
 
 
-def write(cells: Cells, facts: Mapping[str, Any], out: Path) -> None:
+def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance) -> None:
     """Table.json and claims.json with their Markdown; the claims read the probes' results beside the folder."""
     from eval.rows.claims import claims_table
     from eval.rows.tables import all_tables
     from eval.table import save
 
-    save(all_tables(cells, facts), out / "table.json")
-    save([claims_table(cells, out.parent)], out.parent / "claims.json")
+    save(all_tables(cells, facts), out / "table.json", about)
+    save([claims_table(cells, out.parent)], out.parent / "claims.json", about)
 
 
 def redraw(out: Path) -> None:
@@ -163,12 +166,13 @@ def redraw(out: Path) -> None:
     InputError without either.
     """
     from eval.rows.cells import CellStore, summaries
-    from eval.table import load
+    from eval.table import load_with_provenance
 
     cells = CellStore(out).read()
     if not cells:
         raise InputError(out, "holds no cells", "run the rows first")
-    write(cells, {**load(out / "table.json")[0].facts, "rows": summaries(cells)}, out)
+    held, about = load_with_provenance(out / "table.json")
+    write(cells, {**held[0].facts, "rows": summaries(cells)}, out, about)
 
 
 # ------------------------------------------------------------------------------------------------------------- command
@@ -247,8 +251,11 @@ def run(arguments: argparse.Namespace) -> int:
         check_ray(arguments.ray)
         own = partial(context_of, argparse.Namespace(**{**vars(arguments), "quiet": True, "workers": 1}))
         at_once = partial(sweep.rows_at_once, make=own, outcomes=partial(done_on_ray, arguments.ray, doubles=False))
+    from eval.runner.context import provenance
+
     context = make()
-    facts = ablate(context, only=arguments.only, seeds=arguments.seeds, systems=systems, at_once=at_once)
+    facts = ablate(context, only=arguments.only, seeds=arguments.seeds, systems=systems, at_once=at_once,
+                   about=provenance(arguments))
     print("\n".join(table.terminal() for table in load(context.out / "table.json")), end="")
     return 1 if any(", seed " in name for name in facts["refused"]) else 0
 

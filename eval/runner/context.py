@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +18,9 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.store import Recording, Store
 from eval.runner.judges import with_judges
+from eval.table import Provenance
 from gesticulator.bundle import bundle as bundles
+from gesticulator.cli import PROGRAM
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.corpus import Corpus, prepare
 from gesticulator.training.stages.lexicon import token_labels
@@ -96,3 +100,13 @@ class EvalContext:
         """What figures are of, for the facts of a table."""
         return {"store": {"name": self.store.corpus, "fingerprint": self.store.fingerprint,
                           "test_recordings": len(self.numbers())}}
+
+
+def provenance(arguments: argparse.Namespace) -> Provenance:
+    """Where the figures of the command that is running come from: `--bundle` is measured, the shipped one where it is
+    left out, and none where the command has no such option."""
+    named = getattr(arguments, "bundle", None)
+    folder = bundles.SHIPPED if named in (None, "shipped") else Path(named)
+    index = folder / bundles.INDEX
+    return Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]]),
+                          index if hasattr(arguments, "bundle") and index.is_file() else None)

@@ -59,6 +59,7 @@ from eval.metrics.evaluate import (
 from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_features, load, networks, pooled, published
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
+from eval.runner.context import provenance
 from eval.runner.judges import with_judges
 from eval.score.played_rows import PlayedBundle, unit_selection_row
 from eval.score.tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
@@ -471,5 +472,5 @@ def scored(arguments: argparse.Namespace) -> Scores:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, write and show."""
-    publish(tables(scored(arguments)), arguments.out)
+    publish(tables(scored(arguments)), arguments.out, provenance(arguments))
     return 0

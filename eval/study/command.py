@@ -23,6 +23,8 @@ import base64
 import hashlib
 import json
 import re
+import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -40,7 +42,8 @@ from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
 from eval.clip.foreign import find_sound
 from eval.study import anova
-from eval.table import publish
+from eval.table import Provenance, publish
+from gesticulator.cli import PROGRAM
 from gesticulator.export import film, sound
 from gesticulator.export.figure import figure_points
 
@@ -330,7 +333,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.command == "analyse":
         key = anova.read_key(arguments.key)
         ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
-        publish(anova.tables(ratings, arguments.seed), arguments.out)
+        about = Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]]))
+        publish(anova.tables(ratings, arguments.seed), arguments.out, about)
         return 0
     page = make(parse_systems(arguments.systems), arguments.out, StudyOptions(
         arguments.clips, arguments.seconds, arguments.seed, arguments.raters, list(dict.fromkeys(arguments.aspects)),
