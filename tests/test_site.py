@@ -86,12 +86,15 @@ def test_no_room_imports_one_above_it() -> None:
     assert module.without_circles(module.rooms(module.imports()))[1] == []
 
 
-TABLES = re.findall(r"\| `([\w.]+):(\w+)` \|", (DOCS / "architecture.md").read_text(encoding="utf-8"))
+TABLES = re.findall(r"\| `([\w.]+):(\w+)` \| (?:`([\w.]+)` )?\|",
+                    (DOCS / "architecture.md").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize(("module", "name"), TABLES)
-def test_tables_of_the_architecture_are_there(module: str, name: str) -> None:
-    assert hasattr(importlib.import_module(module), name)
+@pytest.mark.parametrize(("module", "name", "group"), TABLES)
+def test_tables_of_the_architecture_are_there_with_their_groups(module: str, name: str, group: str) -> None:
+    table = getattr(importlib.import_module(module), name)
+    assert len(table)
+    assert getattr(table, "group", "") == group
 
 
 def test_the_search_works_from_a_disk(tmp_path: Path) -> None:
