@@ -22,8 +22,8 @@ def test_levels_blend_along_a_smooth_step() -> None:
     edges, levels = np.array([0.0, 1.0, 2.0]), np.array([1.0, 3.0])
     got = levels_at(edges, levels, np.array([0.8, 0.9, 1.0, 1.1, 1.2]), 0.2)
     np.testing.assert_allclose(got, [1.0, 1.3125, 2.0, 2.6875, 3.0])
-    before = levels_at(edges, levels, np.array([0.8, 0.85, 0.9, 0.95, 1.01]), 0.2, np.array([False, True]))
-    np.testing.assert_allclose(before, [1.0, 1.3125, 2.0, 2.6875, 3.0], err_msg="a locked block is not touched")
+    before = levels_at(edges, levels, np.array([0.8, 0.85, 0.9, 0.95, 1.0, 1.01]), 0.2, np.array([False, True]))
+    np.testing.assert_allclose(before, [1.0, 1.3125, 2.0, 2.6875, 3.0, 3.0], err_msg="a locked block is not touched")
 
 
 @pytest.mark.parametrize("size", [16, 46])

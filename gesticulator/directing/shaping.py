@@ -74,7 +74,8 @@ def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: fl
         first, last = begins - reach, begins + reach
         if kept is not None and kept[at - 1] != kept[at]:
             first, last = (begins, last) if kept[at - 1] else (first, begins)
-        near = np.flatnonzero((times > first) & (times < last))
+        # A time on the beat belongs to the block before; where the change ends on the beat it is over there.
+        near = np.flatnonzero((times > first) & ((times < last) | (times == begins)))
         u = (times[near] - first) / (last - first)
         out[near] = levels[at - 1] + (levels[at] - levels[at - 1]) * u * u * (3.0 - 2.0 * u)
     return out
