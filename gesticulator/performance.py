@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -167,8 +166,9 @@ class Performance:
 
     def plan(self) -> GesturePlan:
         """What was decided, as a plan that can be edited and rendered again (`InferenceOptions.plan`)."""
-        made: GesturePlan = import_module("gesticulator.directing.record").plan_of(self)
-        return made
+        from gesticulator.directing.record import plan_of
+
+        return plan_of(self)
 
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture, ready for JSON: `plan` in plain values (docs/plan.md)."""

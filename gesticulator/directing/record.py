@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -26,13 +26,51 @@ from gesticulator.plan.plan import (
 )
 
 if TYPE_CHECKING:
-    from gesticulator.performance import Performance
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from data_module.types import Blocks, Speech
+    from gesticulator.drawing.rollout import LexemeWorth
+    from gesticulator.options import InferenceOptions
+    from gesticulator.plan.plan import LexemeName
 
 _ABOVE = ("seed", "variation", "speaker", "interpreter", "activity")
 """Settings that stand elsewhere in a plan."""
 
 
-def plan_of(performance: Performance) -> GesturePlan:
+class Performed(Protocol):
+    """What of a performance its plan is made of; see `gesticulator.performance.Performance`."""
+
+    @property
+    def speech(self) -> Speech: ...
+    @property
+    def blocks(self) -> Blocks: ...
+    @property
+    def lexemes(self) -> NDArray[np.int64]: ...
+    @property
+    def best(self) -> NDArray[np.int64]: ...
+    @property
+    def scores(self) -> NDArray[np.float64]: ...
+    @property
+    def gate(self) -> NDArray[np.float64] | None: ...
+    @property
+    def weighed(self) -> LexemeWorth | None: ...
+    @property
+    def made_by(self) -> Mapping[str, Any]: ...
+    @property
+    def options(self) -> InferenceOptions | None: ...
+    @property
+    def names(self) -> Callable[[], tuple[LexemeName, ...]] | None: ...
+    @property
+    def sound_name(self) -> str: ...
+    @property
+    def score_is(self) -> str: ...
+    @property
+    def notes(self) -> tuple[str, ...]: ...
+
+
+def plan_of(performance: Performed) -> GesturePlan:
     """What was decided. Of a performance that was rendered from a plan: that plan, with what was chosen since."""
     options = performance.options
     rendered = None if options is None else options.plan
@@ -71,7 +109,7 @@ def plan_of(performance: Performance) -> GesturePlan:
                    made_by=rendered.made_by, notes=rendered.notes)
 
 
-def _blocks(performance: Performance, called: dict[int, str], draw: BlockDraw) -> tuple[PlanBlock, ...]:
+def _blocks(performance: Performed, called: dict[int, str], draw: BlockDraw) -> tuple[PlanBlock, ...]:
     edges, worth = performance.blocks.edges.tolist(), performance.weighed
     count = len(performance.blocks)
     gates = np.full(count, np.nan) if performance.gate is None else performance.gate
