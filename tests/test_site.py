@@ -63,18 +63,23 @@ def test_modules_of_the_api_pages_say_what_is_public(name: str) -> None:
             assert value.__doc__, f"{name}.{public} has no docstring"
 
 
-def rooms() -> set[str]:
-    """The folders and modules of gesticulator/, as they are written on the page."""
-    return {f"{path.name}/" if path.is_dir() else path.name for path in (ROOT / "gesticulator").iterdir()
+def rooms(package: str) -> set[str]:
+    """The folders and modules of a package, as they are written on the page."""
+    return {f"{path.name}/" if path.is_dir() else path.name for path in (ROOT / package).iterdir()
             if path.suffix == ".py" or (path / "__init__.py").exists()} - {"__init__.py", "__main__.py"}
 
 
-def test_the_architecture_names_every_room_and_draws_it() -> None:
+@pytest.mark.parametrize("package", ["gesticulator", "eval"])
+def test_the_architecture_names_every_room(package: str) -> None:
     page = (DOCS / "architecture.md").read_text(encoding="utf-8")
-    table = page.split("## The rooms of")[1].split("\n## ")[0]
-    assert set(re.findall(r"`(\w+(?:/|\.py))`", table)) - {"gesticulator/", "command.py"} == rooms()
+    table = page.split(f"## The rooms of `{package}/`")[1].split("\n## ")[0]
+    named = [name for row in re.findall(r"^\| (`.*?) \|", table, re.M) for name in re.findall(r"`([^`]+)`", row)]
+    assert sorted(named) == sorted(rooms(package))
+
+
+def test_the_picture_of_the_architecture_shows_every_room() -> None:
     drawn = set(re.findall(r'class="name">([^<]+)<', (DOCS / "pictures" / "architecture.svg").read_text()))
-    assert rooms() - {"version.py", "neighbours.py"} <= drawn, "run python docs/pictures/make_architecture.py"
+    assert rooms("gesticulator") - {"version.py", "neighbours.py"} <= drawn, "run docs/pictures/make_architecture.py"
 
 
 def test_no_room_imports_one_above_it() -> None:
