@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
-from data_module.files import read_text
+from data_module.json_files import parse_json, read_json
 
 if TYPE_CHECKING:
     from data_module.intervals import Intervals
@@ -48,7 +48,7 @@ class Outcome:
     @classmethod
     def from_json(cls, text: str) -> Outcome:
         """The inverse of `as_json`."""
-        told = json.loads(text)
+        told = parse_json(text, "the outcome of a recording", "build it again", python=True)
         return cls(**told | {"absent": tuple(told["absent"]), "warnings": tuple(told["warnings"])})
 
 
@@ -165,9 +165,9 @@ def report_of(store: Store) -> dict[str, Any]:
     if not file.is_file():
         return summary(store.recordings, (), ())
     try:
-        told = json.loads(read_text(file, "delete it"))
+        told = read_json(file, "delete it", python=True)
         if not set(summary((), (), ())) <= set(told):
             raise ValueError("entries are missing")
-    except (ValueError, TypeError, RecursionError):
+    except (ValueError, TypeError):
         raise InputError(file, "is not the report of a build", "delete it") from None
     return dict(told)

@@ -118,11 +118,10 @@ def sync_folder(folder: Path) -> None:
 
 # ---------------------------------------------------------------------------------------------------- reading
 
-def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT) -> str:
-    """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one; line ends become "\\n".
+def read_bytes(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT) -> bytes:
+    """The bytes of a file; `InputError` for one that is absent, no regular file, or larger than `largest` bytes.
 
-    advice: what to do when it is none. InputError for a file that is absent, no regular file, larger than `largest`
-    bytes, or not text.
+    advice: what to do with a file that is too large.
     """
     name = Path(path)
     try:
@@ -131,20 +130,34 @@ def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_
             raise InputError(path, wrong, "check the path")
         if name.stat().st_size > largest:
             raise InputError(path, f"is larger than {largest >> 20} MiB", advice)
-        data = name.read_bytes()
+        return name.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})",
                          "check the path and its rights") from None
+
+
+def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT) -> str:
+    """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one; line ends become "\\n".
+
+    advice: what to do when it is none. InputError for a file that is absent, no regular file, larger than `largest`
+    bytes, or not text.
+    """
+    text = decoded(read_bytes(path, advice, largest), path, advice)
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def decoded(data: bytes, source: object, advice: str) -> str:
+    """Bytes as text in UTF-8 or, with a byte order mark, UTF-16; `InputError` with the line where they are none."""
     encoding = next((encoding for mark, encoding in _MARKED if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(path, f"line {line}: is not text in UTF-8", advice) from None
+        raise InputError(source, f"line {line}: is not text in UTF-8", advice) from None
     if "\0" in text:
-        raise InputError(path, f"line {text.count(chr(10), 0, text.index(chr(0))) + 1}: is not text in UTF-8 "
+        raise InputError(source, f"line {text.count(chr(10), 0, text.index(chr(0))) + 1}: is not text in UTF-8 "
                          "(it has a zero byte)", advice)
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+    return text
 
 
 def read_table(path: str | os.PathLike[str], advice: str) -> list[tuple[int, dict[str, str | None]]]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar, cast
 
 from data_module.errors import InputError
+from data_module.json_files import parse_json
 
 T = TypeVar("T")
 
@@ -170,8 +171,8 @@ def with_settings(config: T, settings: Sequence[str]) -> T:
         if not mark:
             raise InputError(setting, "is not a setting", "write path=value, for example generator.lstm_width=320")
         try:
-            value = json.loads(text)
-        except (ValueError, RecursionError):
+            value = parse_json(text, setting, "write path=value")
+        except InputError:
             value = text
         _put(tree, config, path.split("."), value, setting)
     # All at once: shares that must sum to 1 cannot be changed in turn.
@@ -198,6 +199,14 @@ def _put(tree: dict[str, Any], node: Any, path: list[str], value: Any, setting: 
     if dataclasses.is_dataclass(old) or type(old) is not type(value):
         raise InputError(setting, f"expects a value like {old!r}", "write path=value")
     tree[path[0]] = value
+
+
+def whole_number(text: str, most: int) -> int | None:
+    """The number from 0 to `most` that a text of ASCII digits writes; None for anything else, whatever its length."""
+    if not (text.isascii() and text.isdigit()) or len(text) > len(str(most)):
+        return None
+    number = int(text)
+    return number if number <= most else None
 
 
 def digest(*parts: Any) -> str:

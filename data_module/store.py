@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError, shown
-from data_module.files import read_text, rename, write_bytes, write_text
+from data_module.files import rename, write_bytes, write_text
+from data_module.json_files import read_json
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
@@ -115,9 +116,9 @@ class Store:
         if not listing.is_file():
             raise InputError(folder, *_why_not_a_store(folder))
         try:
-            content = json.loads(read_text(listing, "build it again", _LARGEST_LISTING))
+            content = read_json(listing, "build it again", _LARGEST_LISTING)
             number = content["format"]
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (TypeError, KeyError):
             raise InputError(listing, "is not the listing of a store", "build it again") from None
         if number not in _READ or isinstance(number, bool):
             raise InputError(folder, f"is a store of format {shown(number)}, and this version reads format {FORMAT}",
@@ -185,8 +186,8 @@ class StoreWriter:
                    if entry.name[0] != "." and (entry.name != _FOLDER or any(entry.iterdir()))]
         if begun.is_file():
             try:
-                before = _typed(json.loads(read_text(begun, "delete its folder")), dict)
-            except (ValueError, TypeError, RecursionError):
+                before = _typed(read_json(begun, f"delete {self.partial} and build again"), dict)
+            except (InputError, ValueError, TypeError):
                 raise InputError(begun, "is damaged", f"delete {self.partial} and build again") from None
             if before != self._head:
                 raise InputError(self.partial, f"was begun with {_difference(before, self._head)}",
@@ -205,10 +206,10 @@ class StoreWriter:
     def has(self, name: str) -> bool:
         """Whether the recording is finished already, its files whole."""
         try:
-            entry = json.loads(self._entry(name).read_text(encoding="utf-8"))
+            entry = read_json(self._entry(name), "build it again")
             hashes = [_sha256(file) for file in _files(self.partial, name)]
             return bool([entry["sha256"]["flac"], entry["sha256"]["npz"]] == hashes)
-        except (OSError, ValueError, TypeError, KeyError):
+        except (InputError, OSError, ValueError, TypeError, KeyError):
             return False
 
     def add(self, recording: Recording, character: Motion | None = None) -> None:
@@ -234,7 +235,7 @@ class StoreWriter:
 
     def finish(self, names: Sequence[str]) -> Store:
         """List the recordings in the order of `names`, which must all be there, and give the store its name."""
-        entries = [json.loads(self._entry(name).read_text(encoding="utf-8")) for name in names]
+        entries = [read_json(self._entry(name), "build it again") for name in names]
         kept = {file for name in names for file in _files(self.partial, name)}
         for file in sorted((self.partial / _FOLDER).iterdir()):
             if file not in kept:

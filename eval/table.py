@@ -24,6 +24,7 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import write_text
+from data_module.json_files import parse_json, read_object
 from eval.stats import Interval
 
 __all__ = ["Column", "Provenance", "Table", "load", "markdown", "publish", "save"]
@@ -208,7 +209,10 @@ def dumps(value: Any, indent: int | None = None) -> str:
 
 def loads(text: str) -> Any:
     """What `dumps` wrote, NaN where it has null. ValueError where it is no JSON."""
-    return _undefined(json.loads(text))
+    try:
+        return _undefined(parse_json(text, "a result", ""))
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 def _undefined(value: Any) -> Any:
@@ -239,12 +243,12 @@ def load(path: str | Path) -> list[Table]:
 
 def load_with_provenance(path: str | Path) -> tuple[list[Table], Provenance]:
     """The tables of a file of results and where they come from; InputError where it is none."""
+    if not Path(path).exists():
+        raise InputError(path, "is not there", "run the command that writes it")
     try:
-        held = json.loads(Path(path).read_text(encoding="utf-8"))
+        held = read_object(path, "run the command that writes it", 1 << 28)
         return [Table.from_dict(own) for own in held["tables"]], Provenance(**held["about"])
-    except FileNotFoundError as error:
-        raise InputError(path, "is not there", "run the command that writes it") from error
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(path, "holds no tables", "run the command that writes it again") from error
 
 

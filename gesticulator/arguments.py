@@ -9,6 +9,7 @@ from dataclasses import Field, fields
 from typing import TYPE_CHECKING, Any, cast
 
 from data_module.errors import InputError, shown
+from data_module.settings import whole_number
 from gesticulator.cli import PROGRAM
 from gesticulator.options import RANGES, InferenceOptions, OptionFlag
 from gesticulator.version import __version__
@@ -49,8 +50,9 @@ def _cue(text: str) -> GestureCue:
         return GestureCue(gesture, time=float(at))
     except ValueError:
         word, _, count = at.rpartition(":")
-    if word and count.isdecimal() and int(count):
-        return GestureCue(gesture, word, int(count))
+    occurrence = whole_number(count, 10**6)
+    if word and occurrence:
+        return GestureCue(gesture, word, occurrence)
     return GestureCue(gesture, at)
 
 

@@ -22,7 +22,7 @@ from gesticulator import infer
 from gesticulator.batch import manifest as manifests
 from gesticulator.batch import run as batch
 from gesticulator.batch.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
-from gesticulator.batch.run import BatchTask, TaskOutcome, done_here, run_batch, sharded
+from gesticulator.batch.run import BatchTask, TaskOutcome, asked_shard, done_here, run_batch, sharded
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 MADE = ("1", "bundle", "settings")
@@ -87,6 +87,48 @@ def test_a_manifest_is_held_by_one_process_and_must_be_one(tmp_path: Path) -> No
         (tmp_path / "x.jsonl").write_bytes(broken)
         with pytest.raises(InputError, match="is no manifest"):
             read_manifest(tmp_path / "x.jsonl")
+
+
+@pytest.mark.parametrize("line", [
+    b"[" * 5000, b'{"input": "a", "time": ' + b"9" * 400 + b"}", b'{"input": "a", "seconds": NaN}',
+    b'{"input": "a", "seconds": "1"}', b'{"input": "a", "output": "x.bvh"}', b'{"input": "a", "output": [3]}',
+    b'{"input": "a", "sha256": 7}', b'{"input": "a", "error": ["x"]}', b'{"input": "a\\u0000"}', b'{"status": "done"}',
+    b'{"input": "a", "error": "' + b"x" * (1 << 20) + b'"}',
+])
+def test_a_row_of_other_kinds_is_refused(line: bytes, tmp_path: Path) -> None:
+    (tmp_path / "m.jsonl").write_bytes(line + b"\n")
+    with pytest.raises(InputError) as error:
+        read_manifest(tmp_path / "m.jsonl")
+    assert len(str(error.value)) < 400
+
+
+@pytest.mark.parametrize("column", ["input", "seconds", "output", "error", "status"])
+@pytest.mark.parametrize("kind", ["int64", "timestamp", "binary", "list", "struct", "bool"])
+def test_parquet_of_other_columns_is_refused_or_written_back(column: str, kind: str, tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    values = {"int64": pyarrow.array([1]), "timestamp": pyarrow.array([1], pyarrow.timestamp("s")),
+              "binary": pyarrow.array([b"\xff"]), "list": pyarrow.array([[1]]), "struct": pyarrow.array([{"a": 1}]),
+              "bool": pyarrow.array([True])}
+    columns = {"input": pyarrow.array(["a.wav"]), "status": pyarrow.array(["done"])} | {column: values[kind]}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "m.parquet")
+    with pytest.raises(InputError, match=f"its column {column} holds"):
+        read_manifest(tmp_path / "m.parquet")
+
+
+def test_a_name_that_is_no_text_does_not_stop_the_manifest(tmp_path: Path) -> None:
+    for suffix, name in ((".jsonl", "caf\udce9.wav"), (".parquet", r"caf\udce9.wav")):
+        if suffix == ".parquet":
+            pytest.importorskip("pyarrow")
+        write_manifest(tmp_path / f"m{suffix}", [ManifestRow("caf\udce9.wav")])
+        assert list(read_manifest(tmp_path / f"m{suffix}")) == [name]
+
+
+@pytest.mark.parametrize("asked", ["9" * 5000 + "/" + "9" * 5000, "1/" + "9" * 400, "\u00b2/3", "0/1", "-1/2", "1/1/1"])
+def test_a_shard_of_other_digits_is_refused(asked: str) -> None:
+    with pytest.raises(InputError, match="is no shard"):
+        asked_shard(asked)
 
 
 def test_manifests_of_shards_are_joined_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

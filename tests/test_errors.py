@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from data_module.errors import EXIT_BAD_INPUT, InputError, shown
+from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, one_line_errors, shown
 
 _FAIL = """
 from data_module.errors import InputError, one_line_errors
@@ -67,6 +67,35 @@ def test_what_is_long_or_deep_is_shown_short() -> None:
     assert shown("text") == "text" and shown(1.5) == "1.5" and shown(True) == "True"
     for value in ("x" * 1000, 10 ** 4000, deep, {"a": deep}):
         assert len(shown(value)) <= 40
+
+
+@pytest.mark.parametrize(("given", "printed"), [
+    ("\x1b]0;title\x07.wav", r"\x1b]0;title\x07.wav"), ("a\x9b2J", r"a\x9b2J"), ("\u202egpj.wav", r"\u202egpj.wav"),
+    ("\ufeffa\x7f\0", r"\ufeffa\x7f\x00"), ("Gr\u00fc\u00dfe \u65e5\u672c \u0645\u06cc\u200c\u062e", None),
+])
+def test_control_characters_are_printed_as_escapes(given: str, printed: str | None, capsys: pytest.CaptureFixture[str]
+                                                    ) -> None:
+    printed = given if printed is None else printed
+    assert str(InputError(given, "is bad", "mend it")) == f"{printed}: is bad; mend it"
+    assert one_line(OSError(2, "No such file", given)).startswith(f"{printed}: No such file")
+    assert shown(given) == printed[:40]
+    complain(f"program: {given}")
+    assert capsys.readouterr().err == f"program: {printed}\n"
+
+
+@pytest.mark.parametrize(("raised", "line"), [
+    (MemoryError("Unable to allocate 119. GiB"), "program: memory: there is too little of it (Unable to allocate 119. "
+     "GiB); give a shorter recording or a smaller file, or close other programs\n"),
+    (MemoryError(), "program: memory: there is too little of it; give a shorter recording or a smaller file, or close "
+     "other programs\n"),
+    (ModuleNotFoundError("No module named 'av'", name="av"), "program: av: cannot be imported (No module named 'av'); "
+     "install gesticulator again with the extra that needs it\n"),
+])
+def test_too_little_memory_and_lacking_packages_are_one_line(raised: Exception, line: str,
+                                                             capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, one_line_errors("program"):
+        raise raised
+    assert (ended.value.code, capsys.readouterr().err) == (EXIT_BAD_INPUT, line)
 
 
 def test_a_message_is_one_line() -> None:

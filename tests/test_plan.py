@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -202,3 +203,38 @@ def test_every_gesture_has_a_script() -> None:
     from gesticulator.directing.named_gestures import SCRIPTS
 
     assert set(SCRIPTS) == set(GESTURES)
+
+
+_BML = '<bml xmlns="http://www.bml-initiative.org/bml/bml-1.0" xmlns:g="urn:gesticulator:plan:1">'
+
+
+@pytest.mark.parametrize("text", [
+    '<?xml version="1.0" encoding="klingon"?><bml/>', '<?xml version="1.0" encoding="utf-7"?><bml/>',
+    f"{_BML}<g:plan>{{}}</g:plan></bml>", f'{_BML}<g:plan>{{"blocks": [1]}}</g:plan></bml>',
+    f'{_BML}<g:plan>{{"blocks": [], "lexicon": 5}}</g:plan></bml>',
+    f'{_BML}<g:plan>{{"blocks": [], "lexicon": [{{"name": []}}]}}</g:plan></bml>',
+    f'{_BML}<g:plan>{{"blocks": []}}</g:plan><gesture start="[1]" end="2"/><gesture start="1" end="2"/></bml>',
+    f'{_BML}<g:plan>{{"blocks": []}}</g:plan><gesture start="null" end="2"/><gesture start="1" end="2"/></bml>',
+    f"{_BML}<g:plan>{'[' * 5000}</g:plan></bml>", f"{_BML}<g:plan>{'9' * 5000}</g:plan></bml>",
+    "<a>" * 100_000, f"{_BML}{'<gesture/>' * 100_001}</bml>",
+])
+def test_bml_of_no_plan_is_one_line(text: str) -> None:
+    with pytest.raises(InputError) as error:
+        parse_bml(text.encode())
+    assert len(str(error.value)) < 300
+
+
+def test_reading_bml_takes_time_by_its_size_alone() -> None:
+    """A text of 16 MB comes in thousands of pieces: they are joined once, not each time."""
+    text = f'{_BML}<g:plan>{{"blocks": [], "a": "{"x&amp;" * 2_000_000}"}}</g:plan></bml>'
+    begin = time.process_time()
+    with pytest.raises(InputError):
+        parse_bml(text.encode())
+    assert time.process_time() - begin < 10  # 100 s where each piece is added to all before it
+
+
+def test_a_plan_of_millions_of_values_is_refused_before_it_takes_gigabytes() -> None:
+    with pytest.raises(InputError, match="more than 1,048,576 values"):
+        parse("[" + "0," * (1 << 20) + "0]", "a")
+    with pytest.raises(InputError, match="half a character"):
+        parse('["\\ud800"]', "a")

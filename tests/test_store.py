@@ -174,7 +174,7 @@ def _break(store: Path, how: str) -> str:
         return "format 99"
     if how == "not json":
         listing.write_text("{")
-        return "not the listing"
+        return "is not valid JSON"
     if how == "a list":
         listing.write_text("[]")
         return "not the listing"

@@ -316,7 +316,7 @@ def _bad(folder: Path, told: Any) -> Path:
 
 
 @pytest.mark.parametrize(("change", "says"), [
-    (lambda told: "{", "is not JSON"),
+    (lambda told: "{", "is not valid JSON"),
     (lambda told: [1], "is not a file of ratings"),
     (lambda told: told | {"study": "other"}, "belongs to study 'other'"),
     (lambda told: told | {"rater": ""}, "without a rater"),
@@ -531,3 +531,19 @@ def test_a_rater_goes_through_the_videos(browser: Any, films: dict[str, Path], t
     assert ratings.notes == ()
     for place, item in enumerate(order):
         assert ratings.values[0, *key.items[told["items"][item]["id"]], 0] == 1 + place % 5
+
+
+@pytest.mark.parametrize("change", [
+    {"scale": [1, 1_000_000_000]}, {"scale": [5, 1]}, {"scale": ["1", "5"]}, {"scale": [1.5, 2]}, {"scale": [True, 5]},
+    {"clips": [{}] * 600_000}, {"systems": ["a", "a"]}, {"systems": "ab"}, {"aspects": []}, {"study": 5},
+    {"items": {"x": {"clip": 10**200, "system": "ours"}}},
+])
+def test_a_key_that_asks_for_too_much_or_holds_other_things_is_refused(change: dict[str, Any], tmp_path: Path) -> None:
+    key = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}], "scale": [1, 5],
+           "items": {"x": {"clip": 0, "system": "ours"}, "y": {"clip": 0, "system": "truth"}}}
+    file = tmp_path / "key.json"
+    file.write_text(json.dumps(key))
+    assert anova.read_key(file).scale == (1, 5)
+    file.write_text(json.dumps(key | change))
+    with pytest.raises(InputError, match=r"scale|is not the key of a study"):
+        anova.read_key(file)

@@ -187,13 +187,13 @@ def test_words_without_times_lie_between_their_neighbours(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("content", "said"), [
-    ('{"words": [}', "line 1, column 12: is no JSON"),
+    ('{"words": [}', "line 1, column 12: is not valid JSON"),
     ('{"words": [{"word": "a", "start": "0:01", "end": 2}]}', "words[0].start: '0:01' is no time"),
-    ('{"words": [{"word": "a", "start": 1, "end": NaN}]}', "words[0].end: 'nan' is no time"),
+    ('{"words": [{"word": "a", "start": 1, "end": NaN}]}', "NaN is not a number"),
     ('{"words": [{"word": "a", "start": 1}]}', "words[0].end: 'None' is no time"),
     ('{"words": [{"word": "a", "start": true, "end": 2}]}', "words[0].start: 'True' is no time"),
-    ('{"words": [{"word": "a", "start": 1e999, "end": 2}]}', "words[0].start: 'inf'"),
-    ('{"words": [{"word": "a", "start": ' + "9" * 400 + ', "end": 2}]}', "is no time"),
+    ('{"words": [{"word": "a", "start": 1e999, "end": 2}]}', "the number 1e999 is too large"),
+    ('{"words": [{"word": "a", "start": ' + "9" * 400 + ', "end": 2}]}', "a number of 400 digits"),
     ('{"words": [{"start": 1, "end": 2}]}', "words[0]: has no word"),
     ('{"words": ["a"]}', "words[0]: is no object"),
     ('{"words": []}', "has no words"),
@@ -201,7 +201,8 @@ def test_words_without_times_lie_between_their_neighbours(tmp_path: Path) -> Non
     ('{"segments": [{"text": "no time"}]}', "segments[0]: has no times"),
     ('{"segments": [{"start": 0, "end": 1, "text": "a b", "words": [{"word": 5}]}]}', "segments[0].words[0]: has no w"),
     ('{"tiers": {"words": {"entries": [[0, 1]]}}}', "has no tier of words"),
-    ("3", "neither words nor segments"), ("[" * 100000, "is no JSON that"), ("9" * 5000, "is no JSON that"),
+    ("3", "neither words nor segments"), ("[" * 100000, "nested more than 100 deep"),
+    ("9" * 5000, "a number of 5000 digits"),
 ])
 def test_broken_json_is_named(tmp_path: Path, content: str, said: str) -> None:
     assert said in _refusal(tmp_path, "a.json", content)

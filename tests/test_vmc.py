@@ -239,7 +239,8 @@ def test_an_interruption_replaces_what_was_not_played(motion: Motion) -> None:
     output._socket.close()
 
 
-@pytest.mark.parametrize("target", ["nonsense", "host:", ":39539", "host:0", "host:99999", "host:-1"])
+@pytest.mark.parametrize("target", ["nonsense", "host:", ":39539", "host:0", "host:99999", "host:-1", "host:\u00b2",
+                                    "host:" + "9" * 5000])
 def test_a_target_that_is_none_is_told_of(target: str) -> None:
     with pytest.raises(InputError, match="HOST:PORT"):
         vmc.read_target(target)

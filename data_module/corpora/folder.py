@@ -21,6 +21,7 @@ from data_module.corpora.base import DroppedError, Imported, Item, Options, spre
 from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError, shown
 from data_module.files import read_text, write_text
+from data_module.json_files import read_json
 from data_module.motion.bvh import bvh_text
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
@@ -134,10 +135,7 @@ class Folder:
         file = next((text for text in self._texts[name] if text.suffix.lower() == ".json"), None)
         if file is None:
             return {}
-        try:
-            told = json.loads(read_text(file, "delete or repair it"))
-        except (ValueError, RecursionError):
-            raise InputError(file, "is not JSON", "delete or repair it") from None
+        told = read_json(file, "delete or repair it")
         if isinstance(told, list):
             return {}
         if not isinstance(told, dict):

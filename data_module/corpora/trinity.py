@@ -12,7 +12,6 @@ ten test sequences test.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 from data_module.corpora.base import DroppedError, Imported, Item, Options
 from data_module.corpora.takes import find_takes, read_take
 from data_module.errors import InputError
-from data_module.files import read_text
+from data_module.json_files import read_json
 from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 from data_module.types import Word
@@ -85,10 +84,7 @@ def read_words(path: Path) -> tuple[Word, ...]:
     Either a list of segments, each with `alternatives` of which the first holds `words`, or a plain list of words.
     `InputError` names the file, and the place in it that is wrong.
     """
-    try:
-        told = json.loads(read_text(path, "fetch it again"))
-    except (ValueError, RecursionError):
-        raise InputError(path, "is no JSON", "fetch it again") from None
+    told = read_json(path, "fetch it again")
     if not isinstance(told, list):
         raise InputError(path, "is no list of words or segments", "fetch it again")
     words: list[Word] = []

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import shutil
 import subprocess
@@ -26,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.json_files import parse_json
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer
@@ -272,7 +272,7 @@ def mpeg(raw: BinaryIO) -> Iterator[Sound]:
             stderr=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": paths}) as child:
         assert child.stdout is not None
         try:
-            head = json.loads(child.stdout.readline() or b"{}")
+            head = parse_json(child.stdout.readline(1 << 16) or b"{}", "MP3", "convert it to WAV")
             if "rate" not in head:
                 raise NoSoundError(head.get("error", "its decoder did not start"))
             yield Sound(head["rate"], head["frames"], _of_child(child.stdout, head["channels"]))

@@ -7,7 +7,6 @@ read is refused with the line, or the place in the JSON.
 from __future__ import annotations
 
 import html
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from data_module.errors import InputError, shown
+from data_module.json_files import parse_json
 from data_module.text.alignment import written_words
 
 SILENCES = frozenset({"", "sp", "sil", "<eps>", "<sil>", "<p>", "<p:>"})
@@ -198,13 +198,7 @@ def words_json(source: str, text: str, speaker: str | None = None) -> Content:
     {"words": [{"word" or "text", "start", "end"}]}, {"segments": [{"start", "end", "text", "words"}]} (whisper), a bare
     list of either, {"tiers": {"words": {"entries": [[start, end, word]]}}} (Montreal Forced Aligner), or {"text"}.
     """
-    try:
-        told = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(source, f"line {error.lineno}, column {error.colno}: is no JSON ({error.msg})",
-                         "write it again") from None
-    except (RecursionError, ValueError):
-        raise InputError(source, "is no JSON that holds words", "write it again") from None
+    told = parse_json(text, source, "write it again")
     if isinstance(told, Mapping):
         if isinstance(told.get("words"), list):
             return Content(words=tuple(_entry(source, item, f"words[{n}]") for n, item in enumerate(told["words"])))

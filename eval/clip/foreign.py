@@ -16,7 +16,6 @@ taken from both hip joints in each frame where they are named, else from the sho
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +26,7 @@ import numpy as np
 
 from data_module.arrays import as_floats, read_npy
 from data_module.errors import InputError, shown
-from data_module.files import read_text
+from data_module.json_files import read_json, read_object
 from data_module.motion import rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions
@@ -171,10 +170,7 @@ def sidecar(path: Path) -> dict[str, Any]:
     """What NAME.json, else joints.json, tells of a motion file; nothing where there is none."""
     for place in (path.with_suffix(".json"), path.with_name(SHARED)):
         if place.is_file():
-            try:
-                told = json.loads(read_text(place, "repair it"))
-            except (ValueError, RecursionError):
-                raise InputError(place, "is not JSON", "repair it") from None
+            told = read_json(place, "repair it")
             if isinstance(told, dict):
                 return told
     return {}
@@ -295,7 +291,7 @@ def edges_of_plan(plan: Path) -> Array | None:
     if not plan.is_file():
         return None
     try:
-        told = json.loads(plan.read_text(encoding="utf-8"))
+        told = read_object(plan, "write it with infer --explain, or take it away", 1 << 26)
         edges = np.array(told["edges"] if "edges" in told else
                          [*(block["start"] for block in told["blocks"]), told["blocks"][-1]["end"]], dtype=np.float64)
     except (ValueError, KeyError, TypeError, IndexError):

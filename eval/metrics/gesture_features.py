@@ -33,6 +33,7 @@ from torch import Tensor, nn
 from data_module.arrays import read_numbers
 from data_module.errors import InputError
 from data_module.files import write_bytes, write_text
+from data_module.json_files import read_object
 from data_module.layers import SLOPE, freeze
 from data_module.motion.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
 from data_module.store import Store
@@ -174,7 +175,7 @@ def published(folder: str | Path) -> Features:
     if not weights.is_file():
         raise InputError(weights, "does not exist", "name the folder of the Human3.6M gesture encoder")
     try:
-        told = json.loads(weights.with_suffix(".json").read_text(encoding="utf-8"))
+        told = read_object(weights.with_suffix(".json"), "fetch it again")
         frames, fps, width = int(told["frames"]), float(told["fps"]), int(told["dim"])
         if width != DIRECTIONS:
             raise ValueError(f"it reads {width} numbers a frame, not {DIRECTIONS}")
@@ -341,7 +342,7 @@ def load(folder: str | Path) -> Autoencoder:
     """The inverse of `save`; InputError when a file is missing, was changed or is of another format."""
     weights = Path(folder) / f"{NAME}.safetensors"
     try:
-        told, data = json.loads(weights.with_suffix(".json").read_text(encoding="utf-8")), weights.read_bytes()
+        told, data = read_object(weights.with_suffix(".json"), "train it again"), weights.read_bytes()
         if (told["format"], told["sha256"]) != (_FORMAT, _sha256(data)):
             raise ValueError("its .json tells of another format or another file")
         network = Autoencoder(AutoencoderConfig(**told["config"]))

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from data_module.errors import InputError, complain
+from data_module.settings import whole_number
 from gesticulator.batch.run import Doing, TaskOutcome
 from gesticulator.cli import PROGRAM
 
@@ -101,7 +102,8 @@ def slurm_options(given: Sequence[str]) -> dict[str, Any]:
         name, mark, value = text.partition("=")
         if not (name and mark and value):
             raise InputError(f"--slurm {text}", "is no option", "write it as slurm_partition=cpu")
-        options[name] = int(value) if value.isdecimal() else value
+        number = whole_number(value, 2**63 - 1)
+        options[name] = value if number is None else number
     if options["cluster"] == "slurm" and shutil.which("sbatch") is None:
         raise InputError("--slurm", "finds no sbatch here", "run it where jobs are submitted, or say cluster=local")
     return options

@@ -13,7 +13,6 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -25,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
 from data_module.files import read_text
+from data_module.json_files import read_json
 from data_module.types import Array
 from eval.stats import LEVEL, Interval, crossed_means, limits
 from eval.table import Cell, Column, Table
@@ -35,6 +35,12 @@ COLUMNS = ("study", "rater", "item", "aspect", "rating")
 """Of a CSV file of ratings, one rating a row; others are ignored."""
 _CONSTANT = 5
 """So many answers or more, all alike, name a rater."""
+_LOWEST, _MOST_STEPS = 0, 100
+"""The first step of a scale at least, and how many follow: each is a column of the tables."""
+_MOST_QUESTIONS = 1_000_000
+"""Clips x systems x aspects of a study: nobody rates more."""
+_MOST_RATINGS = 50_000_000
+"""Questions x raters, 8 bytes each."""
 _SHARE = (LEVEL[1] - LEVEL[0]) / 100
 
 
@@ -75,13 +81,34 @@ def read_key(path: Path) -> Key:
     """The key that `study make` wrote; InputError for anything else."""
     told = _json(path)
     try:
-        systems, (low, high) = tuple(told["systems"]), told["scale"]
-        items = {name: (int(own["clip"]), systems.index(own["system"])) for name, own in told["items"].items()}
-        if len(systems) < 2 or not all(0 <= clip < len(told["clips"]) for clip, _ in items.values()):
+        systems, aspects, (low, high) = _names(told["systems"]), _names(told["aspects"]), map(_whole, told["scale"])
+        items = {name: (_whole(own["clip"]), systems.index(own["system"])) for name, own in told["items"].items()}
+        clips = len(told["clips"])
+        if len(systems) < 2 or not aspects or not all(0 <= clip < clips for clip, _ in items.values()):
             raise ValueError("an item belongs to no clip")
-        return Key(told["study"], systems, tuple(told["aspects"]), len(told["clips"]), (int(low), int(high)), items)
+        if not isinstance(told["study"], str) or clips * len(systems) * len(aspects) > _MOST_QUESTIONS:
+            raise ValueError("no study")
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InputError(path, "is not the key of a study", "give the key.json that `study make` wrote") from None
+    if not _LOWEST <= low < high <= _LOWEST + _MOST_STEPS:
+        raise InputError(path, f"has a scale from {shown(low, 12)} to {shown(high, 12)}",
+                         f"give whole numbers from {_LOWEST} to {_LOWEST + _MOST_STEPS}, the lesser first")
+    return Key(told["study"], systems, aspects, clips, (low, high), items)
+
+
+def _names(values: Any) -> tuple[str, ...]:
+    """Different names; TypeError or ValueError for anything else."""
+    if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
+        raise TypeError("no names")
+    if len(set(values)) != len(values):
+        raise ValueError("a name is there twice")
+    return tuple(values)
+
+
+def _whole(value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise TypeError("no whole number")
+    return value
 
 
 def read_answers(paths: Sequence[Path], key: Key) -> list[Answer]:
@@ -122,10 +149,7 @@ def _answer(row: Mapping[str, Any], key: Key, path: Path) -> Answer:
 
 
 def _json(path: Path) -> Any:
-    try:
-        return json.loads(read_text(path, "give the file that was saved"))
-    except json.JSONDecodeError as error:
-        raise InputError(path, f"is not JSON (line {error.lineno})", "give the file that was saved") from None
+    return read_json(path, "give the file that was saved")
 
 
 def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> Ratings:
@@ -142,6 +166,8 @@ def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> 
     if not kept:
         raise InputError("ratings", "hold no answer", "give what the raters saved")
     raters = tuple(sorted({answer.rater for answer in kept}, key=lambda name: (len(name), name)))
+    if len(raters) * key.clips * len(key.systems) * len(key.aspects) > _MOST_RATINGS:
+        raise InputError("ratings", f"name {len(raters)} raters", "give what the raters of this study saved")
     values = np.full((len(raters), key.clips, len(key.systems), len(key.aspects)), np.nan)
     doubled: Counter[str] = Counter()
     for answer in kept:

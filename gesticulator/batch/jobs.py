@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from data_module.errors import InputError
+from data_module.errors import InputError, printable
 from gesticulator.export.writers import suffix_of
 
 STDIN = "-"
@@ -37,7 +37,7 @@ class Job:
     @property
     def name(self) -> str:
         """What the recording is called in messages."""
-        return "standard input" if self.source is None else self.source.name
+        return "standard input" if self.source is None else printable(self.source.name)
 
 
 def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:

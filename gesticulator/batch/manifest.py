@@ -10,21 +10,30 @@ import argparse
 import contextlib
 import io
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from data_module.errors import InputError
+from data_module.errors import InputError, printable, shown
 from data_module.files import lock, write_bytes
+from data_module.json_files import parse_json
 from gesticulator.cli import Command
 
 DONE, FAILED = "done", "failed"
 SUFFIXES = (".parquet", ".jsonl")
 """Endings of a manifest; Parquet needs pyarrow."""
 _JOURNAL = ".journal"
+_LONGEST_LINE = 1 << 20
+"""Bytes (1 MiB) of a row in JSON: paths and a message of some kilobytes."""
+_MOST_ROWS = 10_000_000
+"""Rows of a manifest: more than any corpus has recordings. A Parquet file can claim any number in some bytes."""
+_MOST_BYTES = 1 << 32
+"""Bytes (4 GiB) of all columns together, unpacked."""
+_ADVICE = "name another, or move it away"
 
 
 @dataclass(frozen=True)
@@ -66,15 +75,26 @@ class ManifestRow:
 
 
 def row_of(entry: Any) -> ManifestRow:
-    """The row of plain values; TypeError or ValueError where they are none."""
+    """The row of plain values; ValueError where they are none. What is absent or null has its default."""
     if not isinstance(entry, Mapping):
-        raise ValueError("no row")
-    known = {one.name for one in fields(ManifestRow)}
-    row = ManifestRow(**{name: value for name, value in entry.items() if name in known})
-    if not isinstance(row.input, str) or row.status not in (DONE, FAILED):
-        raise ValueError("no row")
-    return ManifestRow(**{**asdict(row), "output": tuple(map(str, row.output)), "seconds": float(row.seconds),
-                          "time": float(row.time)})
+        raise ValueError("a row is no object")
+    given = {one.name: entry[one.name] for one in fields(ManifestRow) if entry.get(one.name) is not None}
+    for name, value in given.items():
+        if not _fits(name, value):
+            raise ValueError(f"{name} is {shown(value)}")
+    if "input" not in given or given.get("status", DONE) not in (DONE, FAILED):
+        raise ValueError("a row without an input or a status")
+    row = ManifestRow(**given)
+    return replace(row, output=tuple(row.output), seconds=float(row.seconds), time=float(row.time))
+
+
+def _fits(name: str, value: Any) -> bool:
+    """Whether a value is of its field's kind."""
+    if name in ("seconds", "time"):
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if name == "output":
+        return isinstance(value, list | tuple) and all(isinstance(path, str) and "\0" not in path for path in value)
+    return isinstance(value, str) and "\0" not in value
 
 
 def check_manifest(path: Path) -> None:
@@ -106,21 +126,68 @@ def read_manifest(path: Path) -> dict[str, ManifestRow]:
         if journal.exists():
             entries += _lines(journal, whole=False)
         return {row.input: row for row in map(row_of, entries)}
-    except (ValueError, TypeError, KeyError, OSError) as error:
-        told = " ".join(str(error).split())[:80]
-        raise InputError(path, f"is no manifest ({told})", "name another, or move it away") from None
+    except (ValueError, OSError) as error:
+        raise InputError(path, f"is no manifest ({' '.join(str(error).split())[:80]})", _ADVICE) from None
 
 
 def _read_table(path: Path) -> list[Any]:
+    """The rows of a Parquet file; ValueError where its columns are not those of a manifest, before they are read."""
+    import pyarrow
     from pyarrow import parquet
 
-    return list(parquet.ParquetFile(path).read().to_pylist())
+    try:
+        with parquet.ParquetFile(path) as file:
+            about, schema = file.metadata, _schema()
+            size = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
+            if not 0 <= about.num_rows <= _MOST_ROWS or not 0 <= size <= _MOST_BYTES:
+                raise ValueError(f"it claims {about.num_rows} rows of {size} bytes")
+            names = [name for name in schema.names if name in file.schema_arrow.names]
+            for name in names:
+                kind = file.schema_arrow.field(name).type
+                if not _is_kind(kind, schema.field(name).type):
+                    raise ValueError(f"its column {name} holds {kind}, not {schema.field(name).type}")
+            rows: list[Any] = file.read(names).to_pylist()
+            return rows
+    except (pyarrow.ArrowException, KeyError, TypeError, OverflowError) as error:
+        raise ValueError(str(error)) from None
 
 
 def _lines(path: Path, whole: bool) -> list[Any]:
-    text = path.read_bytes()
-    lines = text.split(b"\n")
-    return [json.loads(line) for line in (lines if whole else lines[:-1]) if line.strip()]
+    """The values of a file of JSON lines. whole: the last line counts, too, which else may be cut off."""
+    found: list[Any] = []
+    with path.open("rb") as file:
+        while line := file.readline(_LONGEST_LINE + 1):
+            if len(line) > _LONGEST_LINE:
+                raise InputError(path, "has a line longer than 1 MiB", _ADVICE)
+            if line.strip() and (whole or line.endswith(b"\n")):
+                found.append(_entry(line))
+    return found
+
+
+def _entry(line: bytes) -> Any:
+    try:
+        return parse_json(line, "a row", "", python=True)
+    except InputError as error:
+        raise ValueError(error.wrong) from None
+
+
+def _is_kind(kind: Any, wanted: Any) -> bool:
+    """Whether a column's type is the one wanted, in any of its sizes, or has no values at all."""
+    from pyarrow import types
+
+    if types.is_list(wanted):
+        return types.is_null(kind) or ((types.is_list(kind) or types.is_large_list(kind)) and _is_kind(
+            kind.value_type, wanted.value_type))
+    if types.is_string(wanted):
+        return bool(types.is_null(kind) or types.is_string(kind) or types.is_large_string(kind))
+    return bool(types.is_null(kind) or kind.equals(wanted))
+
+
+def _schema() -> Any:
+    import pyarrow
+
+    kinds = {"seconds": pyarrow.float64(), "time": pyarrow.float64(), "output": pyarrow.list_(pyarrow.string())}
+    return pyarrow.schema([(one.name, kinds.get(one.name, pyarrow.string())) for one in fields(ManifestRow)])
 
 
 def write_manifest(path: Path, rows: Iterable[ManifestRow]) -> None:
@@ -132,11 +199,19 @@ def write_manifest(path: Path, rows: Iterable[ManifestRow]) -> None:
     import pyarrow
     from pyarrow import parquet
 
-    kinds = {"seconds": pyarrow.float64(), "time": pyarrow.float64(), "output": pyarrow.list_(pyarrow.string())}
-    schema = pyarrow.schema([(one.name, kinds.get(one.name, pyarrow.string())) for one in fields(ManifestRow)])
     out = io.BytesIO()
-    parquet.write_table(pyarrow.Table.from_pylist(entries, schema), out, compression="zstd")
+    parquet.write_table(pyarrow.Table.from_pylist(list(map(_as_text, entries)), _schema()), out, compression="zstd")
     write_bytes(path, out.getvalue())
+
+
+def _as_text(entry: dict[str, Any]) -> dict[str, Any]:
+    """The bytes of names that are no text as escapes: Parquet holds UTF-8 alone."""
+    def plain(value: Any) -> Any:
+        if isinstance(value, str):
+            return value.encode("utf-8", "backslashreplace").decode()
+        return list(map(plain, value)) if isinstance(value, tuple) else value
+
+    return {name: plain(value) for name, value in entry.items()}
 
 
 class Manifest:
@@ -221,7 +296,7 @@ def _run(asked: argparse.Namespace) -> int:
     if asked.output is not None:
         write_manifest(asked.output, rows.values())
     for row in _worst(rows.values()) if asked.failed else ():
-        print(f"{row.input}: {row.error}")
+        print(printable(f"{row.input}: {row.error}"))
     print(table(list(rows.values())), flush=True)
     return 0
 

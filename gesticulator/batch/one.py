@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_module.errors import InputError, complain
+from data_module.errors import InputError, complain, printable
 from gesticulator.arguments import asked_options
 from gesticulator.batch.jobs import Job
 from gesticulator.cli import PROGRAM
@@ -100,7 +100,7 @@ def _say_done(job: Job, asked: argparse.Namespace, done: _Done, written: Sequenc
     if not asked.quiet:
         print(f"{job.name}: {done.seconds:.1f} s, {len(done.lexemes) - 1} beats, "
               f"{len(set(done.lexemes))} of {done.lexicon} lexemes, "
-              f"real-time factor {done.factor:.3f} -> {', '.join(map(str, written))}"
+              f"real-time factor {done.factor:.3f} -> {printable(', '.join(map(str, written)))}"
               + "".join(f"\n  {note}" for note in notes), flush=True)
         for page in written:
             if page.suffix.lower() == ".html":

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from data_module.errors import InputError, one_line
+from data_module.settings import whole_number
 from gesticulator.batch.run import Doing, Maker, TaskOutcome, attempted
 
 ATTEMPTS = 3
@@ -35,6 +36,7 @@ STARTS = 3
 MISSED = 3
 """Times without an answer after which it is not: a busy machine may miss one."""
 _LOCAL, _CLIENT = "local:", "ray://"
+_MOST_WORKERS = 10_000
 
 
 def check_ray(given: str) -> None:
@@ -42,8 +44,8 @@ def check_ray(given: str) -> None:
     if find_spec("ray") is None:
         raise InputError("--ray", "needs Ray, which is not installed", "pip install 'gesticulator[scale]', or use "
                          "--shard")
-    if given.startswith(_LOCAL) and not (given[len(_LOCAL):].isdecimal() and int(given[len(_LOCAL):])):
-        raise InputError(f"--ray {given}", "is no number of workers", "write --ray local:4")
+    if given.startswith(_LOCAL) and not whole_number(given[len(_LOCAL):], _MOST_WORKERS):
+        raise InputError(f"--ray {given[:40]}", "is no number of workers", "write --ray local:4")
 
 
 class RayWorker:
@@ -145,7 +147,7 @@ def _answers(address: str) -> bool:
     """Whether something listens at an address such as "head:6379" or "ray://head:10001"; True where it is of another
     kind, which Ray may know."""
     host, mark, port = address.removeprefix(_CLIENT).rpartition(":")
-    if not mark or not port.isdecimal():
+    if not mark or whole_number(port, 65535) is None:
         return True
     try:
         with socket.create_connection((host.strip("[]"), int(port)), timeout=PULSE):

@@ -21,6 +21,7 @@ from typing import TypeAlias, TypeVar
 from data_module.build import end_with_parent
 from data_module.errors import InputError, complain, one_line
 from data_module.files import remove_unfinished_of
+from data_module.settings import whole_number
 from gesticulator.batch.manifest import DONE, FAILED, Manifest, ManifestRow, table
 from gesticulator.cli import PROGRAM
 
@@ -32,6 +33,7 @@ READERS = 8
 """Threads that read recordings before the work."""
 _Given = TypeVar("_Given")
 _Found = TypeVar("_Found")
+_MOST_SHARDS = 10**9
 _BYTES_PER_SECOND = 16_000
 """Of a recording whose header does not tell its length, such as MP3 at 128 kbit/s: only who does what depends on it."""
 
@@ -107,10 +109,11 @@ def _read(one: Callable[[_Given], _Found], items: Sequence[_Given]) -> list[_Fou
 
 def asked_shard(text: str | None) -> tuple[int, int]:
     """A shard such as 2/8; the whole, 1/1, where none is asked for."""
-    index, mark, count = (text or "1/1").partition("/")
-    if not (mark and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
-        raise InputError(f"--shard {index[:20]}{mark}{count[:20]}", "is no shard", "write it as 1/8 to 8/8")
-    return int(index), int(count)
+    first, mark, last = (text or "1/1").partition("/")
+    index, count = whole_number(first, _MOST_SHARDS), whole_number(last, _MOST_SHARDS)
+    if not index or not count or index > count:
+        raise InputError(f"--shard {first[:20]}{mark}{last[:20]}", "is no shard", "write it as 1/8 to 8/8")
+    return index, count
 
 
 def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTask]:

@@ -30,6 +30,7 @@ from torch import Tensor, nn
 
 from data_module.controls import Levels
 from data_module.errors import InputError
+from data_module.json_files import parse_json, read_object
 from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Skeleton
@@ -427,15 +428,7 @@ def _sync(path: Path) -> None:
 
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object from a file; InputError for anything else, however it is broken."""
-    try:
-        if path.stat().st_size > _LARGEST_INDEX:
-            raise InputError(path, "is too large to be the list of a bundle", "copy the bundle again")
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):
-        raise InputError(path, "is broken", "copy the bundle again") from None
-    if not isinstance(found, dict):
-        raise InputError(path, "is broken", "copy the bundle again")
-    return found
+    return read_object(path, "copy the bundle again", _LARGEST_INDEX)
 
 
 _KINDS: dict[str, Any] = {"config": dict, "skeleton": dict, "speakers": list, "silent_lexemes": list, "files": dict,
@@ -571,12 +564,10 @@ def _finite(file: Path, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def _header(file: Path, data: bytes) -> dict[str, Any]:
-    try:
-        header = json.loads(data[8:8 + int.from_bytes(data[:8], "little")])
-        if isinstance(header, dict) and isinstance(header.get("__metadata__", {}), dict):
-            return header
-    except (ValueError, RecursionError, OverflowError):
-        pass
+    text = data[8:8 + min(int.from_bytes(data[:8], "little"), _HEADER)]
+    header = parse_json(text, file, "copy the bundle again")
+    if isinstance(header, dict) and isinstance(header.get("__metadata__", {}), dict):
+        return header
     raise InputError(file, "is broken (no header of tensors)", "copy the bundle again")
 
 

@@ -5,7 +5,6 @@ What comes back is the armature as Blender has it after its import: metres, Z up
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from pathlib import Path
@@ -15,11 +14,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
+from data_module.json_files import read_json
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.rig import Character
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
+_LARGEST = 1 << 28
+"""Bytes (256 MiB) of what Blender tells of a rig: 100,000 bones take half of it."""
 
 
 def read_fbx_character(path: str | os.PathLike[str]) -> Character:
@@ -33,7 +35,7 @@ def read_fbx_character(path: str | os.PathLike[str]) -> Character:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "rig.json"
         run_in_blender(source, SCRIPT, str(source.resolve()), str(target))
-        told: list[dict[str, Any]] = json.loads(target.read_text(encoding="utf-8"))
+        told: list[dict[str, Any]] = read_json(target, "export it again", _LARGEST)
     if len(told) < 2:
         raise InputError(path, "holds no armature", "export the armature, too")
     return from_bones(source, told)

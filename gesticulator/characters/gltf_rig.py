@@ -6,15 +6,9 @@ of glTF are in metres, Y up; a VRM 0.x character faces -Z, others +Z.
 
 from __future__ import annotations
 
-import base64
-import binascii
-import json
 import os
-import struct
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,148 +17,65 @@ from scipy.spatial.transform import Rotation
 from data_module.errors import InputError, shown
 from data_module.types import Array
 from gesticulator.characters.bvh_rig import turns_of
+from gesticulator.characters.gltf_file import AGAIN, FARTHEST, GltfFile, read_gltf
 from gesticulator.characters.rig import Character
 
-LARGEST = 1 << 31
-"""Bytes (2 GiB) of a file that is read: characters of films have some hundreds of MB of textures."""
 MOST_POINTS = 20_000
 """Points of the skin that are kept, evenly thinned: a trunk's width needs no more."""
-_MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_AGAIN = "export it again as GLB"
+_MOST_PARTS = 1 << 16
+"""Parts of meshes that are drawn: one mesh may be named by every node."""
+_LONGEST_NAME = 1000
+_SKINNED = ("POSITION", "JOINTS_0", "WEIGHTS_0")
+"""Attributes of a mesh that a skin moves."""
 
 
 def read_gltf_character(path: str | os.PathLike[str]) -> Character:
     """The rig of a .glb, .vrm or .gltf file. `InputError` where it is none, or has no skin."""
-    document, binary = _parts(Path(path))
+    file = read_gltf(path)
     try:
-        return _character(_Document(Path(path), document, binary))
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, struct.error) as error:
-        # A file that breaks the format's own rules may do so anywhere.
+        return _character(file)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        # The tables of VRM, and matrices that cannot be inverted.
         raise InputError(path, f"is a broken glTF file ({type(error).__name__}: {shown(str(error), 100)})",
-                         _AGAIN) from None
+                         AGAIN) from None
 
 
-def _parts(path: Path) -> tuple[dict[str, Any], bytes | None]:
-    """The JSON of the file, and the binary chunk of a GLB."""
-    try:
-        if not path.is_file():
-            raise InputError(path, "does not exist" if not path.exists() else "is no regular file", "check the path")
-        if path.stat().st_size > LARGEST:
-            raise InputError(path, f"is larger than {LARGEST >> 30} GiB", "leave out its textures")
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})",
-                         "check the path and its rights") from None
-    binary = None
-    if data[:4] == b"glTF":
-        chunks: dict[int, bytes] = {}
-        if len(data) < 12 or struct.unpack_from("<I", data, 4)[0] != 2:
-            raise InputError(path, "is no GLB of version 2", _AGAIN)
-        at = 12
-        while at + 8 <= len(data):
-            size, kind = struct.unpack_from("<II", data, at)
-            if at + 8 + size > len(data):
-                raise InputError(path, "is cut off", "copy or export it again")
-            chunks.setdefault(kind, data[at + 8:at + 8 + size])
-            at += 8 + size
-        data, binary = chunks.get(_JSON, b""), chunks.get(_BINARY)
-    try:
-        document = json.loads(data.decode("utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
-        raise InputError(path, "is no glTF file", "give a .glb, .vrm or .gltf file") from None
-    if not isinstance(document, dict) or not isinstance(document.get("nodes"), list) or not document["nodes"]:
-        raise InputError(path, "is a glTF file without nodes", "export the armature, too")
-    return document, binary
-
-
-class _Document:
-    """A glTF document whose accessors can be read as arrays."""
-
-    def __init__(self, path: Path, document: dict[str, Any], binary: bytes | None) -> None:
-        self.path, self.json, self._binary = path, document, binary
-        self._buffers: dict[int, bytes] = {}
-
-    def all(self, name: str) -> list[Any]:
-        """The entries of a top-level list; empty where the file has none."""
-        found = self.json.get(name)
-        return found if isinstance(found, list) else []
-
-    def _buffer(self, index: int) -> bytes:
-        if index not in self._buffers:
-            uri = self.json["buffers"][index].get("uri")
-            if uri is None:
-                if self._binary is None:
-                    raise InputError(self.path, "lacks its binary part", _AGAIN)
-                self._buffers[index] = self._binary
-            elif uri.startswith("data:"):
-                try:
-                    self._buffers[index] = base64.b64decode(uri.partition(",")[2], validate=True)
-                except binascii.Error:
-                    raise InputError(self.path, "has a buffer that is not base64", _AGAIN) from None
-            else:
-                beside = (self.path.parent / unquote(uri)).resolve()
-                # A document names files beside it, and nothing else on the disk.
-                if not beside.is_relative_to(self.path.parent.resolve()) or not beside.is_file():
-                    raise InputError(self.path, f"lacks its buffer {shown(uri)}", f"keep it beside, or {_AGAIN}")
-                self._buffers[index] = beside.read_bytes()
-        return self._buffers[index]
-
-    def array(self, index: int) -> NDArray[Any]:
-        """[count, width] the values of an accessor; integers that are normalised become shares of 1."""
-        told = self.json["accessors"][index]
-        kind, width, count = np.dtype(_TYPES[told["componentType"]]), _WIDTHS[told["type"]], int(told["count"])
-        if "sparse" in told or "bufferView" not in told:
-            return np.zeros((count, width))
-        view = self.json["bufferViews"][told["bufferView"]]
-        data = self._buffer(view["buffer"])
-        start = int(view.get("byteOffset", 0)) + int(told.get("byteOffset", 0))
-        step = int(view.get("byteStride", 0)) or kind.itemsize * width
-        if count < 1 or start < 0 or start + step * (count - 1) + kind.itemsize * width > len(data):
-            raise InputError(self.path, f"has an accessor ({index}) beyond its buffer", _AGAIN)
-        values = np.ndarray((count, width), kind, data, start, (step, kind.itemsize)).astype(np.float64)
-        if told.get("normalized") and kind.kind in "iu":
-            values = np.maximum(values / np.iinfo(kind).max, -1.0)
-        return values
-
-
-def _character(document: _Document) -> Character:
-    nodes = document.all("nodes")
+def _character(file: GltfFile) -> Character:
+    nodes = file.rows("nodes")
     parent_of = {child: node for node, told in enumerate(nodes) for child in told.get("children", [])}
-    order = _parents_first(document, len(nodes), parent_of)
+    order = _parents_first(file, len(nodes), parent_of)
     place = {node: index for index, node in enumerate(order)}
     translations, rotations, scales = (np.array(column) for column in zip(
         *(_transform(nodes[node]) for node in order), strict=True))
-    if not all(np.isfinite(column).all() for column in (translations, rotations, scales)):
-        raise InputError(document.path, "has nodes whose places are no numbers", _AGAIN)
     skinned = np.zeros(len(order), dtype=bool)
-    for skin in document.all("skins"):
+    for skin in file.rows("skins"):
         skinned[[place[node] for node in skin["joints"]]] = True
-    version, humanoid = _vrm(document, place)
+    version, humanoid = _vrm(file, place)
     if not skinned.any():
         if not humanoid:
-            raise InputError(document.path, "has no skin, and so no joints", "export the armature, too")
+            raise InputError(file.path, "has no skin, and so no joints", "export the armature, too")
         skinned[list(humanoid.values())] = True
     character = Character(
-        tuple(str(nodes[node].get("name", "")) for node in order),
+        tuple(str(nodes[node].get("name", ""))[:_LONGEST_NAME] for node in order),
         tuple(place[parent_of[node]] if node in parent_of else -1 for node in order),
-        translations, rotations, scales, document.path, "glb", skinned, humanoid=humanoid, vrm=version, unit=1.0,
+        translations, rotations, scales, file.path, "glb", skinned, humanoid=humanoid, vrm=version, unit=1.0,
         node_ids=tuple(order))
-    inverse = _inverse_bind(document, place)
+    with np.errstate(over="ignore", invalid="ignore"):
+        rest = character.world_matrices()
+    if not (np.abs(rest) <= FARTHEST).all():
+        raise InputError(file.path, f"has nodes farther away, or larger, than {FARTHEST:g}", AGAIN)
+    inverse = _inverse_bind(file, place)
     if not inverse:
         return character
     bind, to_world = _bind(character, inverse)
-    flesh, flesh_nodes = _flesh(document, place, to_world)
+    flesh, flesh_nodes = _flesh(file, place, to_world)
     return Character(**{**vars(character), "bind": bind, "flesh": flesh, "flesh_nodes": flesh_nodes})
 
 
-def _parents_first(document: _Document, count: int, parent_of: Mapping[int, int]) -> list[int]:
+def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> list[int]:
     """The nodes, each after its parent, else in the order of the file."""
     children: dict[int, list[int]] = {}
     for child, parent in sorted(parent_of.items()):
-        if not 0 <= child < count:
-            raise InputError(document.path, "names a child that is not there", _AGAIN)
         children.setdefault(parent, []).append(child)
     order: list[int] = []
     todo = [node for node in reversed(range(count)) if node not in parent_of]
@@ -173,7 +84,7 @@ def _parents_first(document: _Document, count: int, parent_of: Mapping[int, int]
         order.append(node)
         todo += reversed(children.get(node, []))
     if len(order) != count:
-        raise InputError(document.path, "has nodes that are their own ancestors", _AGAIN)
+        raise InputError(file.path, "has nodes that are their own ancestors", AGAIN)
     return order
 
 
@@ -191,9 +102,9 @@ def _transform(told: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     return place, turn, np.array(told.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64).reshape(3)
 
 
-def _vrm(document: _Document, place: Mapping[int, int]) -> tuple[str, dict[str, int]]:
+def _vrm(file: GltfFile, place: Mapping[int, int]) -> tuple[str, dict[str, int]]:
     """Version and humanoid table (bone -> node) of the VRM extension; "" and none where there is none."""
-    extensions = document.json.get("extensions") or {}
+    extensions = file.document.get("extensions", {})
     if "VRMC_vrm" in extensions:
         bones = extensions["VRMC_vrm"]["humanoid"]["humanBones"]
         return "1.0", {bone: place[told["node"]] for bone, told in bones.items() if told.get("node") in place}
@@ -203,18 +114,19 @@ def _vrm(document: _Document, place: Mapping[int, int]) -> tuple[str, dict[str, 
     return "", {}
 
 
-def _inverse_bind(document: _Document, place: Mapping[int, int]) -> dict[int, Array]:
+def _inverse_bind(file: GltfFile, place: Mapping[int, int]) -> dict[int, Array]:
     """Node -> [4, 4] inverse bind matrix, of the skin with the most joints; others are brought to it by the joints
     that both have, and left out where they have none."""
-    skins = sorted((skin for skin in document.all("skins") if "inverseBindMatrices" in skin),
+    skins = sorted((skin for skin in file.rows("skins") if "inverseBindMatrices" in skin),
                    key=lambda skin: -len(skin["joints"]))
     out: dict[int, Array] = {}
     for skin in skins:
-        matrices = document.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
-        if not np.isfinite(matrices).all():
-            raise InputError(document.path, "has inverse bind matrices that are no numbers", _AGAIN)
-        own = {place[node]: matrix for node, matrix in zip(skin["joints"], matrices, strict=False)
-               if abs(np.linalg.det(matrix)) > 1e-15}
+        numbers = file.array(skin["inverseBindMatrices"], most=len(skin["joints"]))
+        if not (np.abs(numbers) <= FARTHEST).all():
+            raise InputError(file.path, "has inverse bind matrices that are no numbers", AGAIN)
+        matrices = numbers.reshape(-1, 4, 4).transpose(0, 2, 1)
+        own = {place[node]: matrix for node, matrix, size in zip(skin["joints"], matrices, np.linalg.det(matrices),
+                                                                 strict=False) if abs(size) > 1e-15}
         shared = next((node for node in own if node in out), None)
         if out and shared is None:
             continue
@@ -251,26 +163,44 @@ def _bind(character: Character, inverse: Mapping[int, Array]) -> tuple[Array, Ar
     return bind, to_world
 
 
-def _flesh(document: _Document, place: Mapping[int, int], to_world: Array) -> tuple[Array, NDArray[np.int64]]:
+def _flesh(file: GltfFile, place: Mapping[int, int], to_world: Array) -> tuple[Array, NDArray[np.int64]]:
     """Points of the skinned meshes in the world of the bind pose, and the node that moves each most."""
-    points: list[Array] = []
-    movers: list[NDArray[np.int64]] = []
-    for told in document.all("nodes"):
-        if "mesh" not in told or "skin" not in told:
+    parts = list(_skinned_parts(file))
+    counts = [file.count(attributes["POSITION"]) for _, attributes in parts]
+    step = -(-sum(counts) // MOST_POINTS) or 1
+    points: list[Array] = [np.zeros((0, 3))]
+    movers: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
+    joints_of: dict[int, NDArray[np.int64]] = {}
+    before = 0
+    for (skin, attributes), count in zip(parts, counts, strict=True):
+        first, before = -before % step, before + count
+        if first >= count:
             continue
-        joints = np.array([place[node] for node in document.json["skins"][told["skin"]]["joints"]])
-        for primitive in document.json["meshes"][told["mesh"]]["primitives"]:
-            has = primitive.get("attributes", {})
-            if not {"POSITION", "JOINTS_0", "WEIGHTS_0"} <= set(has):
-                continue
-            where, which, weights = (document.array(has[name]) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
-            most = np.take_along_axis(which, weights.argmax(axis=1)[:, None], axis=1)[:, 0].astype(int)
-            points.append(where)
-            movers.append(joints[np.minimum(most, len(joints) - 1)])
-    if not points:
-        return np.zeros((0, 3)), np.zeros(0, np.int64)
+        if skin not in joints_of:
+            joints_of[skin] = np.array([place[node] for node in file.rows("skins")[skin]["joints"]])
+        joints = joints_of[skin]
+        where, which, weights = (file.array(attributes[name], first, step) for name in _SKINNED)
+        if where.shape[1] != 3 or which.shape != weights.shape or len(where) != len(which) or not which.shape[1]:
+            raise InputError(file.path, "has a mesh whose places, joints and weights do not fit each other", AGAIN)
+        most = np.take_along_axis(which, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+        points.append(where)
+        # A joint that is not there counts as the last; NaN as the first.
+        movers.append(joints[np.clip(np.nan_to_num(most), 0, len(joints) - 1).astype(np.int64)])
     all_points, all_movers = np.concatenate(points), np.concatenate(movers)
-    step = -(-len(all_points) // MOST_POINTS)
-    kept, movers_kept = all_points[::step], all_movers[::step]
-    good = np.isfinite(kept).all(axis=1)
-    return kept[good] @ to_world[:3, :3].T + to_world[:3, 3], movers_kept[good]
+    good = (np.abs(all_points) <= FARTHEST).all(axis=1)  # also not NaN
+    return all_points[good] @ to_world[:3, :3].T + to_world[:3, 3], all_movers[good]
+
+
+def _skinned_parts(file: GltfFile) -> Iterator[tuple[int, dict[str, int]]]:
+    """The skin, and the accessors by attribute, of every part of a mesh that a skin moves."""
+    count = 0
+    for node in file.rows("nodes"):
+        if "mesh" not in node or "skin" not in node or not file.rows("skins")[node["skin"]]["joints"]:
+            continue
+        for primitive in file.rows("meshes")[node["mesh"]]["primitives"]:
+            count += 1
+            if count > _MOST_PARTS:
+                raise InputError(file.path, f"draws more than {_MOST_PARTS:,} parts of meshes", "join them")
+            attributes = primitive.get("attributes", {})
+            if set(_SKINNED) <= set(attributes):
+                yield node["skin"], attributes

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from data_module.errors import InputError, shown
-from data_module.files import read_text, write_text
+from data_module.files import write_text
+from data_module.json_files import read_json
 from data_module.motion.skeletons import FINGER_JOINTS, LEG_JOINTS
 from gesticulator.characters.rig import Character
 
@@ -133,10 +134,7 @@ def save_mapping(path: str | os.PathLike[str], mapping: RigMapping, character: C
 
 def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMapping:
     """A mapping that a user gives, for this character. `InputError` names what is wrong with it."""
-    try:
-        told = json.loads(read_text(path, "give a mapping as --save-mapping writes it"))
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InputError(path, f"is not JSON ({error})", _ADVICE) from None
+    told = read_json(path, "give a mapping as --save-mapping writes it")
     if not isinstance(told, dict) or not isinstance(told.get("joints"), dict) or told.get("format") != FORMAT:
         raise InputError(path, f"is no mapping of format {FORMAT}", "save a new one with --save-mapping")
     nodes = {key: node for node, key in enumerate(node_keys(character))}

@@ -92,8 +92,8 @@ def label(name: str) -> Label:
     tip = any(word in _TIPS for word in found)
     aid = any(word in _AIDS for word in found)
     kind = next((_KINDS[word] for word in found if word in _KINDS), "")
-    digits = [word for word in found if word.isdigit()]
-    key = "".join(word for word in found if not word.isdigit() and word not in _TIPS | _AIDS and word not in _KINDS)
+    digits = [word for word in found if _is_number(word)]
+    key = "".join(word for word in found if not _is_number(word) and word not in _TIPS | _AIDS and word not in _KINDS)
     number = kind or (digits[-1] if digits else "")
     if key in ("finger", "handfinger") and digits and side:  # Biped: finger 0 is the thumb, its joints 0, 01 and 02
         which = digits[-1]
@@ -106,6 +106,10 @@ def label(name: str) -> Label:
     if parts and (parts[0] in ("Hips", "Spine", "Neck", "Head")) == bool(side):
         parts = ()  # a sided spine is a muscle, an arm without a side is a prop
     return Label(parts, side, number, tip, aid)
+
+
+def _is_number(word: str) -> bool:
+    return word.isascii() and word.isdigit()  # "\u00b2".isdigit(), but int() does not read it
 
 
 def _glued_side(found: list[str]) -> tuple[str, list[str]]:

@@ -6,27 +6,23 @@ that what is not known here stays untouched.
 
 from __future__ import annotations
 
-import base64
-import binascii
 import io
 import json
 import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
-from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError, shown
 from data_module.types import Array
+from gesticulator.characters.gltf_file import BINARY_CHUNK, JSON_CHUNK, MAGIC, read_gltf
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.number_file import NumberFile
 
-MAGIC = b"glTF"
 VERSION = 2
-_JSON, _BIN = 0x4E4F534A, 0x004E4942
 _FLOAT, _UINT8, _UINT16 = 5126, 5121, 5123
 _TYPES = {np.dtype("<f4"): _FLOAT, np.dtype("u1"): _UINT8, np.dtype("<u2"): _UINT16}
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
@@ -118,8 +114,8 @@ class GltfDocument:
         size = 12 + 8 + len(text) + 8 + self._size
         if size > LARGEST:
             raise too_large(size)
-        out.write(struct.pack("<4sII", MAGIC, VERSION, size) + struct.pack("<II", len(text), _JSON) + text)
-        out.write(struct.pack("<II", self._size, _BIN))
+        out.write(struct.pack("<4sII", MAGIC, VERSION, size) + struct.pack("<II", len(text), JSON_CHUNK) + text)
+        out.write(struct.pack("<II", self._size, BINARY_CHUNK))
         for part in self._parts:
             if isinstance(part, NumberFile):
                 part.copy_to(out)
@@ -156,74 +152,25 @@ def transform(translation: Array, turn: Array, scale: Array) -> dict[str, Any]:
 
 
 def open_gltf(path: Path) -> GltfDocument:
-    """A .glb, .vrm or .gltf file, with all its buffers in one and all its pictures inside.
+    """A .glb, .vrm or .gltf file, with all its buffers in one and all its pictures inside, each file once.
 
     `InputError` where it is none, or lacks a file beside it.
     """
-    document, binary = read_parts(path)
-    if any("uri" in buffer for buffer in document.get("buffers", ())):
-        binary = _one_buffer(path, document, binary or b"")
-    gltf = GltfDocument(document, binary or b"")
-    for image in document.get("images", ()):
+    file = read_gltf(path)
+    gltf = GltfDocument(file.document, file.one_buffer())
+    views: dict[Path, int] = {}
+    for image in file.rows("images"):
         uri = image.get("uri", "")
         if uri and not uri.startswith("data:"):
             kind = _PICTURES.get(Path(uri).suffix.lower())
             if kind is None:
                 raise InputError(path, f"has a picture of an unknown kind ({shown(uri)})", "use PNG or JPEG")
+            place = file.beside(uri)
+            if place not in views:
+                views[place] = gltf.view(file.bytes_of(place))
             del image["uri"]
-            image |= {"bufferView": gltf.view(bytes_beside(path, uri)), "mimeType": kind}
+            image |= {"bufferView": views[place], "mimeType": kind}
     return gltf
-
-
-def _one_buffer(path: Path, document: dict[str, Any], binary: bytes) -> bytes:
-    """All buffers one after the other, and the views told where they now lie."""
-    joined, starts = bytearray(), []
-    for buffer in document["buffers"]:
-        joined += bytes(-len(joined) % 4)
-        starts.append(len(joined))
-        joined += bytes_beside(path, buffer["uri"]) if "uri" in buffer else binary
-    for view in document.get("bufferViews", ()):
-        view["byteOffset"] = view.get("byteOffset", 0) + starts[view["buffer"]]
-        view["buffer"] = 0
-    document["buffers"] = [{}]
-    return bytes(joined)
-
-
-def bytes_beside(path: Path, uri: str) -> bytes:
-    """What a URI of a glTF file names: data within it, or a file beside it and nothing else on the disk."""
-    try:
-        if uri.startswith("data:"):
-            return base64.b64decode(uri.partition(",")[2], validate=True)
-        beside = (path.parent / unquote(uri)).resolve()
-        if not beside.is_relative_to(path.parent.resolve()):
-            raise InputError(path, f"names a file elsewhere ({shown(uri)})", "keep it beside, or export as GLB")
-        return beside.read_bytes()
-    except (OSError, binascii.Error):
-        raise InputError(path, f"lacks {shown(uri)}", "keep it beside, or export as GLB") from None
-
-
-def read_parts(path: Path) -> tuple[dict[str, Any], bytes | None]:
-    """The JSON of a glTF file, and the binary chunk of a GLB. `InputError` where it is none."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror or error})", "check the path") from None
-    binary = None
-    try:
-        if data[:4] == MAGIC:
-            chunks: dict[int, bytes] = {}
-            at = 12
-            while at + 8 <= len(data):
-                size, kind = struct.unpack_from("<II", data, at)
-                chunks.setdefault(kind, data[at + 8:at + 8 + size])
-                at += 8 + size
-            data, binary = chunks.get(_JSON, b""), chunks.get(_BIN)
-        document = json.loads(data.decode("utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
-        document = None
-    if not isinstance(document, dict) or not document.get("nodes"):
-        raise InputError(path, "is no glTF file with nodes", "give a .glb, .vrm or .gltf file")
-    return document, binary
 
 
 def node_tree(motion: NodeMotion) -> list[dict[str, Any]]:

@@ -18,6 +18,8 @@ from xml.parsers import expat
 from xml.sax.saxutils import escape, quoteattr
 
 from data_module.errors import InputError, shown
+from data_module.files import read_bytes
+from data_module.json_files import parse_json
 from gesticulator.plan.json_lines import LinedJson
 from gesticulator.plan.json_lines import Path as Place
 from gesticulator.plan.plan import GesturePlan, check_plan, read_plan
@@ -27,9 +29,14 @@ __all__ = ["bml_of", "parse_bml", "read_any_plan"]
 
 NAMESPACE = "http://www.bml-initiative.org/bml/bml-1.0"
 OURS = "urn:gesticulator:plan:1"
+_PLAN, _GESTURE = f"{OURS} plan", f"{NAMESPACE} gesture"
+_READ = (_PLAN, _GESTURE)
 _ATTRIBUTES = ("silent", "locked", "intensity", "mirror", "draw", "flag")
 """Of a block, in our namespace; `lexeme` (a number), too, which counts where its name is not that of the attribute."""
-_MOST_BYTES = 64 << 20
+_MOST_BYTES = 32 << 20
+"""Bytes (32 MiB) of a file: an hour of blocks takes 6."""
+_MOST_GESTURES = 100_000
+"""Blocks and cues of a plan: six hours of blocks."""
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -79,12 +86,12 @@ def _sync(plan: GesturePlan, word: str, occurrence: int) -> str:
 
 @dataclass
 class _Element:
-    """tag: with its namespace and a space before it; line: from 1."""
+    """tag: with its namespace and a space before it; line: from 1; texts: its text in pieces."""
 
     tag: str
     attributes: dict[str, str]
     line: int
-    text: str = ""
+    texts: list[str] = field(default_factory=list)
     children: list[_Element] = field(default_factory=list)
 
 
@@ -92,13 +99,7 @@ def read_any_plan(path: str | os.PathLike[str]) -> GesturePlan:
     """A plan from a file of JSON or, with the suffix .bml or .xml, of BML; `InputError` with the line."""
     if Path(path).suffix.lower() not in (".bml", ".xml"):
         return read_plan(path)
-    try:
-        if Path(path).stat().st_size > _MOST_BYTES:
-            raise InputError(path, "is larger than a plan can be", "give the file that was written")
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror or error})", "check the path") from None
-    return parse_bml(data, str(path))
+    return parse_bml(read_bytes(path, "give the file that was written", _MOST_BYTES), str(path))
 
 
 def parse_bml(data: bytes, source: str = "plan.bml") -> GesturePlan:
@@ -106,20 +107,22 @@ def parse_bml(data: bytes, source: str = "plan.bml") -> GesturePlan:
     root = _tree(data, source)
     if root.tag != f"{NAMESPACE} bml":
         raise InputError(f"{source}, line {root.line}", "is no BML 1.0", f'begin with <bml xmlns="{NAMESPACE}">')
-    left = [child for child in root.children if child.tag == f"{OURS} plan"]
+    left = [child for child in root.children if child.tag == _PLAN]
     if len(left) != 1:
         raise InputError(f"{source}, line {root.line}", "lacks the <plan> of our namespace",
                          "edit a file that was written with -o FILE.bml")
-    value = _json(left[0].text, source, left[0].line)
-    if not isinstance(value, dict) or not isinstance(value.get("blocks"), list):
+    value = _json("".join(left[0].texts), source, left[0].line)
+    if not isinstance(value, dict) or not all(
+            isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+            for rows in (value.get("blocks"), value.get("lexicon", []))):
         raise InputError(f"{source}, line {left[0].line}", "holds no plan", "leave <g:plan> as it was written")
-    return _assembled(value, [child for child in root.children if child.tag == f"{NAMESPACE} gesture"], source,
+    return _assembled(value, [child for child in root.children if child.tag == _GESTURE], source,
                       left[0].line)
 
 
 def _assembled(value: dict[str, Any], gestures: list[_Element], source: str, line: int) -> GesturePlan:
     rows = {f"b{at}": row for at, row in enumerate(value["blocks"])}
-    numbers = {one.get("name"): one.get("lexeme") for one in value.get("lexicon", ()) if isinstance(one, dict)}
+    numbers = {one["name"]: one.get("lexeme") for one in value.get("lexicon", []) if isinstance(one.get("name"), str)}
     blocks, cues = [], []
     for gesture in gestures:
         if "start" in gesture.attributes:
@@ -143,7 +146,7 @@ def _assembled(value: dict[str, Any], gestures: list[_Element], source: str, lin
 def _block(gesture: _Element, row: dict[str, Any], numbers: dict[Any, Any], source: str) -> dict[str, Any]:
     own, where = gesture.attributes, f"{source}, line {gesture.line}"
     for name in ("start", "end"):
-        row[name] = _json(own.get(name, ""), source, gesture.line, f"{name} of a gesture")
+        row[name] = _seconds(own.get(name, ""), source, gesture.line, f"{name} of a gesture")
     for name in ("lexeme", *_ATTRIBUTES):
         if f"{OURS} {name}" in own:
             text = own[f"{OURS} {name}"]
@@ -167,36 +170,56 @@ def _cue(gesture: _Element, source: str) -> dict[str, Any]:
             text = own[f"{OURS} {name}"]
             cue[name] = text if name == "word" else _json(text, source, gesture.line, name)
     if "word" not in cue:
-        cue["time"] = _json(own.get("stroke", ""), source, gesture.line, "stroke of a gesture")
+        cue["time"] = _seconds(own.get("stroke", ""), source, gesture.line, "stroke of a gesture")
     return cue
+
+
+def _seconds(text: str, source: str, line: int, what: str) -> float:
+    value = _json(text, source, line, what)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise InputError(f"{source}, line {line}", f"{what} is {shown(text)}", "give seconds")
+    return value
 
 
 def _json(text: str, source: str, line: int, what: str = "<plan>") -> Any:
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
+        return parse_json(text, source, "")
+    except InputError:
         raise InputError(f"{source}, line {line}", f"{what} is {shown(text)}", "give a number, or what was written") \
             from None
 
 
 def _tree(data: bytes, source: str) -> _Element:
-    """The elements of a document; names of entities and types of documents are refused."""
+    """The first element of a document, with its children of `_READ` and their text; what lies deeper tells nothing of a
+    plan. Entities and types of documents are refused."""
     parser = expat.ParserCreate(namespace_separator=" ")
     top = _Element("", {}, 1)
-    open_: list[_Element] = [top]
+    depth, plan = 0, False
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        element = _Element(tag, attributes, parser.CurrentLineNumber)
-        open_[-1].children.append(element)
-        open_.append(element)
+        nonlocal depth, plan
+        depth += 1
+        if depth == 1:
+            top.children.append(_Element(tag, attributes, parser.CurrentLineNumber))
+        elif depth == 2:
+            rows, plan = top.children[0].children, tag == _PLAN
+            if tag in _READ:
+                rows.append(_Element(tag, attributes, parser.CurrentLineNumber))
+            if len(rows) > _MOST_GESTURES:
+                raise InputError(source, f"has more than {_MOST_GESTURES:,} gestures", "cut the recording in parts")
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
 
     def text(data: str) -> None:
-        open_[-1].text += data
+        if depth == 2 and plan:
+            top.children[0].children[-1].texts.append(data)
 
     def refuse(*_: object) -> None:
         raise InputError(f"{source}, line {parser.CurrentLineNumber}", "declares a type of document", "take it away")
 
-    parser.StartElementHandler, parser.EndElementHandler = start, lambda _: open_.__delitem__(-1)
+    parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, refuse
     parser.buffer_text = True
     try:
@@ -204,4 +227,6 @@ def _tree(data: bytes, source: str) -> _Element:
     except expat.ExpatError as error:
         raise InputError(f"{source}, line {error.lineno}", f"is no XML ({expat.errors.messages[error.code]})",
                          "check its tags") from None
+    except (LookupError, ValueError) as error:  # an encoding that is unknown, or is not read by expat
+        raise InputError(source, f"is no XML ({error})", "save it in UTF-8") from None
     return top.children[0]

@@ -19,6 +19,10 @@ _NUMBER = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][+-]?\d+)?")
 _WORDS = {"true": True, "false": False, "null": None}
 _DEEPEST = 64
 """Lists within lists: a plan has five."""
+_MOST_VALUES = 1 << 20
+"""Values of a file (1,048,576), each of which keeps its line: a plan of an hour has a quarter of it."""
+_HALF = re.compile("[\ud800-\udfff]")
+"""Half of a surrogate pair, which no file can hold."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,8 @@ class _Reader:
     def value(self, at: int, path: Path) -> Any:
         """The value that begins at a place; `at` is then behind it and the space that follows."""
         self.lines[path] = self._line_of(at)
+        if len(self.lines) > _MOST_VALUES:
+            raise self.error(at, f"has more than {_MOST_VALUES:,} values", "cut the recording in parts")
         if len(path) > _DEEPEST:
             raise self.error(at, "is nested too deeply", "write it as the schema says")
         start = self.text[at:at + 1]
@@ -103,6 +109,8 @@ class _Reader:
             text, end = scanstring(self.text, at + 1)
         except json.JSONDecodeError as error:
             raise self.error(error.pos, f"holds a text that is none ({error.msg})", "check its quotes") from None
+        if _HALF.search(text):
+            raise self.error(at, f"holds half a character in {shown(text)}", "write whole ones")
         self.skip(end)
         return text
 

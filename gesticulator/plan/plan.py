@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from data_module.errors import InputError, shown
-from data_module.files import write_text
+from data_module.files import read_text, write_text
 from data_module.settings import SettingChoice, SettingRange
 from gesticulator.plan.json_lines import LinedJson, parse
 from gesticulator.plan.json_lines import Path as Place
@@ -61,7 +61,7 @@ SETTLES = 0.42
 """Seconds before a range of stillness in which the hands come to rest, the longest that a stop takes."""
 _EPS = 1e-6
 """Seconds within which two times are the same: files round."""
-_MOST_BYTES = 64 << 20
+_MOST_BYTES = 32 << 20
 """Bytes of a plan that are read; an hour's has 10 million."""
 
 Seconds = Annotated[float, SettingRange(0.0)]
@@ -349,16 +349,7 @@ def schema() -> dict[str, Any]:
 
 def read_plan(path: str | os.PathLike[str]) -> GesturePlan:
     """A plan from a file; `InputError` with the line and what is allowed where it cannot be used."""
-    name = Path(path)
-    try:
-        if name.stat().st_size > _MOST_BYTES:
-            raise InputError(name, "is larger than a plan can be", "give the file that --plan-out wrote")
-        text = name.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(name, "is no text in UTF-8", "save it so") from None
-    except OSError as error:
-        raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path") from None
-    return parse_plan(text, str(path))
+    return parse_plan(read_text(path, "give the file that --plan-out wrote", _MOST_BYTES), str(path))
 
 
 def parse_plan(text: str, source: str = "plan") -> GesturePlan:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
+from data_module.files import read_text
 from gesticulator.cli import Command
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def read_token(asked: argparse.Namespace) -> str:
     """The token that clients must send, "" for none; `InputError` where others could come without one."""
     token = os.environ.get(TOKEN_VARIABLE, "")
     if asked.token_file is not None:
-        token = Path(asked.token_file).read_text(encoding="utf-8").strip()
+        token = read_text(asked.token_file, "write one line into it", 1 << 12).strip()
         if not token:
             raise InputError(asked.token_file, "holds no token", "write one into it")
     if not token and not asked.no_token and asked.host not in ("127.0.0.1", "::1", "localhost"):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from data_module.errors import InputError
+from data_module.json_files import read_object
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 BUCKETS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -91,8 +93,8 @@ def read_figures(folder: Path, but: int) -> list[dict[str, Any]]:
     found = []
     for file in folder.glob("[0-9]*.json"):
         try:
-            told = json.loads(file.read_text(encoding="utf-8"))
-        except FileNotFoundError:  # its worker died meanwhile
+            told = read_object(file, "delete it")
+        except InputError:  # its worker died meanwhile
             continue
         if told["worker"] != but:
             found.append(told)

@@ -20,6 +20,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from data_module.errors import InputError, one_line
+from data_module.json_files import parse_json
 
 HOST = "127.0.0.1"
 TOKEN_HEADER = "X-Gesticulator-Token"
@@ -144,9 +145,9 @@ class _PageHandler(BaseHTTPRequestHandler):
 
     def _render(self, body: bytes) -> None:
         try:
-            asked = json.loads(body)
-        except (ValueError, RecursionError):
-            self._refuse(HTTPStatus.BAD_REQUEST, "the request is no JSON")
+            asked = parse_json(body, "the request", "")
+        except InputError as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
             return
         plan = asked.get("plan") if isinstance(asked, dict) else None
         if not isinstance(plan, dict) or self.server.render is None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.errors import InputError, shown
+from data_module.json_files import parse_json, read_object
 from gesticulator.serve import schema
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def published() -> dict[str, Any]:
     """The published schema."""
     for place in _PLACES:
         if place.is_file():
-            found: dict[str, Any] = json.loads(place.read_text(encoding="utf-8"))
+            found: dict[str, Any] = read_object(place, "install gesticulator again")
             if found["version"] != VERSION:
                 raise InputError(place, f"is version {found['version']} of the protocol, and the server speaks "
                                  f"{VERSION}", "install both from one release")
@@ -107,10 +108,9 @@ class StreamRequest:
 def read_message(text: str) -> dict[str, Any]:
     """A text message of a client; `RefusedError` where it is none of the schema's."""
     try:
-        # Python would take NaN and Infinity, which JSON has not.
-        message = json.loads(text, parse_constant=_no_number)
-    except (ValueError, RecursionError):
-        raise RefusedError(CloseCode.BAD_MESSAGE, "the message is no JSON") from None
+        message = parse_json(text, "the message", "")
+    except InputError as error:
+        raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
     kinds = [one["$ref"].removeprefix("#/$defs/") for one in published()["client"]["oneOf"]]
     kind = message.get("type") if isinstance(message, dict) else None
     if not isinstance(kind, str) or kind not in kinds:
@@ -163,6 +163,3 @@ def joints(skeleton: Skeleton) -> list[dict[str, Any]]:
         out[joint]["tip"] = np.round(tip, 6).tolist()
     return out
 
-
-def _no_number(text: str) -> float:
-    raise ValueError(text)

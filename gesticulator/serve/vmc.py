@@ -20,6 +20,7 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.motion.skeletons import standing
+from data_module.settings import whole_number
 
 if TYPE_CHECKING:
     from data_module.types import Array, Motion
@@ -42,13 +43,14 @@ _THUMB = {"Metacarpal": "Proximal", "Proximal": "Intermediate", "Distal": "Dista
 def read_target(text: str) -> tuple[str, int]:
     """Host and port of "HOST:PORT"; `InputError` for what is none."""
     host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(f"--vmc {text}", "is no HOST:PORT", f"such as 127.0.0.1:{PORT}")
+    number = whole_number(port, 65535)
+    if not host or not number:
+        raise InputError(f"--vmc {text[:80]}", "is no HOST:PORT", f"such as 127.0.0.1:{PORT}")
     try:
         import pythonosc  # noqa: F401
     except ImportError:
         raise InputError("--vmc", "needs the package python-osc", "pip install 'gesticulator[live]'") from None
-    return host.strip("[]"), int(port)
+    return host.strip("[]"), number
 
 
 def unity_bone(vrm: str) -> str:

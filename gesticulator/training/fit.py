@@ -26,6 +26,7 @@ from tqdm import tqdm
 
 from data_module.errors import InputError
 from data_module.files import rename
+from data_module.json_files import parse_json
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import distributed
 
@@ -155,8 +156,8 @@ class StepLog:
 
 def _step_of(line: str) -> int:
     try:
-        return int(json.loads(line)["step"])
-    except (ValueError, KeyError):
+        return int(parse_json(line, "a log of training", "delete it", python=True)["step"])
+    except (InputError, KeyError, TypeError, ValueError):
         return 2**62  # a line cut short by a kill
 
 
@@ -255,7 +256,7 @@ def late_gain(log: Path) -> float:
     seen: list[tuple[int, float]] = []
     steps = 0
     for line in log.read_text().splitlines():
-        row = json.loads(line)
+        row = parse_json(line, log, "train it again", python=True)
         steps = int(row["step"]) + 1
         figure = next((value for key, value in row.items() if key.startswith("val_")), None)
         if figure is not None:

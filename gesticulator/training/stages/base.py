@@ -20,7 +20,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
+from data_module.errors import InputError
 from data_module.files import rename, write_text
+from data_module.json_files import read_object
 from data_module.layers import freeze
 from data_module.store import Store
 from gesticulator.bundle.config import Config, FitSettings, digest
@@ -176,7 +178,7 @@ class Run:
             if distributed.leads():
                 (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
-        return dict(json.loads((folder / FIGURES).read_text()))
+        return read_object(folder / FIGURES, "delete it, and train again", python=True)
 
     def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
         """The one loop, with this run's settings."""
@@ -206,14 +208,14 @@ def finished(folder: Path, model: nn.Module | None = None) -> bool:
     """Whether a stage's folder holds it whole, for this model where one is given; what a crash or a full disk left of
     one counts as nothing."""
     try:
-        figures = json.loads((folder / FIGURES).read_text())
+        figures = read_object(folder / FIGURES, "delete it, and train again", python=True)
         weights = load_file(folder / WEIGHTS)
-    except (OSError, ValueError, SafetensorError):
+    except (InputError, OSError, ValueError, SafetensorError):
         return False
     if model is not None and {key: value.shape for key, value in weights.items()} != {
             key: value.shape for key, value in model.state_dict().items()}:
         return False
-    return isinstance(figures, dict) and len(weights) > 0 and all(
+    return len(figures) >= 0 and len(weights) > 0 and all(
         bool(torch.isfinite(value).all()) for value in weights.values())
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import sys
 import time
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from torch import nn
 
 from data_module.errors import InputError
 from data_module.files import lock, write_text
+from data_module.json_files import read_object
 from data_module.store import Store
 from gesticulator.bundle.bundle import Bundle, save
 from gesticulator.bundle.card import model_card
@@ -90,8 +90,8 @@ def claim(work: Path, store: Store) -> None:
     """Mark a work folder as the store's; InputError when it is another's."""
     record, known = work / "store.json", None
     if record.exists():
-        with contextlib.suppress(ValueError, AttributeError):  # cut short by a crash: written again
-            known = json.loads(record.read_text()).get("fingerprint")
+        with contextlib.suppress(InputError):  # cut short by a crash: written again
+            known = read_object(record, "delete it").get("fingerprint")
     if known not in (None, store.fingerprint):
         raise InputError(store.path, f"is not the store that {work} was started with (its settings or contents "
                          "differ)", "give another --work folder or delete that one")
@@ -144,11 +144,9 @@ class TimedRun(Run):
 
     def times(self) -> dict[str, float]:
         """Stage -> seconds a step, as measured last in this work folder."""
-        with contextlib.suppress(OSError, ValueError):
-            found = json.loads((self.work / TIMES).read_text())
-            if isinstance(found, dict):
-                return {name: value for name, value in found.items() if isinstance(value, float) and value > 0
-                        and math.isfinite(value)}
+        with contextlib.suppress(InputError):
+            return {name: value for name, value in read_object(self.work / TIMES, "delete it", python=True).items()
+                    if isinstance(value, float) and 0 < value < float("inf")}
         return {}
 
     def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:

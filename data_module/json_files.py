@@ -1,0 +1,121 @@
+"""The one reader of JSON (RFC 8259): what a file asks for is bounded before it can cost memory, time or a crash.
+
+Python's own parser takes NaN and Infinity, turns 1e999 into infinity, raises RecursionError on deep nesting and
+ValueError on integers of thousands of digits; whoever uses such values later fails in some other place. Here each of
+them is an `InputError` that names the file and the line.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from typing import Any
+
+from data_module.errors import InputError, shown
+from data_module.files import LARGEST_TEXT, decoded, read_text
+
+DEEPEST = 100
+"""Lists and objects within each other: our own files need 8, a glTF document with extensions some 12."""
+MOST_DIGITS = 300
+"""Digits of a whole number: a float holds 308, so that none overflows when it is converted."""
+MOST_VALUES = 1 << 22
+"""Values of a document (4,194,304), each of some 80 bytes: a listing of 100,000 recordings has 2 million."""
+
+_SUSPECT = re.compile(rf"(?<!\d)\d{{{MOST_DIGITS}}}|\d[eE]\+?\d{{3}}", re.ASCII)
+"""What only a number that is too large has, or a text that looks like one."""
+_HALF = re.compile(r"\\u[dD][89a-fA-F]")
+"""An escaped surrogate, the half of a pair."""
+_STRINGS = re.compile(r'"(?:[^"\\]+|\\.)*"', re.DOTALL)
+
+
+def read_json(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT, *, python: bool = False) -> Any:
+    """The value that a file holds. advice: what to do where it is none.
+
+    `InputError` as of `files.read_text` (missing, larger than `largest` bytes, not text) and of `parse_json`.
+    """
+    return parse_json(read_text(path, advice, largest), path, advice, python=python)
+
+
+def read_object(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT, *, python: bool = False
+                ) -> dict[str, Any]:
+    """The object that a file holds; `InputError` as of `read_json`, and for any other value."""
+    value = read_json(path, advice, largest, python=python)
+    if not isinstance(value, dict):
+        raise InputError(path, "is not a JSON object in braces", advice)
+    return value
+
+
+def parse_json(data: str | bytes, source: object, advice: str, *, python: bool = False) -> Any:
+    """The value of a JSON text; of members of one name the last counts.
+
+    source: what messages call it. python: accept what Python writes beyond the standard: NaN, Infinity, and halves of
+    surrogate pairs (bytes of a file's name that are no text).
+    `InputError` for what is not JSON, is nested deeper than `DEEPEST`, has more than
+    `MOST_VALUES` values, a number that no float can hold, NaN or Infinity, or half a character.
+    """
+    text = decoded(data, source, advice) if isinstance(data, bytes) else data
+    if text.count(",") + text.count("[") + text.count("{") > MOST_VALUES:
+        plain = _STRINGS.sub("", text)
+        if plain.count(",") + plain.count("[") + plain.count("{") > MOST_VALUES:
+            raise InputError(source, f"holds more than {MOST_VALUES:,} values", advice)
+    hooks: dict[str, Any] = {"parse_int": _whole, "parse_float": _float} if _SUSPECT.search(text) else {}
+    if not python:
+        hooks["parse_constant"] = _constant
+    try:
+        value = json.loads(text, **hooks)
+    except json.JSONDecodeError as error:
+        raise InputError(source, f"line {error.lineno}, column {error.colno}: is not valid JSON ({error.msg})",
+                         advice) from None
+    except RecursionError:
+        raise InputError(source, _TOO_DEEP, advice) from None
+    except ValueError as error:
+        raise InputError(source, f"is not valid JSON ({error})", advice) from None
+    _check_depth(value, source, advice)
+    if not python and _HALF.search(text):
+        _check_characters(value, source, advice)
+    return value
+
+
+_TOO_DEEP = f"is not valid JSON (nested more than {DEEPEST} deep)"
+
+
+def _whole(digits: str) -> int:
+    if len(digits.lstrip("-")) > MOST_DIGITS:
+        raise ValueError(f"a number of {len(digits.lstrip('-'))} digits")
+    return int(digits)
+
+
+def _float(digits: str) -> float:
+    value = float(digits)
+    if math.isinf(value):
+        raise ValueError(f"the number {shown(digits, 20)} is too large")
+    return value
+
+
+def _constant(name: str) -> float:
+    raise ValueError(f"{name} is not a number")
+
+
+def _check_depth(value: Any, source: object, advice: str) -> None:
+    level = [value] if isinstance(value, list | dict) else []
+    for _ in range(DEEPEST):
+        if not level:
+            return
+        level = [inner for outer in level for inner in (outer.values() if isinstance(outer, dict) else outer)
+                 if isinstance(inner, list | dict)]
+    if level:
+        raise InputError(source, _TOO_DEEP, advice)
+
+
+def _check_characters(value: Any, source: object, advice: str) -> None:
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, dict):
+            waiting += [*one, *one.values()]
+        elif isinstance(one, list):
+            waiting += one
+        elif isinstance(one, str) and any("\ud800" <= character <= "\udfff" for character in one):
+            raise InputError(source, f"is not valid JSON (half a character in {shown(one)})", advice)

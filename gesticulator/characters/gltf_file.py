@@ -1,0 +1,346 @@
+"""The one reader of glTF 2.0: GLB, VRM, and .gltf with its buffers and pictures beside it or inside.
+
+Everything that the rig's reader and the writer rely on is checked when a file is opened, before memory is taken for it:
+lists are lists of objects, every index names something, every accessor lies in its view, every view in its buffer. What
+is not known here is kept as it was read.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import os
+import re
+import struct
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.errors import InputError, shown
+from data_module.files import read_bytes
+from data_module.json_files import parse_json
+
+LARGEST = 1 << 31
+"""Bytes (2 GiB) of a file, and of all files beside it together: characters of films have some hundreds of MB of
+textures."""
+AGAIN = "export it again as GLB"
+"""What to do with a broken file."""
+MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
+_VERSION = 2
+_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_UNSIGNED = (5121, 5123, 5125)
+_SHAPES = {"SCALAR": (1, 1), "VEC2": (2, 1), "VEC3": (3, 1), "VEC4": (4, 1), "MAT2": (2, 2), "MAT3": (3, 3),
+           "MAT4": (4, 4)}
+"""Type of an accessor -> rows and columns of a value; each column of a matrix begins at a multiple of 4 bytes."""
+_LISTS = {"nodes": 1 << 14, "skins": 1 << 12, "meshes": 1 << 16, "accessors": 1 << 18, "bufferViews": 1 << 18,
+          "buffers": 1 << 12, "images": 1 << 14, "animations": 1 << 14, "scenes": 1 << 12}
+"""The top-level lists that are read or added to, and how many entries each may have: characters of films have some
+thousand nodes, and a hundred skins and pictures."""
+_MOST_JOINTS = 1 << 18
+"""Joints of all skins together."""
+_MOST_ZEROS = 1 << 25
+"""Numbers (256 MiB of them) of an accessor that has no view, whose count costs the file nothing."""
+FARTHEST = 1e9
+"""Metres from a node to its parent, and the size of a scale, that are taken for a mistake from here on."""
+_KNOWN = re.compile("(KHR_materials_|KHR_texture_|EXT_texture_|MSFT_texture_|KHR_lights_|EXT_lights_|KHR_xmp|VRM).*"
+                    "|KHR_mesh_quantization|KHR_node_visibility|KHR_animation_pointer")
+"""Required extensions that change neither nodes nor skins nor where the numbers of an accessor lie."""
+
+
+def read_gltf(path: str | os.PathLike[str]) -> GltfFile:
+    """A .glb, .vrm or .gltf file. `InputError` where it is none, or breaks what is relied on."""
+    place = Path(path)
+    data = read_bytes(path, "leave out its textures", LARGEST)
+    binary = None
+    if data[:4] == MAGIC:
+        data, binary = _chunks(place, data)
+    document = parse_json(data, path, "give a .glb, .vrm or .gltf file")
+    if not isinstance(document, dict) or not isinstance(document.get("nodes"), list) or not document["nodes"]:
+        raise InputError(path, "is a glTF file without nodes", "export the armature, too")
+    return GltfFile(place, document, binary)
+
+
+def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
+    """The JSON and the binary part of a GLB."""
+    if len(data) < 12 or struct.unpack_from("<I", data, 4)[0] != _VERSION:
+        raise InputError(path, "is no GLB of version 2", AGAIN)
+    chunks: dict[int, memoryview] = {}
+    at = 12
+    while at + 8 <= len(data):
+        size, kind = struct.unpack_from("<II", data, at)
+        if at + 8 + size > len(data):
+            raise InputError(path, "is cut off", "copy or export it again")
+        chunks.setdefault(kind, memoryview(data)[at + 8:at + 8 + size])
+        at += 8 + size
+    return bytes(chunks.get(JSON_CHUNK, b"")), chunks.get(BINARY_CHUNK)
+
+
+class GltfFile:
+    """A glTF document that was checked, and its numbers. path: the file; document: its JSON, as it was read."""
+
+    def __init__(self, path: Path, document: dict[str, Any], binary: memoryview | None) -> None:
+        """`InputError` where the document breaks what is relied on. binary: the binary chunk of a GLB."""
+        self.path, self.document, self._binary = path, document, binary
+        self._beside: dict[Path, bytes] = {}
+        self._embedded: dict[int, bytes] = {}
+        for name in _LISTS:
+            self._check_list(name)
+        self._check_extensions()
+        self._check_buffers()
+        self._check_nodes()
+
+    def rows(self, name: str) -> list[dict[str, Any]]:
+        """The entries of a top-level list; empty where the file has none."""
+        rows: list[dict[str, Any]] = self.document.get(name, [])
+        return rows
+
+    # ---------------------------------------------------------------------------------------------- checks
+
+    def error(self, wrong: str, advice: str = AGAIN) -> InputError:
+        """An error that names the file."""
+        return InputError(self.path, wrong, advice)
+
+    def _check_list(self, name: str) -> None:
+        rows = self.document.get(name, [])
+        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+            raise self.error(f"{name} is no list of objects")
+        if len(rows) > _LISTS[name]:
+            raise self.error(f"has {len(rows):,} {name}, and {_LISTS[name]:,} are read at most", "leave some out")
+
+    def _check_extensions(self) -> None:
+        required = self.document.get("extensionsRequired", [])
+        if not isinstance(required, list):
+            raise self.error("extensionsRequired is no list")
+        unknown = [shown(name) for name in required if not (isinstance(name, str) and _KNOWN.fullmatch(name))]
+        if unknown:
+            raise self.error(f"needs {', '.join(unknown[:3])}", "export it without")
+        if not isinstance(self.document.get("extensions", {}), dict):
+            raise self.error("extensions is no object")
+
+    def _index(self, row: dict[str, Any], key: str, count: int, where: str) -> int:
+        """The index under `key`, of something that there is."""
+        value = row.get(key)
+        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
+            raise self.error(f"{where}.{key} is {shown(value)}, and there are {count}")
+        return value
+
+    def _size(self, row: dict[str, Any], key: str, where: str, default: int | None = 0) -> int:
+        """The number of bytes or of things under `key`; `default` None: it must be there."""
+        value = row.get(key, default)
+        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= 1 << 40:
+            raise self.error(f"{where}.{key} is {shown(value)}")
+        return value
+
+    def _check_buffers(self) -> None:
+        for number, buffer in enumerate(self.rows("buffers")):
+            self._size(buffer, "byteLength", f"buffers[{number}]", None)
+            if not isinstance(buffer.get("uri", ""), str):
+                raise self.error(f"buffers[{number}].uri is {shown(buffer['uri'])}")
+        for number, view in enumerate(self.rows("bufferViews")):
+            where = f"bufferViews[{number}]"
+            buffer = self.rows("buffers")[self._index(view, "buffer", len(self.rows("buffers")), where)]
+            end = self._size(view, "byteOffset", where) + self._size(view, "byteLength", where, None)
+            if end > buffer["byteLength"]:
+                raise self.error(f"{where} lies beyond its buffer")
+            self._size(view, "byteStride", where)
+        for number, accessor in enumerate(self.rows("accessors")):
+            self._check_accessor(accessor, f"accessors[{number}]")
+        for number, image in enumerate(self.rows("images")):
+            if not isinstance(image.get("uri", ""), str):
+                raise self.error(f"images[{number}].uri is {shown(image['uri'])}")
+            if "bufferView" in image:
+                self._index(image, "bufferView", len(self.rows("bufferViews")), f"images[{number}]")
+
+    def _check_accessor(self, accessor: dict[str, Any], where: str) -> None:
+        kind: Any = accessor.get("componentType")
+        shape: Any = accessor.get("type")
+        if kind not in tuple(_TYPES) or shape not in tuple(_SHAPES):  # tuples: a list can be looked up in them, too
+            raise self.error(f"{where} holds numbers of kind {shown(kind)} and {shown(shape)}")
+        count = self._size(accessor, "count", where, None)
+        if "bufferView" in accessor:
+            self._check_part(accessor, where, count, _value_bytes(kind, shape))
+        sparse = accessor.get("sparse")
+        if sparse is None:
+            return
+        if not isinstance(sparse, dict) or not all(isinstance(sparse.get(key), dict) for key in ("indices", "values")):
+            raise self.error(f"{where}.sparse is {shown(sparse)}")
+        few, places = self._size(sparse, "count", f"{where}.sparse", None), sparse["indices"]
+        if few > count or places.get("componentType") not in _UNSIGNED:
+            raise self.error(f"{where}.sparse has {few} of {count} values, by numbers of kind "
+                             f"{shown(places.get('componentType'))}")
+        self._check_part(places, f"{where}.sparse.indices", few, np.dtype(_TYPES[places["componentType"]]).itemsize)
+        self._check_part(sparse["values"], f"{where}.sparse.values", few, _value_bytes(kind, shape))
+
+    def _check_part(self, part: dict[str, Any], where: str, count: int, size: int) -> None:
+        """`InputError` where `count` values of `size` bytes do not lie in the view that a part names."""
+        views = self.rows("bufferViews")
+        view = views[self._index(part, "bufferView", len(views), where)]
+        step = view.get("byteStride", 0) or size
+        need = self._size(part, "byteOffset", where) + (step * (count - 1) + size if count else 0)
+        if need > view["byteLength"]:
+            raise self.error(f"{where} asks for {need:,} bytes of a view that has {view['byteLength']:,}: it lies "
+                             "beyond its buffer")
+
+    def _check_nodes(self) -> None:
+        nodes = self.rows("nodes")
+        for number, node in enumerate(nodes):
+            where = f"nodes[{number}]"
+            self._check_indices(node.get("children", []), len(nodes), f"{where}.children")
+            for key, rows in (("mesh", "meshes"), ("skin", "skins")):
+                if key in node:
+                    self._index(node, key, len(self.rows(rows)), where)
+            for key, count in (("matrix", 16), ("translation", 3), ("rotation", 4), ("scale", 3)):
+                self._check_numbers(node.get(key, [0.0] * count), count, f"{where}.{key}")
+        joints = 0
+        for number, skin in enumerate(self.rows("skins")):
+            where = f"skins[{number}]"
+            joints += self._check_indices(skin.get("joints"), len(nodes), f"{where}.joints")
+            if joints > _MOST_JOINTS:
+                raise self.error(f"has more than {_MOST_JOINTS:,} joints in its skins", "leave some out")
+            if "inverseBindMatrices" in skin:
+                own = self.rows("accessors")[self._index(skin, "inverseBindMatrices", len(self.rows("accessors")),
+                                                         where)]
+                if (own["type"], own["componentType"]) != ("MAT4", 5126):
+                    raise self.error(f"{where}.inverseBindMatrices are no matrices")
+        for number, mesh in enumerate(self.rows("meshes")):
+            self._check_mesh(mesh, f"meshes[{number}]")
+
+    def _check_mesh(self, mesh: dict[str, Any], where: str) -> None:
+        primitives = mesh.get("primitives")
+        if not isinstance(primitives, list) or not all(isinstance(one, dict) for one in primitives):
+            raise self.error(f"{where}.primitives is no list of objects")
+        for number, primitive in enumerate(primitives):
+            attributes = primitive.get("attributes", {})
+            if not isinstance(attributes, dict):
+                raise self.error(f"{where}.primitives[{number}].attributes is no object")
+            self._check_indices(list(attributes.values()), len(self.rows("accessors")),
+                                f"{where}.primitives[{number}].attributes")
+
+    def _check_indices(self, values: Any, count: int, where: str) -> int:
+        """How many indices a list has; each must name one of `count`."""
+        if not isinstance(values, list) or not all(
+                isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count for value in values):
+            raise self.error(f"{where} names what is not there ({shown(values)})")
+        return len(values)
+
+    def _check_numbers(self, values: Any, count: int, where: str) -> None:
+        if not isinstance(values, list) or len(values) != count or not all(
+                isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= FARTHEST
+                for value in values):
+            raise self.error(f"{where} is {shown(values)}: not {count} numbers up to {FARTHEST:g}")
+
+    # ---------------------------------------------------------------------------------------------- numbers
+
+    def count(self, accessor: int) -> int:
+        """How many values an accessor has."""
+        count: int = self.rows("accessors")[accessor]["count"]
+        return count
+
+    def array(self, accessor: int, first: int = 0, step: int = 1, most: int | None = None) -> NDArray[np.float64]:
+        """[n, width] every `step`-th value of an accessor from `first` on, `most` of them at most, sparse ones in their
+        places; integers that are normalised become shares of 1."""
+        own = self.rows("accessors")[accessor]
+        kind, width = np.dtype(_TYPES[own["componentType"]]), math.prod(_SHAPES[own["type"]])
+        chosen = range(first, own["count"], step)[:most]
+        if "bufferView" in own:
+            values = self._numbers(own, own["count"], kind, width)[first::step][:most].astype(np.float64)
+        else:
+            if len(chosen) * width > _MOST_ZEROS:
+                raise self.error(f"accessors[{accessor}] has {own['count']:,} values and no view")
+            values = np.zeros((len(chosen), width))
+        if "sparse" in own:
+            few, places = own["sparse"]["count"], own["sparse"]["indices"]
+            at = self._numbers(places, few, np.dtype(_TYPES[places["componentType"]]), 1)[:, 0].astype(np.int64)
+            if few and (at.max() >= own["count"] or (np.diff(at) <= 0).any()):
+                raise self.error(f"accessors[{accessor}].sparse.indices do not rise below {own['count']}")
+            here = np.isin(at, np.array(chosen, dtype=np.int64)) if step > 1 or most is not None else at >= first
+            values[(at[here] - first) // step] = self._numbers(own["sparse"]["values"], few, kind, width)[here]
+        if own.get("normalized") is True and kind.kind in "iu":
+            values = np.maximum(values / np.iinfo(kind).max, -1.0)
+        return values
+
+    def _numbers(self, part: dict[str, Any], count: int, kind: np.dtype[Any], width: int) -> NDArray[Any]:
+        """[count, width] what lies in the view of an accessor, or of a part of a sparse one; no copy."""
+        view = self.rows("bufferViews")[part["bufferView"]]
+        start = view.get("byteOffset", 0) + part.get("byteOffset", 0)
+        step = view.get("byteStride", 0) or kind.itemsize * width
+        return np.ndarray((count, width), kind, self._buffer(view["buffer"]), start, (step, kind.itemsize))
+
+    def _buffer(self, index: int) -> bytes | memoryview:
+        buffer = self.rows("buffers")[index]
+        uri = buffer.get("uri")
+        data: bytes | memoryview | None = self._binary
+        if uri is not None:
+            data = self._embedded_data(index, uri) if uri.startswith("data:") else self.bytes_of(self.beside(uri))
+        if data is None:
+            raise self.error("lacks its binary part")
+        if len(data) < buffer["byteLength"]:
+            raise self.error(f"buffers[{index}] has {len(data):,} bytes of {buffer['byteLength']:,}",
+                             "copy or export it again")
+        return data
+
+    def _embedded_data(self, index: int, uri: str) -> bytes:
+        if index not in self._embedded:
+            try:
+                self._embedded[index] = base64.b64decode(uri.partition(",")[2], validate=True)
+            except (binascii.Error, ValueError):
+                raise self.error(f"buffers[{index}] is not base64") from None
+        return self._embedded[index]
+
+    # ---------------------------------------------------------------------------------------------- files
+
+    def beside(self, uri: str) -> Path:
+        """The file that a URI names: one in the folder of the document, or below, and nothing else on the disk."""
+        folder = self.path.parent.resolve()
+        try:
+            place = (folder / unquote(uri)).resolve()
+            if not place.is_relative_to(folder):
+                raise self.error(f"names a file elsewhere ({shown(uri)})", f"keep it beside, or {AGAIN}")
+            if place.is_file():
+                return place
+        except (OSError, ValueError):  # a name that is too long, or has a NUL
+            pass
+        raise self.error(f"lacks {shown(uri)}", f"keep it beside, or {AGAIN}")
+
+    def bytes_of(self, place: Path) -> bytes:
+        """A file beside the document, read once however often it is named."""
+        if place not in self._beside:
+            left = LARGEST - sum(map(len, self._beside.values()))
+            self._beside[place] = read_bytes(place, "leave out its textures", left)
+        return self._beside[place]
+
+    def one_buffer(self) -> bytes:
+        """All buffers in one, each file once; views then tell where they lie in it, and `buffers` has this one."""
+        buffers = self.rows("buffers")
+        if not buffers:
+            self.document.pop("buffers", None)
+            return bytes(self._binary or b"")
+        if len(buffers) == 1 and "uri" not in buffers[0]:
+            return bytes(self._buffer(0))
+        joined, starts = bytearray(), []
+        places: dict[str, int] = {}
+        for index, buffer in enumerate(buffers):
+            uri = buffer.get("uri", "")
+            source = uri if not uri or uri.startswith("data:") else str(self.beside(uri))
+            if source not in places:
+                joined += bytes(-len(joined) % 4)
+                places[source] = len(joined)
+                joined += self._buffer(index)
+            self._buffer(index)
+            starts.append(places[source])
+        for view in self.rows("bufferViews"):
+            view["byteOffset"] = view.get("byteOffset", 0) + starts[view["buffer"]]
+            view["buffer"] = 0
+        self.document["buffers"] = [{}]
+        return bytes(joined)
+
+
+def _value_bytes(kind: int, shape: str) -> int:
+    """Bytes of one value of an accessor."""
+    rows, columns = _SHAPES[shape]
+    column = np.dtype(_TYPES[kind]).itemsize * rows
+    return column if columns == 1 else columns * (column + -column % 4)
