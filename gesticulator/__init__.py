@@ -9,8 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from gesticulator.neighbours import check
-from gesticulator.version import __version__
+from gesticulator.version import __version__, check
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve

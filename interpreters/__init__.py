@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from data_module.registry import Registry, RegistryEntry
 
 __part_of__ = "gesticulator"
-"""By which `gesticulator.neighbours` tells this package from another of the same name."""
+"""By which `gesticulator.version` tells this package from another of the same name."""
 
 
 @dataclass(frozen=True)

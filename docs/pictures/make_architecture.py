@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 OUT = ROOT / "docs" / "pictures" / "architecture.svg"
 FLOORS = (("eval",), ("gesticulator",), ("lexicon", "interpreters", "generator"), ("data_module",))
 """The packages from the top floor down."""
-NOT_ROOMS = {"__main__", "version", "neighbours"}
+NOT_ROOMS = {"__main__", "version"}
 """Modules that are part of the entrance."""
 WIDTH, MARGIN, GAP = 1180, 24, 16
 BOX, STEP = 58, 92

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gesticulator import neighbours
+from gesticulator import version
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -22,7 +22,7 @@ def run(*arguments: str, folder: Path, path: Path = ROOT) -> subprocess.Complete
 
 
 def test_nothing_hides_the_packages_here() -> None:
-    assert neighbours.clash() is None
+    assert version.clash() is None
 
 
 @pytest.mark.parametrize("door", ["gesticulator", "gesticulator.infer"])
@@ -42,10 +42,10 @@ def test_a_file_of_another_name_is_no_matter(tmp_path: Path) -> None:
 
 def installed(folder: Path) -> Path:
     """Packages as pip lays them, without what is not imported at once."""
-    for name in (*neighbours.NAMES, "gesticulator"):
+    for name in (*version.NAMES, "gesticulator"):
         (folder / name).mkdir()
         shutil.copy(ROOT / name / "__init__.py", folder / name)
-    for file in ("version.py", "neighbours.py"):
+    for file in ("version.py", "version.py"):
         shutil.copy(ROOT / "gesticulator" / file, folder / "gesticulator")
     return folder
 
