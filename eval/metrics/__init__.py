@@ -8,7 +8,15 @@ Values of one clip come from `eval.metrics.evaluate`; `gesticulator score` makes
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from data_module.errors import InputError, complain
+from data_module.registry import PROJECT, Registry, RegistryEntry
+
+if TYPE_CHECKING:
+    from data_module.types import Motion
 
 __all__ = ["METRICS", "Metric"]
 
@@ -24,6 +32,8 @@ class Metric:
     fooled_by: the controls (`eval.baselines`) that it cannot tell from good motion: where less is better, they are
     better than a real person's motion at another moment; else they are as good as the truth, or as near to it. Of the
     figures of lexemes, over a lexicon of postures: among movements jitter does not pass.
+    measure: of a metric of another package: the value of a motion beside the speaker's own of the same length, NaN
+    where it has none; None for ours, which `eval.metrics.evaluate` measures together.
     """
 
     chapter: str
@@ -34,6 +44,7 @@ class Metric:
     good: str
     needs: tuple[str, ...] = ()
     fooled_by: tuple[str, ...] = ()
+    measure: Callable[[Motion, Motion], float] | None = None
 
     @property
     def heading(self) -> str:
@@ -138,6 +149,26 @@ EYE_METRICS: dict[str, Metric] = {
 """The figures for the eye (`eval.metrics.eye`), of one clip each. fooled_by: the controls, made of a real take, that
 lie in the range of real people (`eval.metrics.eye.RANGES`) by this figure."""
 METRICS |= EYE_METRICS
+
+OTHER_METRICS: Registry[RegistryEntry] = Registry(
+    "metrics", "an eval.metrics.Metric with a `measure`", {}, RegistryEntry,
+    fits=lambda found: isinstance(found, Metric) and found.measure is not None)
+"""Metrics of other packages."""
+
+
+def _add_others() -> None:
+    """Add the metrics of other packages whose names are free; of one that cannot be loaded a line is printed."""
+    for name in OTHER_METRICS:
+        if name in METRICS:
+            complain(f"{PROJECT}: warning: {name} of metrics is ours; {OTHER_METRICS[name].where} is not used")
+            continue
+        try:
+            METRICS[name] = OTHER_METRICS.load(name)
+        except InputError as error:
+            complain(f"{PROJECT}: {error}")
+
+
+_add_others()
 
 CLIP_METRICS = {name: one for name, one in METRICS.items()
                 if one.part not in ("sets", "fgd") and name not in EYE_METRICS}

@@ -46,8 +46,9 @@ NO_SPACE = f"{eye.frechet.REFERENCE} is not in GESTICULATOR_DATA"
 LEXEME_METRICS = tuple(name for name, metric in CLIP_METRICS.items() if metric.part == "lexemes")
 MOTION_METRICS = tuple(name for name in CLIP_METRICS if name not in LEXEME_METRICS)
 """Those that take no bundle."""
-_PAIR = tuple(name for name in MOTION_METRICS if CLIP_METRICS[name].part == "joints")
-_VIGOUR = tuple(name for name in MOTION_METRICS if CLIP_METRICS[name].part == "vigour")
+_OTHERS = {name: measure for name in MOTION_METRICS if (measure := CLIP_METRICS[name].measure) is not None}
+_PAIR = tuple(name for name in MOTION_METRICS if CLIP_METRICS[name].part == "joints" and name not in _OTHERS)
+_VIGOUR = tuple(name for name in MOTION_METRICS if CLIP_METRICS[name].part == "vigour" and name not in _OTHERS)
 _SOUND = tuple(name for name in MOTION_METRICS if "speech" in CLIP_METRICS[name].needs)
 
 
@@ -103,6 +104,8 @@ def clip_values(motion: Motion, truth: Motion, beats: MotionBeats, track: OnsetT
     for names, measured in ((_PAIR, error), (_VIGOUR, smooth)):
         for name in names:
             out.put(name, getattr(measured, name), measured.reason)
+    for name, measure in _OTHERS.items():
+        out.put(name, measure(motion, truth), "")
     out.put("beats_per_second", len(beats.modes["A"]) / motion.duration, "")
     if track is None:
         for name in _SOUND:

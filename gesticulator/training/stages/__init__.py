@@ -22,12 +22,13 @@ from gesticulator.training.stages.generator import GENERATOR
 from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT
 from gesticulator.training.stages.labels import LABELS, Labelled
 from gesticulator.training.stages.lexicon import CODEC, LEXICON, TOKENS, Tokens
+from gesticulator.training.stages.others import other_stages
 from gesticulator.training.stages.q_network import EPISODES, Q_NETWORK
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
 from gesticulator.training.stages.speech import CONTRAST, ENCODER, SPEECH
 from gesticulator.training.stages.style import STYLE, STYLE_TEXT
 
-STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
+STAGES: dict[str, Stage[Any]] = other_stages() | {stage.name: stage for stage in (
     SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, REWARD, REWARD_JUDGE, Q_NETWORK, ADVANTAGE,
     GENERATOR, STYLE, STYLE_TEXT)}
 
