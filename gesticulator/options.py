@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
 from data_module.errors import InputError
-from gesticulator.plan.plan import ENERGIES, HANDS
+from gesticulator.plan.plan import ENERGIES, HANDS, shapes
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
@@ -204,7 +204,7 @@ class InferenceOptions:
     def shaped(self) -> bool:
         """Whether drawn poses are changed."""
         sized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
-        return bool(self.plan or self.cues or self.handedness or sized)
+        return bool(self.cues or self.handedness or sized or (self.plan is not None and shapes(self.plan)))
 
     @property
     def mirrored(self) -> bool:

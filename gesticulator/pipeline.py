@@ -52,6 +52,7 @@ class Gesticulator:
         self.bundle = _moved(bundle, self.device)
         self._front_end = front_end_for(self.bundle.config, self.bundle.encoder)
         self._words: WordEncoder | None = None
+        self._names: tuple[LexemeName, ...] | None = None
 
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
@@ -90,6 +91,14 @@ class Gesticulator:
     def interpreter(self, name: str, text: bool = False) -> LexemeInterpreter:
         """The lexeme interpreter of that name over the bundle's lexicon; with `text`, the one that reads the words."""
         return self.bundle.interpreter_named(name, text)
+
+    def lexeme_names(self) -> tuple[LexemeName, ...]:
+        """A name for each lexeme of the bundle (`gesticulator.directing.lexeme_names`), worked out once."""
+        from gesticulator.directing.lexeme_names import lexeme_names
+
+        if self._names is None:
+            self._names = lexeme_names(self.bundle)
+        return self._names
 
     def word_encoder(self) -> WordEncoder:
         """The word encoder that the bundle was trained on, opened once."""
@@ -257,7 +266,7 @@ class Gesticulator:
                            scores=made.scores, codes=made.codes, gate=made.gate, weighed=made.worth,
                            score_is="Q value" if cast.by_value else "log-probability",
                            made_by=self._made_by(used, self._reads(speech)), options=used,
-                           names=partial(_names, self.bundle))
+                           names=self.lexeme_names)
 
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
@@ -359,12 +368,6 @@ class Gesticulator:
         made = [part for part in (*parts, path.finish(float(blocks.edges[-1]))) if part is not None]
         return replace(made[0], rotations=np.concatenate([part.rotations for part in made]),
                        root_positions=np.concatenate([part.root_positions for part in made]))
-
-
-def _names(bundle: Bundle) -> tuple[LexemeName, ...]:
-    from gesticulator.directing.lexeme_names import lexeme_names
-
-    return lexeme_names(bundle)
 
 
 def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequence[Text | None]:

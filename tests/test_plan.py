@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from gesticulator.plan.bml import bml_of, parse_bml
+from gesticulator.plan.exchange import PlanExchange
 from gesticulator.plan.json_lines import parse
 from gesticulator.plan.plan import (
     FORMAT,
@@ -238,3 +239,69 @@ def test_a_plan_of_millions_of_values_is_refused_before_it_takes_gigabytes() -> 
         parse("[" + "0," * (1 << 20) + "0]", "a")
     with pytest.raises(InputError, match="half a character"):
         parse('["\\ud800"]', "a")
+
+
+def test_an_exchange_reads_and_writes_what_files_do_and_leaves_unchanged_parts_alone() -> None:
+    exchange, plan = PlanExchange(), a_plan()
+    plain = json.loads(plan.to_json())
+    first = exchange.read(plain)
+    assert first == plan and exchange.plain(first) == plain and list(exchange.plain(first)) == list(plain)
+    edited = json.loads(plan.to_json())
+    edited["blocks"][2]["intensity"] = 0.5
+    second = exchange.read(edited)
+    assert second == parse_plan(json.dumps(edited)) and exchange.plain(second) == edited
+    assert [a is b for a, b in zip(second.blocks, first.blocks, strict=True)] == [True, True, False, True]
+    assert second.drawn is first.drawn and second.words is first.words
+    assert exchange.read(plain) == plan and exchange.plain(exchange.read(plain)) == plain
+
+
+def test_what_an_exchange_gave_or_was_given_may_be_changed() -> None:
+    exchange, plan = PlanExchange(), a_plan()
+    plain = json.loads(plan.to_json())
+    for block in plain["blocks"]:
+        block["chosen"] = {"prior": 0.5}
+    untouched = json.dumps(plain)
+    answer = exchange.plain(exchange.read(plain))
+    for one in (plain, answer):
+        one["blocks"][1]["chosen"]["prior"] = 7.0
+        one["made_by"]["settings"]["temperature"] = 9.0
+        one["lexicon"][0]["name"] = "x"
+    again = exchange.read(json.loads(untouched))
+    assert again == parse_plan(untouched) and exchange.plain(again) == json.loads(untouched)
+
+
+@pytest.mark.parametrize(("place", "value"), [
+    *BROKEN, (("blocks", 1, "silent"), 0), (("blocks", 1, "chosen"), {"prior": float("nan")}),
+    (("made_by", "settings", "temperature"), float("inf")), (("format",), "other"), (("version",), 7), (("more",), 1),
+    (("blocks",), None), (("blocks", 0), 3), (("drawn",), []),
+])
+def test_an_exchange_refuses_what_the_reader_of_files_refuses_with_the_same_words(place: tuple[str | int, ...],
+                                                                                  value: Any) -> None:
+    exchange, plain = PlanExchange(), json.loads(a_plan().to_json())
+    exchange.read(plain)  # a value that is equal in Python, such as 0 and false, is not the same
+    part = plain
+    for step in place[:-1]:
+        part = part[step]
+    part[place[-1]] = value
+    with pytest.raises(InputError) as of_file:
+        parse_plan(json.dumps(plain, indent=1))
+    with pytest.raises(InputError) as of_page:
+        exchange.read(plain)
+    assert str(of_page.value).split(": ")[0] == str(of_file.value).split(": ")[0], "the same line"
+    if value == value and value != float("inf"):
+        assert str(of_page.value) == str(of_file.value)
+
+
+def test_an_exchange_refuses_plans_that_lack_a_part_hold_a_block_twice_or_are_too_deep() -> None:
+    exchange, whole = PlanExchange(), json.loads(a_plan().to_json())
+    exchange.read(whole)
+    with pytest.raises(InputError, match="lacks seed"):
+        exchange.read({name: value for name, value in whole.items() if name != "seed"})
+    with pytest.raises(InputError, match="where the block before ends"):
+        exchange.read({**whole, "blocks": [whole["blocks"][0], *whole["blocks"]]})
+    deep: list[Any] = []
+    for _ in range(3000):
+        deep = [deep]
+    for place in ({"made_by": {"settings": deep}}, {"blocks": deep}, {"knobs": deep}):
+        with pytest.raises(InputError):
+            exchange.read({**whole, **place})

@@ -35,7 +35,7 @@ class MotionPath:
                  shaping: Callable[[Array, Array], Array] | None = None) -> None:
         """options: of which fps, legs, seated, seed and mirror are taken; prompt: see `KnotPath`; shaping: poses
         [K, D_m] at seconds [K] -> poses, what knobs make of them."""
-        self._shaping = shaping
+        self._shaping, self._mirrored = shaping, options.mirrored
         self._statistics, self._speaker, self._options = bundle.statistics, speaker, options
         self._representation = representation_of(bundle.config)
         first: Array = bundle.statistics.rest_pose[speaker]
@@ -109,7 +109,7 @@ class MotionPath:
         if len(frames) == 0:
             return None
         motion = self._moved(frames)
-        if not self._options.mirrored:
+        if not self._mirrored:
             return motion
         from gesticulator.body.mirror import mirrored_motion
 

@@ -266,12 +266,12 @@ def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array,
         return np.array([_hands(knobs_of(options))] * count), both, np.zeros(count), np.zeros(count, bool)
     now, then = options.plan.knobs, options.plan.drawn.knobs
     kept = [block.locked for block in options.plan.blocks]
-    sizes = [[min(block.intensity * own, 2.0) for own in _hands(then if block.locked else now)]
-             for block in options.plan.blocks]
+    hands = np.where(np.array(kept)[:, None], _hands(then), _hands(now))
+    sizes = np.minimum(np.array([block.intensity for block in options.plan.blocks])[:, None] * hands, 2.0)
     whole = options.mirrored
     mirrored = [block.mirror != (not whole and (then if block.locked else now).mirror) for block in options.plan.blocks]
-    both = np.array([float((then if locked else now).handedness == "both") for locked in kept])
-    return np.array(sizes), both, np.array(mirrored, dtype=np.float64), np.array(kept)
+    both = np.where(kept, float(then.handedness == "both"), float(now.handedness == "both"))
+    return sizes, both, np.array(mirrored, dtype=np.float64), np.array(kept)
 
 
 def _hands(knobs: PlanKnobs) -> tuple[float, float]:

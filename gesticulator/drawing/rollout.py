@@ -96,17 +96,6 @@ class LexemeWorth:
     prior: NDArray[np.float64]
     advantage: NDArray[np.float64]
 
-    def entry(self, block: int, candidate: int) -> dict[str, float]:
-        """Of a candidate (-1: the lexeme that was played), ready for JSON."""
-        return {"prior": float(self.prior[block, candidate]), "advantage": float(self.advantage[block, candidate])}
-
-    def runner_up(self, best: NDArray[np.int64], played: int, block: int) -> dict[str, float]:
-        """The best of the candidates [M] that was not played: its lexeme, and by how much more (or less) than the
-        played one the reward expects of it."""
-        other = next((place for place, lexeme in enumerate(best) if int(lexeme) != played), 0)
-        return {"id": int(best[other]), "worth_more": float(
-            self.advantage[block, other] - self.advantage[block, -1])}
-
 
 @dataclass(frozen=True)
 class RolloutResult:

@@ -114,6 +114,11 @@ def describe(scene: Scene) -> dict[str, Any]:
     `rotations` is int16 [T, J, 4], w first, in steps of 1 / `QUATERNION_STEPS`; `root` is float32 [T, 3], or [1, 3]
     where the root does not move; `plan` is the gesture plan.
     """
+    return {**describe_motion(scene), "plan": scene.plan.to_dict()}
+
+
+def describe_motion(scene: Scene) -> dict[str, Any]:
+    """`describe` without the plan."""
     motion = scene.standing
     if scene.duration > LONG and motion.fps > LONG_FPS:
         motion = kinematics.resample(motion, LONG_FPS)
@@ -128,7 +133,6 @@ def describe(scene: Scene) -> dict[str, Any]:
         "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
         "steps": QUATERNION_STEPS,
         "root": _base64(root.astype("<f4").tobytes()),
-        "plan": scene.plan.to_dict(),
     }
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from json.decoder import scanstring  # type: ignore[attr-defined] # not in the stubs
 from typing import Any
 
@@ -37,6 +39,51 @@ class LinedJson:
         """An error that names the file, the line of the value (or of what should hold it) and its place."""
         line = next((self.lines[path[:end]] for end in range(len(path), -1, -1) if path[:end] in self.lines), 1)
         return InputError(f"{self.source}, line {line}", f"{place_of(path)} {wrong}", advice)
+
+
+def with_lines(value: Any, source: str) -> LinedJson:
+    """A value that is already parsed, as `parse` gives it; the lines are those of its text with an indent of 1.
+
+    They are worked out when the first error asks for one.
+    """
+    return LinedJson(source, value, _LinesOnDemand(value, source))
+
+
+class _LinesOnDemand(Mapping[Path, int]):
+    """The lines of a value that was parsed before."""
+
+    def __init__(self, value: Any, source: str) -> None:
+        self._value, self._source = value, source
+
+    @cached_property
+    def _lines(self) -> Mapping[Path, int]:
+        try:
+            text = json.dumps(self._value, indent=1)
+        except RecursionError:
+            raise InputError(self._source, "is nested too deeply", "write it as the schema says") from None
+        return parse(text, self._source).lines
+
+    def __getitem__(self, path: Path) -> int:
+        return self._lines[path]
+
+    def __iter__(self) -> Iterator[Path]:
+        return iter(self._lines)
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+
+def check_plain(value: Any, source: LinedJson, path: Path) -> None:
+    """`InputError` for a number that is not finite, or lists and objects nested more than 64 deep, within a value."""
+    parts: list[tuple[Any, int]] = [(value, len(path))]
+    while parts:
+        part, depth = parts.pop()
+        if depth > _DEEPEST:
+            raise source.error(path, "is nested too deeply", "write it as the schema says")
+        if isinstance(part, float) and not math.isfinite(part):
+            raise source.error(path, f"holds {part}", "give finite numbers")
+        if isinstance(part, dict | list):
+            parts += [(one, depth + 1) for one in (part.values() if isinstance(part, dict) else part)]
 
 
 def place_of(path: Path) -> str:

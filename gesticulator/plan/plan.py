@@ -328,16 +328,29 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     """
     drawn, knobs = plan.drawn, plan.knobs
     places = {pair: at for at, pair in enumerate(zip(drawn.edges, drawn.edges[1:], strict=False))}
-    alike = knobs.draws_as(drawn.knobs)
+    alike, as_still = knobs.draws_as(drawn.knobs), knobs.hold_still == drawn.knobs.hold_still
     out = []
     for block in plan.blocks:
-        at = places.get((block.start, block.end))
-        same = at is not None and block.lexeme == drawn.lexemes[at] and block.silent == drawn.silent[at] \
-            and block.draw == BlockDraw(plan.seed, plan.variation, at)
+        # An edit runs through this for every block of the recording: nothing is called that need not be.
+        place, draw = (block.start, block.end), block.draw
+        same = False
+        if place in places:
+            at = places[place]
+            same = block.lexeme == drawn.lexemes[at] and block.silent == drawn.silent[at] \
+                and (draw.seed, draw.variation, draw.block) == (plan.seed, plan.variation, at)
         if same and not block.locked:
-            same = alike and knobs.still_at(block.start, block.end) == drawn.knobs.still_at(block.start, block.end)
+            same = alike and (as_still or knobs.still_at(*place) == drawn.knobs.still_at(*place))
         out.append(not same)
     return tuple(out)
+
+
+def shapes(plan: GesturePlan) -> bool:
+    """Whether drawn poses are changed by what the plan says of its blocks, or may be."""
+    knobs = plan.knobs
+    if knobs.size != 1.0 or knobs.handedness is not None:
+        return True
+    return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
+               for block in plan.blocks)
 
 
 def schema() -> dict[str, Any]:
@@ -355,14 +368,19 @@ def read_plan(path: str | os.PathLike[str]) -> GesturePlan:
 def parse_plan(text: str, source: str = "plan") -> GesturePlan:
     """A plan from its text; `InputError` with the line and what is allowed. source: what messages call it."""
     lined = parse(text, source)
+    check_head(lined)
+    plan = replace(read_as(GesturePlan, lined), source=lined)
+    check_plan(plan)
+    return plan
+
+
+def check_head(lined: LinedJson) -> None:
+    """`InputError` for JSON of another format, or of a version that is not read."""
     if isinstance(lined.value, dict) and lined.value.get("format") != FORMAT:
         raise lined.error(("format",), f"is {shown(lined.value.get('format'))}",
                           f'give a plan that --plan-out wrote ("format": "{FORMAT}")')
     if isinstance(lined.value, dict) and lined.value.get("version") != VERSION:
         raise lined.error(("version",), f"is {shown(lined.value.get('version'))}", f"this version reads {VERSION}")
-    plan = replace(read_as(GesturePlan, lined), source=lined)
-    check_plan(plan)
-    return plan
 
 
 def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:

@@ -6,6 +6,7 @@ A field's type carries its range (`data_module.settings`); a field with a defaul
 from __future__ import annotations
 
 import ast
+import copy
 import dataclasses
 import functools
 import inspect
@@ -19,7 +20,7 @@ from typing import Any, TypeVar, cast
 
 from data_module.errors import shown
 from data_module.settings import SettingChoice, SettingRange, limits_of
-from gesticulator.plan.json_lines import LinedJson, Path
+from gesticulator.plan.json_lines import LinedJson, Path, check_plain
 
 T = TypeVar("T")
 
@@ -66,6 +67,11 @@ def read_as(cls: type[T], source: LinedJson, path: Path = ()) -> T:
     return cast(T, _record(cls, value, source, path))
 
 
+def read_part(cls: Any, name: str, source: LinedJson) -> Any:
+    """The member `name` of a dataclass whose object is the whole of what was read; errors as `read_as`."""
+    return _read(_hints(cls)[name], source.value[name], source, (name,))
+
+
 def _find(value: Any, path: Path) -> Any:
     for part in path:
         value = value[part]
@@ -102,7 +108,8 @@ def _read(hint: Any, value: Any, source: LinedJson, path: Path) -> Any:
     if origin is not None or plain is dict:
         if not isinstance(value, dict):
             raise source.error(path, f"is {shown(value)}", "give an object in braces")
-        return value
+        check_plain(value, source, path)
+        return copy.deepcopy(value)  # a plan must not change with the object that it was read from
     return _plain(plain, nullable, limits, value, source, path)
 
 
@@ -140,6 +147,12 @@ def _plain(kind: Any, nullable: bool, limits: Any, value: Any, source: LinedJson
     return value
 
 
+@functools.cache
+def part_names(cls: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The members of a dataclass that stand in the file, and those of them that must."""
+    return tuple(field.name for field in _fields(cls)), tuple(one.name for one in _fields(cls) if _required(one))
+
+
 # ------------------------------------------------------------------------------------------------------- writing
 
 def to_plain(record: Any) -> Any:
@@ -149,13 +162,21 @@ def to_plain(record: Any) -> Any:
         return [to_plain(one) for one in record]
     if not dataclasses.is_dataclass(record):
         return dict(record) if isinstance(record, Mapping) else record
-    out = {}
-    for field in _fields(record):
-        value = getattr(record, field.name)
-        if not _required(field) and (value is None or value == ()) and field.default in (None, ()):
-            continue
-        out[field.name] = to_plain(value)
-    return out
+    return {name: to_plain(value) for name, value in written_parts(record)}
+
+
+def written_parts(record: Any) -> list[tuple[str, Any]]:
+    """The members of a dataclass that are written, in order, with their values."""
+    left_out = _left_out(type(record))
+    values = vars(record)
+    return [(name, values[name]) for name in part_names(type(record))[0]
+            if not (name in left_out and values[name] in (None, ()))]
+
+
+@functools.cache
+def _left_out(cls: Any) -> frozenset[str]:
+    """Members that are not written where they are empty."""
+    return frozenset(field.name for field in _fields(cls) if not _required(field) and field.default in (None, ()))
 
 
 # -------------------------------------------------------------------------------------------------------- schema

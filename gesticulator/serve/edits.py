@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from collections import OrderedDict
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from gesticulator.directing.directions import planned
-from gesticulator.export.html import describe
+from gesticulator.export.html import describe_motion
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
-from gesticulator.plan.plan import GesturePlan, parse_plan
+from gesticulator.plan.exchange import PlanExchange
+from gesticulator.plan.plan import GesturePlan
 
 if TYPE_CHECKING:
     from gesticulator.directing.editing import PlanRenderer
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
 
 MOST_DRAWINGS = 4
 """First drawings that are kept at once: the takes of a page, and plans that were opened from files since."""
-_REPLAYED = ("made_by", "seed", "variation", "speaker", "interpreter", "drawn", "words")
-"""Members of a plan that tell its first drawing."""
 
 
 class LivePlans:
@@ -29,7 +26,8 @@ class LivePlans:
     def __init__(self, system: Gesticulator, performance: Performance) -> None:
         """performance: any of this recording; its sound and words are used."""
         self._system, self._speech, self._name = system, performance.speech, performance.sound_name
-        self._renderers: OrderedDict[str, PlanRenderer] = OrderedDict()
+        self._renderers: list[tuple[tuple[Any, ...], PlanRenderer]] = []  # the last used is the last
+        self._exchange = PlanExchange()
 
     def prepare(self, plan: GesturePlan) -> None:
         """Draw what a plan replays, so that the first edit of it is fast."""
@@ -43,16 +41,16 @@ class LivePlans:
 
     def answer(self, plan: dict[str, Any]) -> dict[str, Any]:
         """What a page is told of a plan that it sent as JSON."""
-        return describe(self.render(parse_plan(json.dumps(plan, indent=1), "plan")).scene())
+        made = self.render(self._exchange.read(plan))
+        return {**describe_motion(made.scene()), "plan": self._exchange.plain(made.plan())}
 
     def _renderer(self, options: InferenceOptions) -> PlanRenderer:
         plan = options.plan
         assert plan is not None
-        replayed = plan.to_dict()
-        key = json.dumps([replayed.get(name) for name in _REPLAYED], sort_keys=True)
-        if key not in self._renderers:
-            self._renderers[key] = self._system.plan_renderer(self._speech, options)
-        self._renderers.move_to_end(key)
-        while len(self._renderers) > MOST_DRAWINGS:
-            self._renderers.popitem(last=False)
-        return self._renderers[key]
+        # All that tells a first drawing. Equal parts of plans that a page sends are the same objects, so that equal
+        # tuples are found without looking into them.
+        replayed = (plan.made_by, plan.seed, plan.variation, plan.speaker, plan.interpreter, plan.drawn, plan.words)
+        at = next((at for at, (known, _) in enumerate(self._renderers) if known == replayed), None)
+        found = (replayed, self._system.plan_renderer(self._speech, options)) if at is None else self._renderers.pop(at)
+        self._renderers = [*self._renderers, found][-MOST_DRAWINGS:]
+        return found[1]
