@@ -19,7 +19,6 @@ from gesticulator.plan.bml import bml_of, parse_bml
 from gesticulator.plan.exchange import PlanExchange
 from gesticulator.plan.json_lines import parse
 from gesticulator.plan.plan import (
-    FORMAT,
     GESTURES,
     BlockDraw,
     DrawnBlocks,
@@ -36,8 +35,18 @@ from gesticulator.plan.plan import (
     parse_plan,
     schema,
 )
+from gesticulator.plan.sections import (
+    GesturePhase,
+    GestureUnit,
+    KnobCurve,
+    PlanMeaning,
+    PosePin,
+    SoundAlignment,
+)
+from gesticulator.plan.upgrade import FORMAT, UPGRADES, VERSION
 
 SCHEMA = Path(__file__).resolve().parent.parent / "docs" / "schema" / "plan.schema.json"
+VERSION_1 = Path(__file__).resolve().parent / "data" / "plans" / "version_1.json"
 NAMES = ("both hands up", "right hand out", "rest")
 
 
@@ -49,7 +58,7 @@ def a_plan(count: int = 4, seed: int = 7) -> GesturePlan:
     blocks = tuple(PlanBlock(edges[i], edges[i + 1], lexemes[i], i == 0, BlockDraw(seed, 0, i), flags[i],
                              NAMES[lexemes[i]], alternatives=(LexemeChoice(1, NAMES[1], -0.5),)) for i in range(count))
     return GesturePlan(
-        FORMAT, 1, {"gesticulator": "0", "settings": {"temperature": 1.0}}, PlanSound("a.wav", edges[-1], 16000, "00"),
+        FORMAT, VERSION, {"gesticulator": "0", "settings": {"temperature": 1.0}}, PlanSound("a.wav", edges[-1], 16000, "00"),
         seed, 0, "ann", "lstm", DrawnBlocks(edges, flags, (True, *(False,) * (count - 1)), lexemes, PlanKnobs()),
         blocks,
         cues=(GestureCue("wave", "Hello"), GestureCue("nod", time=0.5, mirror=True)),
@@ -108,7 +117,7 @@ def test_what_the_schema_refuses_is_refused_with_its_line(place: tuple[str | int
     ('"seed": 7,', '"seed": 7,,', "lacks a name"), ('"seed": 7,', '"seed": 7 "x": 1,', "lacks a comma"),
     ('"seed": 7,', '"seed": 7, "seed": 8,', "twice"), ('"seed": 7,', '"seed": NaN,', "no JSON"),
     ('"seed": 7,', '"seed" 7,', "lacks the colon"), ('"seed": 7,', '"seed": 07,', "lacks a comma"),
-    ('"version": 1', '"version": 2', "this version reads 1"), (FORMAT, "other", "--plan-out"),
+    ('"version": 2', '"version": 3', "this version reads 1 and 2"), (FORMAT, "other", "--plan-out"),
     ('"wave"', '"wavy"', "one of wave, point left"), ('"word": "Hello"', '"word": null', "a word or a time"),
     ('"time": 0.5', '"time": 99', "0 to "), ('"lexeme": 1, "silent": true', '"lexeme": 9, "silent": true', "0 to 2"),
 ])
@@ -305,3 +314,74 @@ def test_an_exchange_refuses_plans_that_lack_a_part_hold_a_block_twice_or_are_to
     for place in ({"made_by": {"settings": deep}}, {"blocks": deep}, {"knobs": deep}):
         with pytest.raises(InputError):
             exchange.read({**whole, **place})
+
+
+SECTIONS: dict[str, Any] = {
+    "units": (GestureUnit(0.1, 0.6, (GesturePhase("preparation", 0.1, 0.3), GesturePhase("stroke", 0.3, 0.5)), "left",
+                          1.5), GestureUnit(0.6, 0.8)),
+    "meanings": (PlanMeaning(0.1, 0.4, "negation", "not at all", 0.75), PlanMeaning(0.4, 0.4, "size")),
+    "pins": (PosePin(0.5, "RightHand", position=(0.1, 1.2, 0.3)),
+             PosePin(0.6, "Head", (0.6, 0.8, 0.0, 0.0), hold=0.25)),
+    "curves": (KnobCurve("intensity", (0.0, 0.5), (1.0, 0.25)), KnobCurve("height", (0.2,), (-0.1,))),
+    "alignment": SoundAlignment("ff", 2.5, (0.0, 0.5, 1.0), (0.0, 0.75, 1.25)),
+}
+
+
+def test_sections_stand_in_the_file_only_where_there_are_any_and_come_back_as_they_were() -> None:
+    plain = a_plan().to_dict()
+    assert not set(SECTIONS) & set(plain)
+    for names in ([name] for name in SECTIONS), ([*SECTIONS],):
+        for some in names:
+            plan = replace(a_plan(), **{name: SECTIONS[name] for name in some})
+            text = plan.to_json()
+            assert set(SECTIONS) & set(json.loads(text)) == set(some)
+            assert parse_plan(text) == plan and parse_bml(bml_of(plan).encode()) == plan
+            exchange = PlanExchange()
+            assert exchange.plain(exchange.read(json.loads(text))) == json.loads(text)
+            jsonschema.validate(json.loads(text), json.loads(SCHEMA.read_text()))
+
+
+@pytest.mark.parametrize(("section", "wrong", "told"), [
+    ("units", (GestureUnit(0.5, 0.5),), "units\\[0\\].start"),
+    ("units", (GestureUnit(0.1, 0.6), GestureUnit(0.5, 0.9)), "give 0.6 or more"),
+    ("units", (GestureUnit(0.1, 0.6, (GesturePhase("stroke", 0.0, 0.2),)),), "within 0.1 to 0.6"),
+    ("units", (GestureUnit(0.1, 0.6, (GesturePhase("throw", 0.2, 0.3),)),), "one of preparation"),
+    ("units", (GestureUnit(0.1, 0.6, hand="third"),), "one of left, right, both"),
+    ("meanings", (PlanMeaning(0.5, 0.4, "size"),), "the lesser first"),
+    ("meanings", (PlanMeaning(0.4, 0.5, "size", certainty=1.5),), "0 to 1"),
+    ("pins", (PosePin(0.5, "Head"),), "neither a rotation nor a position"),
+    ("pins", (PosePin(0.5, "Head", (1.0, 1.0, 0.0, 0.0)),), "no unit quaternion"),
+    ("curves", (KnobCurve("intensity", (0.0, 1.0), (1.0,)),), "1 entries for 2 times"),
+    ("curves", (KnobCurve("intensity", (1.0, 1.0), (1.0, 1.0)),), "do not rise"),
+    ("curves", (KnobCurve("intensity", (), ()),), "one at least"),
+    ("curves", (KnobCurve("intensity", (1.0,), (1.0,)),) * 2, "one curve for a knob"),
+    ("alignment", SoundAlignment("ff", 2.0, (0.0, 1.0), (1.0, 1.0)), "there do not rise"),
+    ("alignment", SoundAlignment("ff", 0.0, (0.0,), (0.0,)), "duration"),
+])
+def test_sections_that_make_no_sense_are_refused_with_their_place(section: str, wrong: Any, told: str) -> None:
+    text = replace(a_plan(), **{section: wrong}).to_json()
+    with pytest.raises(InputError, match=told) as error:
+        parse_plan(text)
+    assert f"{section}" in str(error.value)
+
+
+def test_a_plan_of_version_1_is_read_as_one_of_this_version() -> None:
+    text = VERSION_1.read_text(encoding="utf-8")
+    plain = json.loads(text)
+    assert plain["version"] == 1
+    plan = parse_plan(text)
+    assert plan.version == VERSION and plan.to_dict() == {**plain, "version": VERSION}
+    assert PlanExchange().read(plain) == plan and plain["version"] == 1, "what was given is left alone"
+    assert plan.blocks[2].locked and plan.cues[0].gesture == "nod" and plan.knobs.intensity == 1.2
+    old = bml_of(plan).replace(f'"version": {VERSION}', '"version": 1')
+    assert parse_bml(old.encode()) == plan
+
+
+def test_every_version_up_to_this_one_can_be_upgraded() -> None:
+    assert set(UPGRADES) == set(range(1, VERSION))
+
+
+@pytest.mark.parametrize("version", [0, 3, True, "2", None, [1], {"a": 1}, 1.5])
+def test_other_versions_are_refused(version: Any) -> None:
+    with pytest.raises(InputError, match="this version reads"):
+        parse_plan(json.dumps({**a_plan().to_dict(), "version": version}))

@@ -10,9 +10,7 @@ import numpy as np
 from data_module.types import BeatFlag
 from gesticulator.directing.directions import knobs_of
 from gesticulator.plan.plan import (
-    FORMAT,
     GESTURES,
-    VERSION,
     BlockDraw,
     DrawnBlocks,
     GestureName,
@@ -24,6 +22,7 @@ from gesticulator.plan.plan import (
     PlanWord,
     sound_hash,
 )
+from gesticulator.plan.upgrade import FORMAT, VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -24,6 +24,7 @@ from gesticulator.plan.json_lines import LinedJson
 from gesticulator.plan.json_lines import Path as Place
 from gesticulator.plan.plan import GesturePlan, check_plan, read_plan
 from gesticulator.plan.schema import read_as
+from gesticulator.plan.upgrade import upgraded
 
 __all__ = ["bml_of", "parse_bml", "read_any_plan"]
 
@@ -137,7 +138,7 @@ def _assembled(value: dict[str, Any], gestures: list[_Element], source: str, lin
         lines["blocks", at] = gesture.line
     lines |= {("cues", at): gesture.line for at, (gesture, _) in enumerate(cues)}
     value = {**value, "blocks": [row for _, row in blocks], "cues": [cue for _, cue in cues]}
-    lined = LinedJson(source, value, lines)
+    lined = upgraded(LinedJson(source, value, lines))
     plan = replace(read_as(GesturePlan, lined), source=lined)
     check_plan(plan)
     return plan

@@ -12,8 +12,9 @@ from typing import Any
 
 from data_module.errors import InputError
 from gesticulator.plan.json_lines import LinedJson, with_lines
-from gesticulator.plan.plan import GesturePlan, PlanBlock, check_head, check_plan
+from gesticulator.plan.plan import GesturePlan, PlanBlock, check_plan
 from gesticulator.plan.schema import part_names, read_as, read_part, to_plain, written_parts
+from gesticulator.plan.upgrade import upgraded
 
 _BLOCKS = "blocks"
 
@@ -30,8 +31,8 @@ class PlanExchange:
         """The plan of plain values, as `parse_plan` gives it; `InputError` with the line that a value would have in
         the JSON of the plan with an indent of 1. Parts that are equal to those of the last plan are the same objects.
         """
-        lined = with_lines(plain, source)
-        check_head(lined)
+        lined = upgraded(with_lines(plain, source))
+        plain = lined.value
         names, needed = part_names(GesturePlan)
         if not set(needed) <= set(plain) <= set(names) or not isinstance(plain[_BLOCKS], list):
             read_as(GesturePlan, lined)  # which says what is wrong

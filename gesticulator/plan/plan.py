@@ -23,6 +23,18 @@ from data_module.settings import SettingChoice, SettingRange
 from gesticulator.plan.json_lines import LinedJson, parse
 from gesticulator.plan.json_lines import Path as Place
 from gesticulator.plan.schema import PRIVATE, read_as, schema_of, to_plain
+from gesticulator.plan.sections import (
+    GestureUnit,
+    KnobCurve,
+    PlanMeaning,
+    PosePin,
+    SoundAlignment,
+    check_meanings,
+    check_pins,
+    check_points,
+    check_units,
+)
+from gesticulator.plan.upgrade import FORMAT, VERSION, upgraded
 
 if TYPE_CHECKING:
     from data_module.types import Speech
@@ -36,8 +48,6 @@ ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1
 HANDS = ("left", "right", "both")
 """What handedness may prefer."""
 
-FORMAT = "gesticulator-plan"
-VERSION = 1
 FLAGS = ("boundary", "onset", "loud_pseudo", "even_pseudo", "edited")
 """Why a block ends where it ends: the names of `BeatFlag`, and a beat that a user moved or made."""
 SHORTEST, LONGEST = 0.1, 1.0
@@ -293,6 +303,16 @@ class GesturePlan:
     """What the scores of alternatives are."""
     notes: tuple[str, ...] = ()
     """What the user should know."""
+    units: tuple[GestureUnit, ...] = ()
+    """Gesture units, where they are planned."""
+    meanings: tuple[PlanMeaning, ...] = ()
+    """What stretches of the speech mean, where that is known."""
+    pins: tuple[PosePin, ...] = ()
+    """Joints that are to be in a place at a time."""
+    curves: tuple[KnobCurve, ...] = ()
+    """Knobs that change over time; one curve for a knob at most."""
+    alignment: SoundAlignment | None = None
+    """How the plan maps onto another export of its sound."""
     source: LinedJson | None = field(default=None, metadata=PRIVATE, compare=False, repr=False)
     """The file that it was read from, for messages."""
 
@@ -367,20 +387,10 @@ def read_plan(path: str | os.PathLike[str]) -> GesturePlan:
 
 def parse_plan(text: str, source: str = "plan") -> GesturePlan:
     """A plan from its text; `InputError` with the line and what is allowed. source: what messages call it."""
-    lined = parse(text, source)
-    check_head(lined)
+    lined = upgraded(parse(text, source))
     plan = replace(read_as(GesturePlan, lined), source=lined)
     check_plan(plan)
     return plan
-
-
-def check_head(lined: LinedJson) -> None:
-    """`InputError` for JSON of another format, or of a version that is not read."""
-    if isinstance(lined.value, dict) and lined.value.get("format") != FORMAT:
-        raise lined.error(("format",), f"is {shown(lined.value.get('format'))}",
-                          f'give a plan that --plan-out wrote ("format": "{FORMAT}")')
-    if isinstance(lined.value, dict) and lined.value.get("version") != VERSION:
-        raise lined.error(("version",), f"is {shown(lined.value.get('version'))}", f"this version reads {VERSION}")
 
 
 def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:
@@ -423,6 +433,22 @@ def check_plan(plan: GesturePlan) -> None:
         if cue.time is not None and cue.time > plan.duration:
             raise plan.error(("cues", at, "time"), f"is {cue.time:g}", f"give 0 to {plan.duration:g} seconds")
         _check_gesture(plan, at, cue.gesture)
+    _check_sections(plan)
+
+
+def _check_sections(plan: GesturePlan) -> None:
+    check_units(plan.units, plan.error)
+    check_meanings(plan.meanings, plan.error)
+    check_pins(plan.pins, plan.error)
+    knobs = [curve.knob for curve in plan.curves]
+    for at, curve in enumerate(plan.curves):
+        check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
+        if curve.knob in knobs[:at]:
+            raise plan.error(("curves", at, "knob"), f"is {curve.knob} once more", "give one curve for a knob")
+    if plan.alignment is not None:
+        times, there = plan.alignment.times, plan.alignment.there
+        check_points(("alignment",), ("times", "there"), (times, there), plan.error)
+        check_points(("alignment",), ("there", "times"), (there, times), plan.error)
 
 
 def _check_gesture(plan: GesturePlan, at: int, name: str) -> None:
