@@ -217,6 +217,14 @@ class InferenceOptions:
         return self.hand_height, self.hand_speed, self.hand_radius
 
 
+def interpreter_name(interpreter: str | LexemeInterpreter) -> str:
+    """What a plan calls an interpreter: an object's attribute `name` where it is a text, or the name of its class."""
+    if isinstance(interpreter, str):
+        return interpreter
+    name = getattr(interpreter, "name", None)
+    return name if isinstance(name, str) and name else type(interpreter).__name__
+
+
 class InferenceArguments(TypedDict, total=False):
     """The fields of `InferenceOptions` as keyword arguments, for type checkers."""
 

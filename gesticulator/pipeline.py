@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from data_module.controls import FEATURES, Controls, Curve, parse
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator.body.motion_path import MotionPath
@@ -26,7 +26,7 @@ from gesticulator.drawing.cutter import BlockCutter, encode_speech
 from gesticulator.drawing.drawer import Direction
 from gesticulator.drawing.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_rows
 from gesticulator.options import FPS as FPS
-from gesticulator.options import HandControl, InferenceArguments, InferenceOptions
+from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
 from gesticulator.performance import Performance
 from gesticulator.version import __version__
 
@@ -53,6 +53,7 @@ class Gesticulator:
         self._front_end = front_end_for(self.bundle.config, self.bundle.encoder)
         self._words: WordEncoder | None = None
         self._names: tuple[LexemeName, ...] | None = None
+        self._played: dict[str, LexemeInterpreter] = {}
 
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
@@ -206,14 +207,29 @@ class Gesticulator:
         self._check_variation(int(options.variation))
         controls = self.controls(options)
         who = self.speaker_index(options.speaker)
-        name = options.interpreter or self.bundle.interpreters[0]
-        system = self.interpreter(name, text) if isinstance(name, str) else name
+        system = self._chosen_interpreter(options, text)
         temperature = options.temperature
         if temperature is None:
             temperature = chosen.q_temperature if getattr(system, "gives_values", False) else chosen.temperature
         system, beta = _steered(system, options.beta, temperature)
         sampling = Sampling(temperature, chosen.top, int(options.seed))
         return Cast(system, who, sampling, activity, controls, int(options.variation), beta)
+
+    def _chosen_interpreter(self, options: InferenceOptions, text: bool) -> LexemeInterpreter:
+        """The object of the options, or that of their name: the bundle's, or one that was played here before.
+
+        `InputError` for the name of a plan that was made with an object which this Gesticulator has not seen.
+        """
+        chosen = options.interpreter or self.interpreters[0]
+        if not isinstance(chosen, str):
+            self._played[interpreter_name(chosen)] = chosen
+            return chosen
+        if chosen in self.interpreters or options.plan is None:
+            return self.interpreter(chosen, text)
+        if chosen not in self._played:
+            raise options.plan.error(("interpreter",), f"is {shown(chosen)}, which is not in the bundle",
+                                     "pass the object that the plan was made with: interpreter=...")
+        return self._played[chosen]
 
     def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
                on_block: OnBlock | None = None) -> Performance:
@@ -339,7 +355,7 @@ class Gesticulator:
 
     def _made_by(self, options: InferenceOptions, words: bool) -> dict[str, Any]:
         """What made a performance, in plain values. options: with nothing left to the bundle; words: they were read."""
-        name = options.interpreter if isinstance(options.interpreter, str) else type(options.interpreter).__name__
+        name = interpreter_name(options.interpreter or self.interpreters[0])
         settings: dict[str, Any] = {
             "speaker": options.speaker, "interpreter": name, "words": words, "seed": int(options.seed),
             "variation": int(options.variation),

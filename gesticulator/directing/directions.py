@@ -27,7 +27,7 @@ from gesticulator.directing.shaping import (
     levels_at,
 )
 from gesticulator.drawing.drawer import Direction
-from gesticulator.options import FPS, InferenceOptions
+from gesticulator.options import FPS, InferenceOptions, interpreter_name
 from gesticulator.plan.plan import GESTURES, GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks, sound_hash
 
 Shaping = Callable[[Array, Array], Array]
@@ -142,7 +142,7 @@ def directions(bundle: Bundle, options: InferenceOptions, speech: Speech, blocks
 
 # -------------------------------------------------------------------------------------------------------- plans
 
-_OF_THE_PLAN = ("speaker", "interpreter", "temperature", "beta", "hand_height", "hand_speed", "hand_radius", "controls")
+_OF_THE_PLAN = ("speaker", "temperature", "beta", "hand_height", "hand_speed", "hand_radius", "controls")
 
 
 def planned(options: InferenceOptions) -> InferenceOptions:
@@ -156,6 +156,11 @@ def planned(options: InferenceOptions) -> InferenceOptions:
         if getattr(options, name) is not None:
             raise InputError(f"--{name.replace('_', '-')}", "belongs to what the plan replays",
                              "leave it out, or render without a plan")
+    if isinstance(options.interpreter, str):
+        raise InputError("--interpreter", "belongs to what the plan replays", "leave it out, or render without a plan")
+    if options.interpreter is not None and interpreter_name(options.interpreter) != plan.interpreter:
+        raise InputError(f"interpreter {interpreter_name(options.interpreter)}", f"is not that of the plan, "
+                         f"{shown(plan.interpreter)}", "pass the object that the plan was made with")
     settings = plan.made_by.get("settings")
     if not isinstance(settings, dict) or not isinstance(settings.get("temperature"), int | float):
         raise plan.error(("made_by",), "does not tell how it was drawn", "leave it as --plan-out wrote it")
@@ -173,7 +178,7 @@ def planned(options: InferenceOptions) -> InferenceOptions:
             block.draw, variation=int(options.variation))) for block in plan.blocks))
     try:
         return InferenceOptions(
-            speaker=plan.speaker, interpreter=plan.interpreter, seed=plan.seed, temperature=settings["temperature"],
+            speaker=plan.speaker, interpreter=options.interpreter or plan.interpreter, seed=plan.seed, temperature=settings["temperature"],
             beta=settings.get("beta"), fps=options.fps if options.fps != FPS else settings.get("fps", FPS),
             gain=settings.get("gain", 0.0), controls=_controls(settings), plan=_cued(plan), cues=plan.cues,
             legs=options.legs or settings.get("legs") == "standing",
