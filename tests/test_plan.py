@@ -58,7 +58,8 @@ def a_plan(count: int = 4, seed: int = 7) -> GesturePlan:
     blocks = tuple(PlanBlock(edges[i], edges[i + 1], lexemes[i], i == 0, BlockDraw(seed, 0, i), flags[i],
                              NAMES[lexemes[i]], alternatives=(LexemeChoice(1, NAMES[1], -0.5),)) for i in range(count))
     return GesturePlan(
-        FORMAT, VERSION, {"gesticulator": "0", "settings": {"temperature": 1.0}}, PlanSound("a.wav", edges[-1], 16000, "00"),
+        FORMAT, VERSION, {"gesticulator": "0", "settings": {"temperature": 1.0}},
+        PlanSound("a.wav", edges[-1], 16000, "00"),
         seed, 0, "ann", "lstm", DrawnBlocks(edges, flags, (True, *(False,) * (count - 1)), lexemes, PlanKnobs()),
         blocks,
         cues=(GestureCue("wave", "Hello"), GestureCue("nod", time=0.5, mirror=True)),

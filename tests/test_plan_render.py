@@ -39,6 +39,7 @@ from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import GESTURES, GestureCue, GesturePlan, PlanBlock, parse_plan
 from gesticulator.serve.edits import LivePlans
+from interpreters.base import BlockFeatures
 from tests.benchmark_files import benchmark
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
@@ -437,3 +438,48 @@ def test_a_plan_is_written_edited_and_rendered_on_the_command_line(
     assert left.value.code == 2 and not out.exists()
     said = capsys.readouterr().err
     assert f"plan.json, line {row}: blocks[0].silent is 3; give true or false" in said
+
+
+class Steady:
+    """Somebody else's interpreter: it likes one lexeme after the other."""
+
+    def __init__(self, lexemes: int, first: int = 40) -> None:
+        self.lexemes, self.first = lexemes, first
+
+    def start(self, speaker: int, lexeme: int) -> int:
+        return self.first
+
+    def step(self, state: int, features: BlockFeatures, lexeme: int) -> tuple[Array, int]:
+        return np.eye(self.lexemes)[state % self.lexemes] * 50.0, state + 1
+
+
+class Named(Steady):
+    name = "their own"
+
+
+def test_the_plan_of_somebody_elses_interpreter_is_rendered_again(system: Gesticulator, speech: Speech) -> None:
+    size = len(system.bundle.vectors)
+    theirs = Steady(size)
+    made = system(speech, interpreter=theirs, temperature=0, activity=1)
+    plan = made.plan()
+    assert plan.interpreter == "Steady" and len(set(made.lexemes.tolist())) > 5
+    again = parse_plan(plan.to_json())
+    for played in (system(speech, plan=again), system(speech, plan=again, interpreter=theirs),
+                   Gesticulator(system.bundle)(speech, plan=again, interpreter=theirs)):
+        np.testing.assert_array_equal(played.rotations, made.rotations)
+        assert played.plan() == plan
+    free = with_block(again, 9, lexeme=None)
+    assert LivePlans(system, made).render(free).lexemes[9] == made.lexemes[9], "its object chooses"
+
+
+def test_an_interpreter_object_that_is_not_at_hand_is_asked_for(system: Gesticulator, speech: Speech) -> None:
+    size = len(system.bundle.vectors)
+    plan = system(speech, interpreter=Named(size)).plan()
+    assert plan.interpreter == "their own"
+    with pytest.raises(InputError, match="pass the object that the plan was made with") as error:
+        Gesticulator(system.bundle)(speech, plan=plan)
+    assert "their own" in str(error.value)
+    with pytest.raises(InputError, match="Steady: is not that of the plan, their own"):
+        system(speech, plan=plan, interpreter=Steady(size))
+    with pytest.raises(InputError, match="belongs to what the plan replays"):
+        system(speech, plan=plan, interpreter="lstm")

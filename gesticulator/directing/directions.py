@@ -178,9 +178,10 @@ def planned(options: InferenceOptions) -> InferenceOptions:
             block.draw, variation=int(options.variation))) for block in plan.blocks))
     try:
         return InferenceOptions(
-            speaker=plan.speaker, interpreter=options.interpreter or plan.interpreter, seed=plan.seed, temperature=settings["temperature"],
-            beta=settings.get("beta"), fps=options.fps if options.fps != FPS else settings.get("fps", FPS),
-            gain=settings.get("gain", 0.0), controls=_controls(settings), plan=_cued(plan), cues=plan.cues,
+            speaker=plan.speaker, interpreter=options.interpreter or plan.interpreter, seed=plan.seed,
+            temperature=settings["temperature"], beta=settings.get("beta"),
+            fps=options.fps if options.fps != FPS else settings.get("fps", FPS), gain=settings.get("gain", 0.0),
+            controls=_controls(settings), plan=_cued(plan), cues=plan.cues,
             legs=options.legs or settings.get("legs") == "standing",
             seated=options.seated or settings.get("legs") == "seated", **given)
     except (TypeError, ValueError) as error:
