@@ -167,9 +167,9 @@ def to_plain(record: Any) -> Any:
 
 def written_parts(record: Any) -> list[tuple[str, Any]]:
     """The members of a dataclass that are written, in order, with their values."""
-    left_out = _left_out(type(record))
-    values = vars(record)
-    return [(name, values[name]) for name in part_names(type(record))[0]
+    cls: Any = type(record)
+    left_out, values = _left_out(cls), vars(record)
+    return [(name, values[name]) for name in part_names(cls)[0]
             if not (name in left_out and values[name] in (None, ()))]
 
 
