@@ -283,7 +283,8 @@ def test_what_an_exchange_gave_or_was_given_may_be_changed() -> None:
 @pytest.mark.parametrize(("place", "value"), [
     *BROKEN, (("blocks", 1, "silent"), 0), (("blocks", 1, "chosen"), {"prior": float("nan")}),
     (("made_by", "settings", "temperature"), float("inf")), (("format",), "other"), (("version",), 7), (("more",), 1),
-    (("blocks",), None), (("blocks", 0), 3), (("drawn",), []),
+    (("blocks",), None), (("blocks", 0), 3), (("drawn",), []), (("cues", 0, "word"), "\ud800"),
+    (("made_by", "bundle"), ["\udfff"]),
 ])
 def test_an_exchange_refuses_what_the_reader_of_files_refuses_with_the_same_words(place: tuple[str | int, ...],
                                                                                   value: Any) -> None:

@@ -49,6 +49,11 @@ def with_lines(value: Any, source: str) -> LinedJson:
     return LinedJson(source, value, _LinesOnDemand(value, source))
 
 
+def half_character(text: str) -> bool:
+    """Whether a text holds half of a surrogate pair, which no file can hold."""
+    return not text.isascii() and _HALF.search(text) is not None
+
+
 class _LinesOnDemand(Mapping[Path, int]):
     """The lines of a value that was parsed before."""
 
@@ -82,6 +87,8 @@ def check_plain(value: Any, source: LinedJson, path: Path) -> None:
             raise source.error(path, "is nested too deeply", "write it as the schema says")
         if isinstance(part, float) and not math.isfinite(part):
             raise source.error(path, f"holds {part}", "give finite numbers")
+        if isinstance(part, str) and half_character(part):
+            raise source.error(path, f"holds half a character in {shown(part)}", "write whole ones")
         if isinstance(part, dict | list):
             parts += [(one, depth + 1) for one in (part.values() if isinstance(part, dict) else part)]
 
@@ -156,7 +163,7 @@ class _Reader:
             text, end = scanstring(self.text, at + 1)
         except json.JSONDecodeError as error:
             raise self.error(error.pos, f"holds a text that is none ({error.msg})", "check its quotes") from None
-        if _HALF.search(text):
+        if half_character(text):
             raise self.error(at, f"holds half a character in {shown(text)}", "write whole ones")
         self.skip(end)
         return text

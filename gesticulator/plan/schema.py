@@ -20,7 +20,7 @@ from typing import Any, TypeVar, cast
 
 from data_module.errors import shown
 from data_module.settings import SettingChoice, SettingRange, limits_of
-from gesticulator.plan.json_lines import LinedJson, Path, check_plain
+from gesticulator.plan.json_lines import LinedJson, Path, check_plain, half_character
 
 T = TypeVar("T")
 
@@ -144,6 +144,8 @@ def _plain(kind: Any, nullable: bool, limits: Any, value: Any, source: LinedJson
         fits = math.isfinite(value)
     if not fits or (limits is not None and value not in limits):
         raise source.error(path, f"is {shown(value)}", advice)
+    if kind is str and half_character(value):
+        raise source.error(path, f"holds half a character in {shown(value)}", "write whole ones")
     return value
 
 
