@@ -1,0 +1,59 @@
+"""What every entry of every table of plug-ins keeps.
+
+What a kind does beyond that is tested beside it: writers in `test_export`, interpreters in `test_interpreters`, data
+sets on samples in `test_corpora`, metrics in `test_metrics`, verbs in `test_house`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from pathlib import Path
+
+import pytest
+
+from data_module.corpora.base import Options
+from data_module.corpora.table import CORPORA, STROKE_SOURCES, open_corpus
+from data_module.errors import InputError
+from data_module.registry import Registry, RegistryEntry
+from eval.pictures import DRAWINGS
+from eval.probes import PROBES
+from gesticulator.characters.reading import READERS, read_character
+from gesticulator.export.writers import WRITERS
+from interpreters import INTERPRETERS
+
+TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA, STROKE_SOURCES)  # type: ignore[assignment]
+
+
+@pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
+                                             for table in TABLES for name in table])
+def test_an_entry_can_be_loaded_and_says_what_it_is(table: Registry[RegistryEntry], name: str) -> None:
+    entry = table[name]
+    assert entry.about and "\n" not in entry.about and not entry.about.endswith(".")
+    if entry.needs is None:
+        found = table.load(name)
+        assert callable(found) and found.__doc__
+
+
+@pytest.mark.parametrize("name", [name for name in CORPORA if name != "performer"])
+def test_a_data_set_refuses_an_empty_folder_in_one_line(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        open_corpus(name, tmp_path, Options()).items()
+    assert "\n" not in str(caught.value) and caught.value.advice
+
+
+@pytest.mark.parametrize("suffix", [suffix for suffix in READERS if suffix != ".fbx"])
+def test_a_reader_of_characters_refuses_what_is_none_in_one_line(suffix: str, tmp_path: Path) -> None:
+    for content in (b"", b"\0\xff no character", b"{}"):
+        (tmp_path / f"a{suffix}").write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            read_character(tmp_path / f"a{suffix}")
+        assert "\n" not in str(caught.value) and f"a{suffix}" in str(caught.value)
+
+
+@pytest.mark.parametrize(("module", "about"), [*PROBES.values(), *DRAWINGS.values()])
+def test_a_probe_or_a_drawing_has_arguments_a_run_and_a_line_about_it(module: str, about: str) -> None:
+    found = importlib.import_module(module)
+    parser = argparse.ArgumentParser()
+    found.arguments(parser)
+    assert callable(found.run) and about and "\n" not in about and found.__doc__
