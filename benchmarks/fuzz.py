@@ -220,9 +220,10 @@ def save(asked: argparse.Namespace, shares: dict[str, int], found: dict[str, lis
              "command": f"python benchmarks/fuzz.py --inputs {asked.inputs} --seed {asked.seed}",
              "date": f"{datetime.now(UTC):%Y-%m-%d}",
              "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"}
-    rows = [{"reader": name, "inputs": shares[name], "failures": len(failed),
+    rows: list[dict[str, Any]] = [{"reader": name, "inputs": shares[name], "failures": len(failed),
              "worst": failed[0][1] if failed else ""} for name, failed in found.items()]
-    total = {"reader": "all", "inputs": sum(shares.values()), "failures": sum(map(len, found.values())), "worst": ""}
+    total: dict[str, Any] = {"reader": "all", "inputs": sum(shares.values()),
+                             "failures": sum(map(len, found.values())), "worst": ""}
     write_text(asked.out, json.dumps(about | {"rows": [*rows, total]}, indent=1) + "\n")
     lines = [f"# {about['title']}", "",
              f"`{about['command']}`, commit {commit}, bundle none, {about['machine']}, {about['date']}.", "",
