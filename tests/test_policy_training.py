@@ -15,7 +15,8 @@ from data_module.errors import InputError
 from data_module.store import Store
 from eval.rows.racer import ROWS, twins
 from eval.runner import racer as training
-from eval.runner.racer import RacerContext
+from eval.runner.context import EvalContext
+from eval.runner.racer import RacerRows
 from gesticulator.bundle.config import with_settings
 from interpreters.actor_critic import ActorCritic
 from interpreters.cql import ConservativeQ, QNetwork
@@ -44,9 +45,9 @@ def test_another_reward_is_brought_to_the_scale_of_the_data() -> None:
 
 
 @pytest.fixture(scope="module")
-def context(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> RacerContext:
+def context(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> RacerRows:
     work, store = tmp_path_factory.mktemp("racer"), Store.open(tiny_store)
-    return RacerContext.of(store, with_policies(store, work), work, PRESET, 2, progress=False)
+    return RacerRows.of(EvalContext(store, with_policies(store, work), work, 2, progress=False), PRESET)
 
 
 def weights(module: torch.nn.Module) -> Tensor:
@@ -58,13 +59,13 @@ def test_exploration_falls_to_its_least_by_half_of_the_steps() -> None:
     assert shares[0] == 1.0 and shares[50:] == [training.LEAST_EPSILON] * 50 and shares == sorted(shares, reverse=True)
 
 
-def test_all_rows_of_a_seed_begin_alike(context: RacerContext) -> None:
+def test_all_rows_of_a_seed_begin_alike(context: RacerRows) -> None:
     first = [weights(context.untrained(f"racer-{name}", 1)) for name in ("cql", "dqn", "literal")]
     assert torch.equal(first[0], first[1]) and torch.equal(first[0], first[2])
     assert not torch.equal(first[0], weights(context.untrained("racer-cql", 2)))
 
 
-def test_what_acts_keeps_to_the_silent_mask(context: RacerContext) -> None:
+def test_what_acts_keeps_to_the_silent_mask(context: RacerRows) -> None:
     network = context.untrained("racer-cql", 1).eval()
     actor = ActorCritic(context.untrained("racer-cql", 1))
     blocks = torch.as_tensor(np.flatnonzero(~context.corpus.silent)[:64])[:, None]
@@ -85,7 +86,7 @@ def test_what_acts_keeps_to_the_silent_mask(context: RacerContext) -> None:
         assert quiet or len(anything.unique()) > len(best.unique())
 
 
-def test_each_kind_learns_from_its_own(context: RacerContext) -> None:
+def test_each_kind_learns_from_its_own(context: RacerRows) -> None:
     def batch_of(name: str) -> dict[str, Tensor]:
         row, config = ROWS[f"racer-{name}"], context.config(f"racer-{name}")
         model, make_batch = training.TRAININGS[row.training](context, config, context.untrained(f"racer-{name}", 1), 1)
@@ -107,7 +108,7 @@ def test_each_kind_learns_from_its_own(context: RacerContext) -> None:
     assert rewards[0].std() == pytest.approx(rewards[1].std(), abs=1e-4)
 
 
-def test_the_actor_begins_as_the_supervised_network(context: RacerContext) -> None:
+def test_the_actor_begins_as_the_supervised_network(context: RacerRows) -> None:
     supervised, _ = training.trained(context, "racer-supervised", 1)
     model, _ = training.actor_critic(context, context.config("racer-actor-critic"),
                                      context.untrained("racer-cql", 1), 1)
@@ -116,7 +117,7 @@ def test_the_actor_begins_as_the_supervised_network(context: RacerContext) -> No
 
 
 @pytest.mark.parametrize("name", ["racer-cql", "racer-dqn", "racer-actor-critic"])
-def test_training_repeats_and_is_kept(context: RacerContext, name: str) -> None:
+def test_training_repeats_and_is_kept(context: RacerRows, name: str) -> None:
     file = context.run.work / f"{name}-{context.key(name, 1)}" / "weights.safetensors"
     first = weights(training.trained(context, name, 1)[0])
     stored = file.read_bytes()
@@ -127,7 +128,7 @@ def test_training_repeats_and_is_kept(context: RacerContext, name: str) -> None:
     assert not torch.equal(first, weights(training.trained(context, name, 2)[0]))
 
 
-def test_a_key_tells_what_shapes_a_row(context: RacerContext) -> None:
+def test_a_key_tells_what_shapes_a_row(context: RacerRows) -> None:
     rows = set(twins(context.run.config).values())
     keys = {context.key(name, seed) for name in rows for seed in (1, 2)}
     assert len(keys) == 2 * sum(not ROWS[name].matched for name in rows), "a row and its twin share a network"
@@ -135,7 +136,7 @@ def test_a_key_tells_what_shapes_a_row(context: RacerContext) -> None:
     assert dataclasses.replace(context, run=longer).key("racer-cql", 1) not in keys
 
 
-def test_scaled_rewards_are_learned_and_judged_at_one_scale(context: RacerContext) -> None:
+def test_scaled_rewards_are_learned_and_judged_at_one_scale(context: RacerRows) -> None:
     name = "racer-scale=20,alpha=1"
     rewards = context.valued(name)
     assert isinstance(rewards, training.ScaledReward)
@@ -148,19 +149,20 @@ def test_scaled_rewards_are_learned_and_judged_at_one_scale(context: RacerContex
     assert batch["reward"].tolist() == [20.0, 20.0] and batch["action"].tolist() == [1.0, 1.0]
 
 
-def test_a_matched_row_is_the_same_network_sampled(context: RacerContext) -> None:
+def test_a_matched_row_is_the_same_network_sampled(context: RacerRows) -> None:
     policy, _ = training.trained(context, "racer-cql-matched", 1)
     assert torch.equal(weights(policy), weights(training.trained(context, "racer-cql", 1)[0]))
     assert context.temperature("racer-cql", policy) == 0.0 < context.temperature("racer-cql-matched", policy)
 
 
-def test_only_values_are_calibrated(context: RacerContext) -> None:
+def test_only_values_are_calibrated(context: RacerRows) -> None:
     assert context.valued("racer-supervised") is None is context.valued("racer-actor-critic")
     assert context.valued("racer-cql") is context.valued("racer-dqn") is context.taught(context.run.config)
     assert context.valued("racer-literal") is context.tables[""], "the paper's own reward is not centred"
     assert isinstance(context.valued("racer-distance"), training.TabledReward)
 
 
-def test_a_bundle_without_a_judge_is_refused(context: RacerContext, tiny_store: Path, tmp_path: Path) -> None:
+def test_a_bundle_without_a_judge_is_refused(context: RacerRows, tiny_store: Path, tmp_path: Path) -> None:
+    without = EvalContext(Store.open(tiny_store), context.bundle.with_parts(reward_judge=None), tmp_path)
     with pytest.raises(InputError, match="reward models"):
-        RacerContext.of(Store.open(tiny_store), context.bundle.with_parts(reward_judge=None), tmp_path, PRESET)
+        RacerRows.of(without, PRESET)

@@ -23,11 +23,10 @@ from torch import Tensor
 from data_module.errors import InputError
 from data_module.files import lock
 from data_module.layers import freeze
-from data_module.store import Store
 from eval.clip.measure import measure, motion_values
 from eval.metrics import gesture_features, pmb
 from eval.rows.racer import ROWS, SUPERVISED
-from eval.runner.context import Lexemes, hinted_labels
+from eval.runner.context import EvalContext, Lexemes, hinted_labels
 from eval.runner.judge import distances, set_distances
 from eval.runner.judge import features_of as features_of_motion
 from eval.runner.judges import with_judges
@@ -66,12 +65,12 @@ MOTION = 4
 # ------------------------------------------------------------------------------------------- what all rows stand on
 
 @dataclass(frozen=True)
-class RacerContext:
-    """What all rows share. run: settings, store and corpus as training knows them; takes: the training split; judge:
-    decisions on the test split with the reward tables, "" the one that policies are taught and "judge_" the other;
-    shapes: hash of the data and of the bundle's parts."""
+class RacerRows:
+    """What RACER's rows share. context: a store and a bundle with both reward models; run: settings, store and
+    corpus as in training; takes: the training split; judge: decisions on the test split with the reward tables, ""
+    the one that policies are taught and "judge_" the other; shapes: hash of the data and of the bundle's parts."""
 
-    bundle: bundles.Bundle
+    context: EvalContext
     run: Run
     takes: list[Demonstration]
     silent: SilentLexemes
@@ -81,20 +80,20 @@ class RacerContext:
     _taught: dict[int, EnsembleReward | Centred] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, store: Store, bundle: bundles.Bundle, work: Path, preset: Sequence[str], limit: int | None = None,
-           progress: bool = True) -> RacerContext:
+    def of(cls, context: EvalContext, preset: Sequence[str]) -> RacerRows:
         """From a bundle over a lexicon with both reward models; InputError for another, and without test speech."""
-        bundle = with_judges(bundle, work)
+        context = replace(context, bundle=with_judges(context.bundle, context.work))
+        bundle, store = context.bundle, context.store
         if bundle.reward is None or bundle.reward_judge is None:
-            raise InputError(work, "lacks one of the two reward models of the bundle's training",
+            raise InputError(context.work, "lacks one of the two reward models of the bundle's training",
                              "give the work folder of its training, with schedules.reward.steps")
         parts = bundle.block_models
         config = configs.with_settings(bundle.config, preset)
-        run = Run(config, store, work, progress=progress, workers=os.cpu_count() or 1)
+        run = Run(config, store, context.work, progress=context.progress, workers=os.cpu_count() or 1)
         run.provide(ENCODER, bundle.encoder, weights_hash(bundle.encoder) if bundle.encoder else "")
         corpus = run.get(CORPUS)
         labels = hinted_labels(bundle, corpus)
-        decisions = Decisions.of(bundle, corpus, labels, limit)
+        decisions = Decisions.of(bundle, corpus, labels, context.limit)
         if not decisions.takes:
             raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
         silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.double().numpy(), bundle.silent))
@@ -105,7 +104,12 @@ class RacerContext:
         tables = {"": reward_table(bundle.reward, parts.lexicon, corpus),
                   "judge_": reward_table(bundle.reward_judge, parts.lexicon, corpus)}
         judge = PolicyJudge(decisions, tables, parts.interpreter, [take.lexemes for take in takes])
-        return cls(bundle, run, takes, silent, judge, tables, shapes)
+        return cls(context, run, takes, silent, judge, tables, shapes)
+
+    @property
+    def bundle(self) -> bundles.Bundle:
+        """What the rows stand on."""
+        return self.context.bundle
 
     @property
     def corpus(self) -> Corpus:
@@ -215,7 +219,7 @@ def rescaled(table: Tensor, episodes: Episodes) -> Tensor:
     return (table - float(ours.mean())) * float(scale) + float(theirs.mean())
 
 
-def rewarded(context: RacerContext, config: Config) -> tuple[Episodes, Rewards]:
+def rewarded(context: RacerRows, config: Config) -> tuple[Episodes, Rewards]:
     """The offline data set with the reward of the settings, and that reward."""
     episodes = _episodes(context, config)
     if config.episodes.reward == "contrastive":
@@ -227,7 +231,7 @@ def rewarded(context: RacerContext, config: Config) -> tuple[Episodes, Rewards]:
     return Episodes(with_distance, cloned=episodes.cloned, stretch=episodes.stretch), TabledReward(table)
 
 
-def _episodes(context: RacerContext, config: Config) -> Episodes:
+def _episodes(context: RacerRows, config: Config) -> Episodes:
     """The offline data set with the contrastive reward, kept in the work folder; every seed learns from the same."""
     plain = replace(config.episodes, reward="contrastive")
     file = context.run.work / f"racer-{configs.digest(context.shapes, plain, config.statistical, config.seed)}.npz"
@@ -280,7 +284,7 @@ def epsilon_at(step: int, steps: int) -> float:
     return max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * step / max(1.0, GREEDY_AT * steps))
 
 
-def offline(context: RacerContext, config: Config, network: QNetwork, seed: int) -> Learner:
+def offline(context: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
     episodes, _ = rewarded(context, config)
     return ConservativeQ(network), lambda rng: q_batch(context.corpus, episodes.windows(
@@ -290,7 +294,7 @@ def offline(context: RacerContext, config: Config, network: QNetwork, seed: int)
 class Acting(ConservativeQ):
     """A Q-network that acts in the recorded speech every `ACT_EVERY` steps and remembers a batch of episodes (DQN)."""
 
-    def __init__(self, context: RacerContext, config: Config, network: QNetwork, seed: int) -> None:
+    def __init__(self, context: RacerRows, config: Config, network: QNetwork, seed: int) -> None:
         super().__init__(network)
         self._context, self._config, self._seed, self._memory = context, config, seed, Replay(MEMORY)
         self._simulator = Simulator(context.takes, context.taught(config).rewards, context.tables[""].window)
@@ -312,13 +316,13 @@ class Acting(ConservativeQ):
                        self._config.cql.lookahead)
 
 
-def online(context: RacerContext, config: Config, network: QNetwork, seed: int) -> Learner:
+def online(context: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """DQN."""
     model = Acting(context, config, network, seed)
     return model, model.batch
 
 
-def actor_critic(context: RacerContext, config: Config, network: QNetwork, seed: int) -> Learner:
+def actor_critic(context: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Policy gradients on what the policy has just done, beginning as the supervised network of the seed."""
     supervised = trained(context, SUPERVISED, seed)[0]
     model = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
@@ -342,7 +346,7 @@ def scaled(make_batch: fitting.MakeBatch, factor: float) -> fitting.MakeBatch:
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 
 
-def trained(context: RacerContext, name: str, seed: int) -> tuple[QNetwork | ActorCritic, float]:
+def trained(context: RacerRows, name: str, seed: int) -> tuple[QNetwork | ActorCritic, float]:
     """The network of a row, trained now or read from the work folder, and how many seconds that took.
 
     A training that is stopped begins anew: what was remembered of roll-outs is not kept. One that another process is at
@@ -354,7 +358,7 @@ def trained(context: RacerContext, name: str, seed: int) -> tuple[QNetwork | Act
         return _trained(context, name, seed, folder)
 
 
-def _trained(context: RacerContext, name: str, seed: int, folder: Path) -> tuple[QNetwork | ActorCritic, float]:
+def _trained(context: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNetwork | ActorCritic, float]:
     row, config, began = ROWS[name], context.config(name), time.monotonic()
     network = context.untrained(name, seed)
     if stages.finished(folder):
@@ -378,7 +382,7 @@ def _trained(context: RacerContext, name: str, seed: int, folder: Path) -> tuple
     return policy, time.monotonic() - began
 
 
-def judged(context: RacerContext, name: str, policy: QNetwork | ActorCritic
+def judged(context: RacerRows, name: str, policy: QNetwork | ActorCritic
            ) -> tuple[list[Lexemes], list[dict[str, Any]]]:
     """What a policy did on the test recordings [M], and its figures on each."""
     decisions, gamma, valued = context.judge.decisions, context.config(name).cql.gamma, context.valued(name)
@@ -392,7 +396,7 @@ def judged(context: RacerContext, name: str, policy: QNetwork | ActorCritic
     return chosen, rows
 
 
-def measured(context: RacerContext, name: str, seed: int, by: Sequence[gesture_features.Features]) -> dict[str, Any]:
+def measured(context: RacerRows, name: str, seed: int, by: Sequence[gesture_features.Features]) -> dict[str, Any]:
     """"clips", "sets" and "seconds" of a row's cell: all test recordings judged, the first `MOTION` of them played."""
     policy, seconds = trained(context, name, seed)
     chosen, clips = judged(context, name, policy)

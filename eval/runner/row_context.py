@@ -31,8 +31,9 @@ from eval.metrics import gesture_features
 from eval.rows import ROWS, racer
 from eval.rows.cells import CellStore, family
 from eval.runner import racer as policy_training
+from eval.runner.context import EvalContext
 from eval.runner.judge import ClipSpeech, Judge, JudgedClip, features_of
-from eval.runner.racer import RacerContext
+from eval.runner.racer import RacerRows
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
@@ -144,15 +145,15 @@ class AblationContext:
         return Judge(self.first.config, self.corpus.statistics, self.first.get(LEXICON), self.by)
 
     @cached_property
-    def racer(self) -> RacerContext:
+    def racer(self) -> RacerRows:
         """What RACER's rows stand on."""
         if self.bundle:
             bundle = bundles.load(self.bundle)
         else:
             bundle, run = self.trained("q-network", 1)
             bundle = bundle.with_parts(**{name: run.get(STAGES[name]) for name in bundles.JUDGES})
-        return RacerContext.of(self.store, bundle, self.first.work, racer.PRESETS[self.first.config.name], self.limit,
-                               self.first.progress)
+        context = EvalContext(self.store, bundle, self.first.work, self.limit, self.first.progress)
+        return RacerRows.of(context, racer.PRESETS[self.first.config.name])
 
     def shared(self, group: str) -> str:
         """Hash of what the rows of a family share; figures that are compared must agree in it."""
