@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from data_module.errors import InputError
 from data_module.speech.audio import load_speech
 from data_module.text import alignment as text
-from data_module.types import Speech
+from data_module.types import Speech, Word
 
 RATE = 16000
 # The 39 sounds of the acoustic model; anything else makes the aligner refuse the word.
@@ -118,7 +118,7 @@ def test_a_transcript_without_words_is_refused() -> None:
 
 def test_without_pocketsphinx_the_advice_is_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pocketsphinx", None)
-    text._decoder.cache_clear()
+    text._loaded_decoder.cache_clear()
     with pytest.raises(InputError, match=r"gesticulator\[align\]"):
         text.align(_bursts([0.5], 2.0), "hello")
 
@@ -165,3 +165,17 @@ def test_words_begin_where_the_sound_rises(outside_data: Path) -> None:
         near = np.flatnonzero(loud[int((word.start - 0.25) * 100):int((word.start + 0.4) * 100)])
         apart.append(abs(near[0] / 100 - 0.25) if len(near) else 1.0)
     assert np.median(apart) < 0.06
+
+
+def test_times_do_not_depend_on_what_was_aligned_before(outside_data: Path) -> None:
+    """The aligner adapts to a voice as it listens; each alignment begins from the state of a new aligner."""
+    pytest.importorskip("pocketsphinx")
+
+    def words(name: str) -> tuple[Word, ...]:
+        folder = outside_data / "speech"
+        return text.align(load_speech(folder / f"{name}.flac"), (folder / f"{name}.txt").read_text(encoding="utf-8"))
+
+    text._loaded_decoder.cache_clear()
+    first = words("en_austen_0880")
+    assert words("en_austen_0870") != first
+    assert words("en_austen_0880") == first
