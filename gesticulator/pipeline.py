@@ -29,6 +29,7 @@ from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
 from gesticulator.performance import Performance
 from gesticulator.version import __version__
+from interpreters.base import as_interpreter
 
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from gesticulator.directing.editing import PlanRenderer
     from gesticulator.plan.plan import LexemeName
     from gesticulator.stream import Stream
-    from interpreters.base import LexemeInterpreter
+    from interpreters.base import Interpreter
 
 __all__ = ["Gesticulator"]
 
@@ -89,7 +90,7 @@ class Gesticulator:
         """True when the bundle has an interpreter that reads the words."""
         return "interpreter_text" in self.bundle.parts
 
-    def interpreter(self, name: str, text: bool = False) -> LexemeInterpreter:
+    def interpreter(self, name: str, text: bool = False) -> Interpreter:
         """The lexeme interpreter of that name over the bundle's lexicon; with `text`, the one that reads the words."""
         return self.bundle.interpreter_named(name, text)
 
@@ -207,13 +208,13 @@ class Gesticulator:
         self._check_variation(int(options.variation))
         controls = self.controls(options)
         who = self.speaker_index(options.speaker)
-        system = self._chosen_interpreter(options, text)
+        system = as_interpreter(self._chosen_interpreter(options, text))
         temperature = options.temperature
         if temperature is None:
-            temperature = chosen.q_temperature if getattr(system, "gives_values", False) else chosen.temperature
-        system, beta = _steered(system, options.beta, temperature)
+            temperature = chosen.q_temperature if system.gives_values else chosen.temperature
+        system = system.steered(options.beta, temperature)
         sampling = Sampling(temperature, chosen.top, int(options.seed))
-        return Cast(system, who, sampling, activity, controls, int(options.variation), beta)
+        return Cast(system, who, sampling, activity, controls, int(options.variation), system.beta)
 
     def _chosen_interpreter(self, options: InferenceOptions, text: bool) -> LexemeInterpreter:
         """The object of the options, or that of their name: the bundle's, or one that was played here before.
@@ -400,19 +401,6 @@ def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequenc
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:
     """The speech as the models take it: amplified as asked, at `SAMPLE_RATE`."""
     return resample(amplified(speech, options.gain), SAMPLE_RATE)
-
-
-def _steered(system: LexemeInterpreter, beta: float | None, temperature: float
-             ) -> tuple[LexemeInterpreter, float | None]:
-    """An interpreter that takes a beta, with this one (or its own) and at this temperature, and the beta that it has;
-    `InputError` where another is given one."""
-    if not hasattr(system, "steered"):
-        if beta is not None:
-            raise InputError(f"beta {beta:g}", "is heard by the interpreter advantage alone",
-                             "choose that one, or leave beta out")
-        return system, None
-    steered = system.steered(beta, temperature)
-    return steered, float(steered.beta)
 
 
 def _usable(device: str | torch.device) -> torch.device:

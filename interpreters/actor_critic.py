@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from data_module.layers import freeze, masked_mean
-from interpreters.base import BlockFeatures, Scores
+from interpreters.base import BlockFeatures, InterpreterDefaults, Need, Scores
 from interpreters.cql import QNetwork, QState, backed_up, data_nll, next_known
 from interpreters.transformer import Head, Layer, begin_small, sliding
 
@@ -31,8 +31,10 @@ class ActorCriticConfig:
     """The layers that both share, and the tokens, stay as supervised learning left them."""
 
 
-class ActorCritic(nn.Module):
+class ActorCritic(nn.Module, InterpreterDefaults):
     """pi(a | s) and V(s) on a shared trunk. Dropout is off throughout."""
+
+    name = "actor-critic"
 
     def __init__(self, actor: QNetwork, config: ActorCriticConfig | None = None) -> None:
         """actor: the network that becomes the policy. ValueError when it has fewer layers than are split off."""
@@ -52,6 +54,11 @@ class ActorCritic(nn.Module):
             for part in (actor.layers[self.shared:], actor.head):
                 part.requires_grad_(True)
         self.train()
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        """See `Interpreter.needs`."""
+        return self.actor.needs
 
     @property
     def weights(self) -> dict[str, float]:

@@ -24,7 +24,17 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from data_module.layers import masked_mean
-from interpreters.base import BlockFeatures, LexemeInterpreter, Scores
+from interpreters.base import (
+    BlockFeatures,
+    Explanation,
+    InterpreterDefaults,
+    InterpreterParts,
+    InterpreterSizes,
+    LexemeInterpreter,
+    Need,
+    Scores,
+    as_interpreter,
+)
 from interpreters.cql import QNetwork, QState
 from interpreters.settings import CriticConfig
 from interpreters.transformer import begin_small
@@ -89,6 +99,11 @@ class Critics(nn.Module):
         self.register_buffer("future_scale", torch.ones(()))
         self.register_buffer("value_scale", torch.ones(()))
         self.register_buffer("value_mean", torch.zeros(()))
+
+    @classmethod
+    def build(cls, settings: CriticConfig, sizes: InterpreterSizes) -> Critics:
+        """Untrained ones of these sizes."""
+        return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -178,13 +193,26 @@ class AdvantageState:
 
 
 @dataclass(frozen=True)
-class AdvantageInterpreter:
+class AdvantageInterpreter(InterpreterDefaults):
     """The behaviour policy, drawn to what lexemes are worth by beta. temperature: T, which `select` divides by."""
 
     prior: LexemeInterpreter
     critics: Critics
-    beta: float = 1.0
+    beta: float = 1.0  # type: ignore[assignment]
     temperature: float = 1.0
+    name = "advantage"
+    steerable = True
+
+    @classmethod
+    def open(cls, parts: InterpreterParts) -> AdvantageInterpreter:
+        """See `InterpreterDefaults.open`."""
+        assert parts.prior is not None and isinstance(parts.model, Critics)
+        return cls(parts.prior, parts.model, parts.beta)
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        """See `Interpreter.needs`: what the behaviour policy reads, as the critics hear alone."""
+        return as_interpreter(self.prior).needs
 
     def steered(self, beta: float | None, temperature: float) -> AdvantageInterpreter:
         """The same with another beta (None: its own), for lexemes that are sampled at this temperature."""
@@ -193,6 +221,12 @@ class AdvantageInterpreter:
     def start(self, speaker: int, first_lexeme: int) -> AdvantageState:
         """The state before the first block."""
         return AdvantageState(self.prior.start(speaker, first_lexeme), self.critics.trunk.start(speaker, first_lexeme))
+
+    def explain(self, state: AdvantageState) -> Explanation | None:
+        """See `Interpreter.explain`."""
+        if state.log_prior is None or state.advantage is None:
+            return None
+        return Explanation(state.log_prior, state.advantage)
 
     def step(self, state: AdvantageState, features: BlockFeatures, previous_lexeme: int
              ) -> tuple[Scores, AdvantageState]:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import BlockLinear, freeze, masked_mean
-from interpreters.base import BlockFeatures, Scores
+from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores
 from interpreters.settings import QConfig
 from interpreters.transformer import INITIAL, Head, KeyValue, Layer, begin_small, sliding, two_stream_mask
 
@@ -39,9 +39,10 @@ class QState:
     before: Tensor | None = None
 
 
-class QNetwork(nn.Module):
+class QNetwork(nn.Module, InterpreterDefaults):
     """Q(s_i, .) over the lexicon for each decision i: a transformer over audio and actions (RACER Fig. 1, Eq. 12)."""
 
+    name = "cql"
     gives_values = True
     """Its scores are Q values and no log-probabilities."""
     when_silent: Tensor
@@ -70,6 +71,16 @@ class QNetwork(nn.Module):
         self.apply(begin_small)
         kept = [index in set(silent) or not len(silent) for index in range(lexemes)]
         self.register_buffer("when_silent", torch.tensor(kept), persistent=False)
+
+    @classmethod
+    def build(cls, settings: QConfig, sizes: InterpreterSizes) -> QNetwork:
+        """An untrained one of these sizes."""
+        return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, sizes.silent)
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        """See `Interpreter.needs`."""
+        return frozenset()
 
     def allowed(self, silent: Tensor) -> Tensor:
         """A(s): which lexemes may be chosen, bool [..., S], for blocks that are silent or not [...].

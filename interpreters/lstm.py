@@ -5,15 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import BlockLinear, repeat_frames, run_lstm, without_after
-from interpreters.base import BlockFeatures, Scores
+from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores
 from interpreters.pose import pose_of
 from interpreters.settings import LstmConfig, StyleConfig
+
+if TYPE_CHECKING:
+    from interpreters.by_ear import InterpreterByEar
 
 __all__ = ["LstmInterpreter", "StyleInterpreter"]
 
@@ -47,13 +51,14 @@ class InterpreterWidths:
     motion: int = 0
 
 
-class LstmInterpreter(nn.Module):
+class LstmInterpreter(nn.Module, InterpreterDefaults):
     """P_s: previous lexeme, three blocks of high-level audio, text and the speaker to scores over the lexicon.
 
     The K frames of a block run through the LSTM, whose state is carried across blocks (or begins anew, `memory` blocks
     before the one that is scored); the last frame is classified. With `pose_features` it sees the body too.
     """
 
+    name = "lstm"
     lexemes: Tensor
 
     def __init__(self, config: LstmConfig, lexemes: Tensor, widths: InterpreterWidths) -> None:
@@ -90,6 +95,19 @@ class LstmInterpreter(nn.Module):
         self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, config.layers, batch_first=True)
         self.classify = nn.Linear((2 if self.by_block else 1) * config.width, len(lexemes))
 
+    @classmethod
+    def build(cls, settings: LstmConfig, sizes: InterpreterSizes) -> LstmInterpreter:
+        """An untrained one of these sizes."""
+        return cls(settings, sizes.lexemes, InterpreterWidths(sizes.frames, sizes.high, sizes.speakers, sizes.text,
+                                                              sizes.control, sizes.motion))
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        """See `Interpreter.needs`."""
+        reads: dict[Need, bool] = {"text": self.config.reads, "control": bool(self.control_width),
+                                   "pose": self.encode_pose is not None, "durations": self.encode_pose is not None}
+        return frozenset(need for need, needed in reads.items() if needed)
+
     @torch.no_grad()
     def init_from_audio_only(self, audio_only: LstmInterpreter) -> None:
         """Take over the weights of an audio-only interpreter of the same sizes; the words then begin without a say.
@@ -121,10 +139,11 @@ class LstmInterpreter(nn.Module):
         """Loss weights, keyed like `losses`."""
         return {"nll": 1.0}
 
-    @property
-    def can_be_deaf(self) -> bool:
-        """Whether it knows what to score where it hears nothing: it was taught without sound now and then."""
-        return self.config.audio_dropout > 0
+    def guided(self, guidance: float) -> LstmInterpreter | InterpreterByEar:
+        """See `Interpreter.guided`: one that was taught with sound left out now and then can be."""
+        from interpreters.by_ear import InterpreterByEar
+
+        return InterpreterByEar(self, guidance) if guidance and self.config.audio_dropout > 0 else self
 
     def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
                text: Tensor | None = None, control: Tensor | None = None, pose: Tensor | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from interpreters.base import BlockFeatures, Scores
+from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterParts, Need, Scores
 from interpreters.settings import StatisticalConfig
 
 __all__ = ["StatisticalInterpreter"]
@@ -23,8 +23,10 @@ class StatisticalState:
     target: Array
 
 
-class StatisticalInterpreter:
+class StatisticalInterpreter(InterpreterDefaults):
     """f* = softmax(f^I - f_t) L, the distribution that the next lexeme is drawn from (RG Eq. 24)."""
+
+    name = "statistical"
 
     def __init__(self, frequencies: Array, transitions: Array, config: StatisticalConfig | None = None) -> None:
         """frequencies: [speakers, S] f^I; transitions: [S, S] L, rows from, each summing to 1."""
@@ -32,6 +34,16 @@ class StatisticalInterpreter:
             raise ValueError("the rows of the transition matrix must sum to 1")
         self.frequencies, self.transitions = frequencies, transitions
         self.config = config or StatisticalConfig()
+
+    @classmethod
+    def open(cls, parts: InterpreterParts) -> StatisticalInterpreter:
+        """See `InterpreterDefaults.open`: it is made of the counts of the training split."""
+        return cls(parts.frequencies, parts.transitions, parts.settings)
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        """See `Interpreter.needs`."""
+        return frozenset()
 
     def start(self, speaker: int, first_lexeme: int) -> StatisticalState:
         """Nothing shown yet: f_0 is the zero vector."""

@@ -10,22 +10,33 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from data_module.errors import InputError
 from gesticulator.bundle.bundle import FILES
 from interpreters import INTERPRETERS
 from interpreters.advantage import AdvantageInterpreter, Critics
-from interpreters.base import BlockFeatures, LexemeInterpreter, select
+from interpreters.base import (
+    EVERY_NEED,
+    BlockFeatures,
+    Interpreter,
+    InterpreterDefaults,
+    Scores,
+    as_interpreter,
+    select,
+)
+from interpreters.by_ear import InterpreterByEar
 from interpreters.cql import QConfig, QNetwork
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
 from interpreters.settings import CriticConfig
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
 
-FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL = 5, 4, 6, 3, 3, 6
+FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL, MOTION = 5, 4, 6, 3, 3, 6, 9
 
 
 def lstm(**changes: object) -> LstmInterpreter:
     torch.manual_seed(0)
     config = LstmConfig(**{"audio_features": 8, "width": 16, "dropout": 0.0, **changes})  # type: ignore[arg-type]
-    return LstmInterpreter(config, torch.randn(SIZE, 7), InterpreterWidths(FRAMES, AUDIO, 2, TEXT, CONTROL))
+    return LstmInterpreter(config, torch.randn(SIZE, 7), InterpreterWidths(FRAMES, AUDIO, 2, TEXT, CONTROL,
+                                                                                 MOTION))
 
 
 def statistical(**changes: object) -> StatisticalInterpreter:
@@ -57,6 +68,20 @@ def advantage(beta: float = 1.5) -> AdvantageInterpreter:
     return AdvantageInterpreter(lstm().eval(), critics(), beta)
 
 
+class Outsider:
+    """Somebody else's: nothing but `start` and `step`."""
+
+    def start(self, speaker: int, first_lexeme: int) -> int:
+        """Blocks before."""
+        return 0
+
+    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, int]:
+        """Loud blocks favour the next lexeme."""
+        scores = np.full(SIZE, -3.0)
+        scores[(previous_lexeme + 1) % SIZE] = float(features.high.abs().mean())
+        return scores - np.logaddexp.reduce(scores), state + 1
+
+
 MAKERS = {"lstm": lambda: lstm().eval(), "cql": q_network, "advantage": advantage, "statistical": statistical}
 
 
@@ -80,18 +105,90 @@ def test_every_part_that_an_interpreter_needs_is_one_of_a_bundle() -> None:
         assert all(part in FILES for part in (entry.part, entry.text_part) if part)
 
 
+PLAYED = {**MAKERS, "by ear": lambda: InterpreterByEar(lstm(audio_dropout=0.1).eval(), 0.5),
+          "reads all": lambda: lstm(text_features=4, use_control=True, pose_features=4).eval(), "outsider": Outsider}
+"""Every registered interpreter, two more forms of the LSTM, and an object from outside."""
+
+
 @pytest.mark.parametrize("name", MAKERS)
-def test_contract(name: str) -> None:
+def test_a_registered_interpreter_is_of_its_class_and_name(name: str) -> None:
     system = MAKERS[name]()
-    assert isinstance(system, LexemeInterpreter) and isinstance(system, INTERPRETERS[name].load())
+    assert isinstance(system, INTERPRETERS[name].load()) and as_interpreter(system) is system
+    assert as_interpreter(system).name == name
+
+
+def everything(seed: int = 0) -> BlockFeatures:
+    """A block of which all is known."""
+    generator = torch.Generator().manual_seed(seed)
+    past = torch.randn(FRAMES, MOTION, generator=generator)
+    return dataclasses.replace(hear(seed), text=windows(seed, 1)[0, 0], past=past, durations=(0.4, 0.5),
+                               control=torch.randn(FRAMES, CONTROL, generator=generator))
+
+
+@pytest.mark.parametrize("name", PLAYED)
+def test_what_an_interpreter_does_not_need_changes_nothing(name: str) -> None:
+    system = as_interpreter(PLAYED[name]())
+    assert system.needs <= EVERY_NEED
+    full = everything()
+    others = {"text": {"text": everything(1).text}, "pose": {"past": everything(1).past},
+              "control": {"control": everything(1).control}, "durations": {"durations": (0.4, 0.8)}}
+    scores, _ = system.step(system.start(0, 1), full, 1)
+    for need, other in others.items():
+        changed, _ = system.step(system.start(0, 1), dataclasses.replace(full, **other), 1)
+        if name != "outsider":  # who may read anything, for all that is known
+            assert np.array_equal(scores, changed) == (need not in system.needs), need
+    bare = dataclasses.replace(full, **{field: None for need, field in (
+        ("text", "text"), ("pose", "past"), ("control", "control"), ("durations", "durations"))
+        if need not in system.needs})
+    np.testing.assert_array_equal(system.step(system.start(0, 1), bare, 1)[0], scores)
+
+
+@pytest.mark.parametrize("name", PLAYED)
+def test_what_else_is_asked_of_an_interpreter(name: str) -> None:
+    system = as_interpreter(PLAYED[name]())
+    assert system.name and (system.beta is not None) == system.steerable
+    if system.steerable:
+        assert system.steered(0.25, 0.7).beta == 0.25 and system.steered(None, 0.7).beta == system.beta
+    else:
+        assert system.steered(None, 0.7) is system
+        with pytest.raises(InputError, match=r"beta 0\.25"):
+            system.steered(0.25, 0.7)
+    assert isinstance(system.guided(0.5), Interpreter) and isinstance(system.guided(0.0), Interpreter)
+    _, state = system.step(system.start(0, 1), everything(), 1)
+    said = system.explain(state)
+    assert system.explain(system.start(0, 1)) is None
+    assert said is None or said.log_prior.shape == said.advantage.shape == (SIZE,)
+    assert (said is not None) == (name == "advantage")
+
+
+def test_an_object_with_start_and_step_is_enough_and_less_is_refused() -> None:
+    class Partly(Outsider):
+        gives_values = True
+
+    class Derived(InterpreterDefaults, Partly):
+        name = "derived"
+        gives_values = True
+
+    adapted = as_interpreter(Outsider())
+    assert adapted.name == "Outsider" and as_interpreter(adapted) is adapted and not adapted.gives_values
+    assert as_interpreter(Derived()).gives_values
+    with pytest.raises(InputError, match="gives_values"):
+        as_interpreter(Partly())
+    with pytest.raises(InputError, match="no start and step"):
+        as_interpreter(object())
+
+
+@pytest.mark.parametrize("name", PLAYED)
+def test_contract(name: str) -> None:
+    system = as_interpreter(PLAYED[name]())
     state = system.start(1, 2)
-    scores, after = system.step(state, hear(), 2)
+    scores, after = system.step(state, everything(), 2)
     assert scores.shape == (SIZE,) and np.isfinite(scores).all()
-    if name != "cql":  # whose scores are values
+    if not system.gives_values:
         assert np.exp(scores).sum() == pytest.approx(1, abs=1e-6)
-    again, _ = system.step(state, hear(), 2)
+    again, _ = system.step(state, everything(), 2)
     np.testing.assert_array_equal(scores, again, "a step must not change the state it is given")
-    later, _ = system.step(after, hear(1), int(scores.argmax()))
+    later, _ = system.step(after, everything(1), int(scores.argmax()))
     assert later.shape == (SIZE,)
 
 

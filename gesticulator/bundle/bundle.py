@@ -34,18 +34,19 @@ from data_module.json_files import parse_json, read_object
 from data_module.layers import freeze
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Skeleton
-from gesticulator.bundle.config import Config, from_dict, to_dict
+from gesticulator.bundle.config import Config, from_dict, section, to_dict
 from gesticulator.bundle.features import Normaliser, Statistics, representation_of
 from gesticulator.bundle.models import BUILDERS, Sizes, codebook_name, codebook_shape, shapes
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
+from interpreters.base import InterpreterParts
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
     from interpreters.advantage import Critics
-    from interpreters.base import LexemeInterpreter
+    from interpreters.base import Interpreter
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
@@ -231,7 +232,7 @@ class Bundle:
         return tuple(name for name, entry in INTERPRETERS.usable().items()
                      if not entry.part or entry.part in self.parts)
 
-    def interpreter_named(self, name: str, text: bool = False) -> LexemeInterpreter:
+    def interpreter_named(self, name: str, text: bool = False) -> Interpreter:
         """The lexeme interpreter of that name; with `text`, the one that reads the words where there is one.
 
         InputError lists those that the bundle has.
@@ -239,22 +240,12 @@ class Bundle:
         if name not in self.interpreters:
             raise InputError(f"interpreter {name}", "is not in the bundle",
                              f"choose among {', '.join(self.interpreters)}")
-        entry = INTERPRETERS.entry(name)
-        if name == "statistical":
-            return cast("LexemeInterpreter", self.statistical())
-        if not entry.part:
-            return cast("LexemeInterpreter", INTERPRETERS.load(name)(self.frequencies, self.transitions))
-        if entry.prior:
-            prior, critics = self.interpreter_named(entry.prior, text), self.parts[entry.part]
-            return cast("LexemeInterpreter", INTERPRETERS.load(name)(prior, critics, self.config.selection.beta))
-        reads = text and entry.text_part in self.parts
-        found = self.parts[entry.text_part if reads else entry.part]
-        guidance = self.config.selection.interpreter_guidance
-        if not guidance or not getattr(found, "can_be_deaf", False):
-            return cast("LexemeInterpreter", found)
-        from interpreters.by_ear import InterpreterByEar
-
-        return InterpreterByEar(cast("LstmInterpreter", found), guidance)
+        entry = INTERPRETERS[name]
+        part = entry.text_part if text and entry.text_part in self.parts else entry.part
+        opened: Interpreter = entry.load().open(InterpreterParts(
+            self.parts[part] if part else None, self.interpreter_named(entry.prior, text) if entry.prior else None,
+            self.frequencies, self.transitions, section(self.config, entry.settings), self.config.selection.beta))
+        return opened.guided(self.config.selection.interpreter_guidance)
 
     @property
     def levels(self) -> Levels | None:

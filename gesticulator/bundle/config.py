@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 from data_module.blocks import BlockSettings
 from data_module.controls import FEATURES
@@ -42,8 +42,8 @@ from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
 __all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticConfig", "EncoderConfig",
            "EpisodeConfig", "FitSettings", "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig",
            "LstmConfig", "MotionConfig", "QConfig", "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig",
-           "SilenceConfig", "StatisticalConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "to_dict",
-           "with_settings"]
+           "SilenceConfig", "StatisticalConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "section",
+           "to_dict", "with_settings"]
 
 
 @dataclass(frozen=True)
@@ -279,3 +279,8 @@ class Config:
         if self.tokens == "racer" and (self.rhythm.beats.rule != "even" or self.rhythm.frames != FRAMES):
             raise InputError("tokens=racer", "needs blocks of eight frames at a fixed rate",
                              "start from --preset racer-native, racer-trinity or racer-chinese")
+
+
+def section(config: Config, name: str) -> Any:
+    """The settings of one interpreter, by the name of its section."""
+    return getattr(config, name)

@@ -20,14 +20,7 @@ from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
 from gesticulator.drawing.drawer import FREE, Direction, Keys, drawer_for
-from interpreters.base import BlockFeatures, LexemeInterpreter, select
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from data_module.controls import Controls
-    from interpreters.base import LexemeInterpreter
+from interpreters.base import BlockFeatures, Explanation, Interpreter, LexemeInterpreter, as_interpreter, select
 
 if TYPE_CHECKING:
     from lexicon.racer import RacerCodec
@@ -74,16 +67,15 @@ class DrawnBlock:
     advantage: NDArray[np.float64]
 
     @classmethod
-    def of(cls, motion: NDArray[np.float32], lexeme: int, scores: NDArray[np.float64], state: object,
-           code: NDArray[np.float32], gate: float = math.nan) -> DrawnBlock:
-        """With the best of all scores [S], of equals the lower number first; state: the interpreter's, which may say
-        what these lexemes are worth."""
+    def of(cls, motion: NDArray[np.float32], lexeme: int, scores: NDArray[np.float64],
+           explanation: Explanation | None, code: NDArray[np.float32], gate: float = math.nan) -> DrawnBlock:
+        """With the best of all scores [S], of equals the lower number first; explanation: what the interpreter has to
+        say of them."""
         best = np.argsort(-scores, kind="stable")[:BEST]
-        log_prior, advantage = getattr(state, "log_prior", None), getattr(state, "advantage", None)
         weighed = [np.full(len(best) + 1, np.nan)] * 2
-        if log_prior is not None and advantage is not None:
+        if explanation is not None:
             at = [*best, lexeme]
-            weighed = [np.exp(log_prior[at]), advantage[at]]
+            weighed = [np.exp(explanation.log_prior[at]), explanation.advantage[at]]
         return cls(motion, lexeme, best, scores[best], code, gate, *weighed)
 
 
@@ -139,7 +131,7 @@ class Cast:
     """Who gestures, and how: an interpreter, a speaker's index, how lexemes are chosen, how readily to gesture (0 to
     1), what is asked of the hands, which variation of the drawing; beta: the interpreter's, where it has one."""
 
-    interpreter: LexemeInterpreter
+    interpreter: Interpreter
     speaker: int
     sampling: Sampling
     activity: float
@@ -150,7 +142,7 @@ class Cast:
     @property
     def by_value(self) -> bool:
         """Scores are Q values."""
-        return bool(getattr(self.interpreter, "gives_values", False))
+        return self.interpreter.gives_values
 
     def rollout(self, bundle: Bundle) -> Rollout | CodecRollout:
         """The loop that chooses lexemes and, without a variation, draws them."""
@@ -186,7 +178,7 @@ class Rollout:
 
     def __init__(self, bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling,
                  activity: float) -> None:
-        self.bundle, self.interpreter, self.speaker = bundle, interpreter, speaker
+        self.bundle, self.interpreter, self.speaker = bundle, as_interpreter(interpreter), speaker
         self.sampling, self.activity = sampling, activity
 
     @torch.inference_mode()
@@ -232,7 +224,8 @@ class Rollout:
         if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
             block = approach_rest(self._past[:, -1:], block, rest_decay)
         shown = self._go_on(block)
-        return DrawnBlock.of(shown, self._previous, scores, self._inner, code[0].cpu().numpy(), probability)
+        return DrawnBlock.of(shown, self._previous, scores, self.interpreter.explain(self._inner),
+                             code[0].cpu().numpy(), probability)
 
     @torch.inference_mode()
     def idle(self, start: float, seconds: float, knots: int) -> NDArray[np.float32]:
@@ -317,7 +310,7 @@ class Rollout:
         """[S] of the interpreter, with style guidance: beyond what it does when asked, away from what it does
         unasked."""
         scores, self._inner = self.interpreter.step(self._inner, features, self._previous)
-        if features.control is None:
+        if features.control is None or "control" not in self.interpreter.needs:
             return scores
         unasked, self._free = self.interpreter.step(self._free, replace(features, control=None), self._previous)
         return unasked + self.bundle.config.selection.guidance * (scores - unasked)
@@ -363,7 +356,8 @@ class CodecRollout(Rollout):
         scores, self._inner = self.interpreter.step(self._inner, self._features(speech, asked), self._previous)
         chosen = self._select(direction.biased(scores)) if direction.lexeme is None else direction.lexeme
         self._previous = self.bundle.rest_lexeme(self.speaker) if self.activity == 0 else chosen
-        return DrawnBlock.of(np.empty((0, 0), np.float32), self._previous, scores, self._inner, np.empty(0, np.float32))
+        return DrawnBlock.of(np.empty((0, 0), np.float32), self._previous, scores,
+                             self.interpreter.explain(self._inner), np.empty(0, np.float32))
 
     @torch.inference_mode()
     def result(self, drawn: Sequence[DrawnBlock]) -> RolloutResult:
