@@ -316,14 +316,13 @@ class Gesticulator:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
 
     def _check_variation(self, variation: int) -> None:
-        draws = self.bundle.config.tokens == "lexicon" and self.bundle.config.generator.head == "flow"
-        if variation and not draws:
+        if variation and not self.bundle.system.varies:
             raise InputError(f"variation {variation}", "needs a generator that samples, and the bundle's draws "
                              "a lexeme in one way", "leave it out, or choose another seed")
 
     def _check_activity(self, activity: float) -> None:
         # Where phrases rest (silence.rest=life) a gate only ranks them.
-        if 0 < activity < 1 and "gate" not in self.bundle.parts and self.bundle.config.silence.rest == "decay":
+        if 0 < activity < 1 and "gate" not in self.bundle.parts and not self.bundle.system.lives:
             raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
 
     def controls(self, options: InferenceOptions) -> Controls:

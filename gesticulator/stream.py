@@ -112,7 +112,7 @@ class Stream:
                  sample_rate: float = SAMPLE_RATE) -> None:
         """cast: who gestures; options: of which fps, gain, seed and legs are taken; cutter: makes one for an utterance
         whose blocks begin at so many seconds (`start`)."""
-        if bundle.config.tokens == "racer" or bundle.config.silence.rest != "life":
+        if not bundle.system.streams:
             raise InputError("the bundle", "does not know how to rest without speech",
                              "use one of lexemes whose phrases rest (silence.rest=life)")
         self._bundle, self._cast, self._new_cutter = bundle, cast, cutter

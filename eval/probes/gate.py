@@ -128,7 +128,7 @@ def play(system: Gesticulator, recording: Recording, activity: float) -> tuple[P
     made = system(recording.speech, speaker=who, activity=activity)
     closed = np.full(len(made.lexemes), activity <= 0)
     if 0 < activity < 1 and made.gate is not None:
-        by_phrase = system.bundle.config.silence.rest == "life"
+        by_phrase = system.bundle.system.lives
         closed = np.isin(made.lexemes, system.bundle.silent) if by_phrase else made.gate < 1 - activity
     return made, gated(made.motion, made.blocks.edges, ~np.isin(made.lexemes, system.bundle.silent), closed)
 

@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     ours = BundleSystem("ours", arguments.bundle or bundles.SHIPPED, kept)
     _ = ours.bundle.block_models  # a bundle of RACER's own codec has nothing to guide
     config = ours.bundle.config
-    if config.generator.head != "flow":
+    if not ours.bundle.system.varies:
         raise InputError(f"bundle {ours.folder}", "has a generator without guidance on sound and lexeme",
                          "use one with generator.head flow")
     voices = held_out_voices(store, arguments.limit, config.motion.joints, arguments.split)

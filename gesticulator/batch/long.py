@@ -104,8 +104,7 @@ def can_be_written(targets: Collection[Path]) -> bool:
 
 def can_be_done(bundle: Bundle) -> bool:
     """Whether the bundle's motion can be made in pieces: its phrases rest, and its joints turn."""
-    config = bundle.config
-    return config.tokens != "racer" and config.silence.rest == "life" and config.motion.representation == "rotations"
+    return bundle.system.streams and bundle.config.motion.representation == "rotations"
 
 
 def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Path], options: InferenceArguments,

@@ -17,6 +17,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -37,6 +38,7 @@ from data_module.types import Skeleton
 from gesticulator.bundle.config import Config, from_dict, section, to_dict
 from gesticulator.bundle.features import Normaliser, Statistics, representation_of
 from gesticulator.bundle.models import BUILDERS, Sizes, codebook_name, codebook_shape, shapes
+from gesticulator.bundle.system import System, system_of
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 from interpreters.base import InterpreterParts
@@ -212,9 +214,14 @@ class Bundle:
     @property
     def block_models(self) -> BlockModels:
         """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's own."""
-        if self.config.tokens == "racer" or not (self.generator and self.interpreter):
+        if not self.system.blocks or not (self.generator and self.interpreter):
             raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
         return BlockModels(cast("BlockLexicon", self.lexicon), self.generator, self.interpreter, self.style)
+
+    @cached_property
+    def system(self) -> System:
+        """What names gestures, what draws them, and what follows from that."""
+        return system_of(self.config)
 
     @property
     def code_width(self) -> int:
@@ -609,9 +616,8 @@ class StoredParts(Mapping[str, nn.Module]):
 
 def required(config: Config) -> tuple[str, ...]:
     """Parts that a bundle of these settings cannot do without."""
-    if config.tokens == "racer":
-        return "lexicon", "q_network"
-    return "lexicon", "generator", "interpreter", *(("style",) if config.generator.styled else ())
+    system = system_of(config)
+    return "lexicon", *system.drawing.parts, *(("style",) if system.blocks and config.generator.styled else ())
 
 
 def load(path: str | Path) -> Bundle:

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from data_module.errors import InputError
 from gesticulator.bundle.config import Config, RewardConfig
 from gesticulator.bundle.features import CONTROL_WIDTH, representation_of
+from gesticulator.bundle.system import system_of
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
@@ -92,7 +93,7 @@ def parts_of_body(config: Config) -> dict[str, tuple[int, ...]]:
 
 def lexicon(sizes: Sizes) -> Lexicon | MovementLexicon:
     """The VQ-VAE over blocks (RG 5.1), or the lexicon of movements."""
-    if sizes.config.lexicon.kind == "movement":
+    if system_of(sizes.config).naming.in_context:
         from lexicon.movement import MovementLexicon
 
         return MovementLexicon(sizes.config.lexicon, sizes.frames, parts_of_body(sizes.config))
@@ -110,7 +111,7 @@ def codec(sizes: Sizes) -> RacerCodec:
 
 def tokens(sizes: Sizes) -> Lexicon | MovementLexicon | RacerCodec:
     """What names gestures under these settings."""
-    return codec(sizes) if sizes.config.tokens == "racer" else lexicon(sizes)
+    return lexicon(sizes) if system_of(sizes.config).blocks else codec(sizes)
 
 
 def generator(sizes: Sizes) -> Generator | FlowGenerator:
@@ -120,7 +121,7 @@ def generator(sizes: Sizes) -> Generator | FlowGenerator:
     config = sizes.config
     widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,
                              config.lexicon.size, sizes.speakers)
-    if config.generator.head == "flow":
+    if system_of(config).drawing.samples:
         from generator.flow import FlowGenerator
         from lexicon.movement import basis_for
 
@@ -199,7 +200,7 @@ def reward_judge(sizes: Sizes) -> RewardEnsemble:
 def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
     from interpreters.reward import RewardEnsemble
 
-    if sizes.config.tokens != "lexicon" or sizes.config.lexicon.kind != "movement":
+    if not system_of(sizes.config).naming.in_context:
         config = replace(config, choice=0.0)  # only movements are decoded in context, lexeme by lexeme
     return RewardEnsemble(config, sizes.frames, sizes.motion, sizes.block_audio)
 
@@ -213,9 +214,10 @@ BUILDERS: dict[str, Callable[[Sizes], nn.Module]] = {
 
 def codebook_shape(config: Config) -> tuple[int, int]:
     """(S, D_s) of the codebook under these settings."""
-    if config.tokens == "racer":
+    naming = system_of(config).naming
+    if not naming.blocks:
         return config.racer.size, config.racer.width
-    if config.lexicon.kind == "movement":
+    if naming.in_context:
         from lexicon.movement import basis_for
 
         with torch.device("meta"):
@@ -225,8 +227,7 @@ def codebook_shape(config: Config) -> tuple[int, int]:
 
 def codebook_name(config: Config) -> str:
     """The tensor of the codebook in the lexicon's file."""
-    movement = config.tokens == "lexicon" and config.lexicon.kind == "movement"
-    return "vectors" if movement else "quantizer.vectors"
+    return system_of(config).naming.codebook
 
 
 def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:

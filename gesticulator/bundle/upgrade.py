@@ -32,6 +32,7 @@ from gesticulator.bundle.bundle import (
 from gesticulator.bundle.config import Config, from_dict, to_dict
 from gesticulator.bundle.features import Statistics, representation_of
 from gesticulator.bundle.models import Sizes
+from gesticulator.bundle.system import system_of
 
 SETTINGS = {("silence", "settle"): "rest_decay", ("interpreter", "text_reading"): "text_head",
             ("interpreter", "reading_dropout"): "text_head_dropout"}
@@ -51,7 +52,7 @@ def upgrade(source: Path, target: Path) -> None:
     if index.get("format") not in OLDER or isinstance(index.get("format"), bool):
         raise InputError(source, f"has format {str(index.get('format'))[:20]}", "only formats 1 to 5 can be upgraded")
     try:
-        if settings_of(index["config"]).generator.head == "flow":
+        if system_of(settings_of(index["config"])).drawing.samples:
             raise InputError(source, f"has the flow head of format {index['format']}, and today's draws otherwise",
                              "train it again, or keep the program of its time")
         files: dict[str, str] = index["files"]

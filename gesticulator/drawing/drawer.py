@@ -81,9 +81,8 @@ class Drawer(Protocol):
 
 def drawer_for(bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool = False) -> Drawer:
     """The drawer that the bundle's generator asks for; lexeme: the one before the first block; text: words are read."""
-    if isinstance(bundle.generator, FlowGenerator):
-        return FlowDrawer(bundle, speaker, keys)
-    return RegressionDrawer(bundle, speaker, lexeme, keys, text)
+    drawer: Drawer = bundle.system.drawer()(bundle, speaker, lexeme, keys, text)
+    return drawer
 
 
 class RegressionDrawer:
@@ -121,7 +120,7 @@ class RegressionDrawer:
 class FlowDrawer:
     """The flow head: guidance by audio, lexeme and what is asked, and several candidates a block."""
 
-    def __init__(self, bundle: Bundle, speaker: int, keys: Keys) -> None:
+    def __init__(self, bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool) -> None:
         self.generator = cast(FlowGenerator, bundle.generator)
         self.lexicon = cast("MovementLexicon", bundle.lexicon)
         self.chooser = CandidateChooser(bundle, speaker)

@@ -122,8 +122,8 @@ class RolloutResult:
 def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling, activity: float
             ) -> Rollout | CodecRollout:
     """The loop that the bundle's lexicon needs. speaker: its index; activity: how readily to gesture, 0 to 1."""
-    kind = CodecRollout if bundle.config.tokens == "racer" else Rollout
-    return kind(bundle, interpreter, speaker, sampling, activity)
+    made: Rollout | CodecRollout = bundle.system.rollout()(bundle, interpreter, speaker, sampling, activity)
+    return made
 
 
 @dataclass(frozen=True)
@@ -191,14 +191,18 @@ class Rollout:
         self._low, self._high = self._tensor(b.statistics.bounds)
         self._previous = b.rest_lexeme(speaker)
         self._inner = self._free = self.interpreter.start(speaker, self._previous)
-        if b.config.tokens == "lexicon":
-            self._gate = b.gate if self.activity < 1 else None
-            self._past = b.rest_feature(speaker).expand(1, b.frames, -1)
-            self._drawer = drawer_for(b, speaker, self._previous, self.sampling.keys, text)
-            self._gate_state = None if self._gate is None else self._gate.start(speaker)
-            self.life = None if b.config.silence.rest == "decay" else Rest(
-                b.statistics, representation_of(b.config), speaker, self.activity, self.sampling.seed)
-            self._resting = _BLOCKS_BEFORE_REST  # who has not begun is at rest
+        self._begin_body(text)
+
+    def _begin_body(self, text: bool) -> None:
+        """Put the body at rest, and what draws it and decides on its rest to the start."""
+        b, speaker = self.bundle, self.speaker
+        self._gate = b.gate if self.activity < 1 else None
+        self._past = b.rest_feature(speaker).expand(1, b.frames, -1)
+        self._drawer = drawer_for(b, speaker, self._previous, self.sampling.keys, text)
+        self._gate_state = None if self._gate is None else self._gate.start(speaker)
+        self.life = Rest(b.statistics, representation_of(b.config), speaker, self.activity,
+                         self.sampling.seed) if b.system.lives else None
+        self._resting = _BLOCKS_BEFORE_REST  # a body that has not begun is at rest
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
@@ -281,10 +285,13 @@ class Rollout:
         """A twin that goes on from here by itself: blocks can be drawn from one place in several ways."""
         twin = copy.copy(self)
         twin.rng, twin._inner, twin._free = (copy.deepcopy(own) for own in (self.rng, self._inner, self._free))
-        if self.bundle.config.tokens == "lexicon":
-            twin._gate_state, twin._drawer = copy.deepcopy(self._gate_state), self._drawer.fork()
-            twin.life = None if self.life is None else self.life.fork()
+        self._fork_body(twin)
         return twin
+
+    def _fork_body(self, twin: Rollout) -> None:
+        """Give a twin what draws the body and decides on its rest."""
+        twin._gate_state, twin._drawer = copy.deepcopy(self._gate_state), self._drawer.fork()
+        twin.life = None if self.life is None else self.life.fork()
 
     def stand_as(self, other: Rollout) -> None:
         """Take over where the body is, and what it did last, from another rollout of the same bundle."""
@@ -348,6 +355,12 @@ class CodecRollout(Rollout):
 
     There is no style, no gate and no silence in it; `activity` 0 holds the resting code.
     """
+
+    def _begin_body(self, text: bool) -> None:
+        """Nothing to put back: the codec has no state."""
+
+    def _fork_body(self, twin: Rollout) -> None:
+        """Nothing to give."""
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE

@@ -13,6 +13,7 @@ import numpy as np
 
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
 from gesticulator.bundle.config import Config
+from gesticulator.bundle.system import system_of
 from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
 from gesticulator.training.stages.base import Node, Run, Stage, closure
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
@@ -40,7 +41,8 @@ __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUAL
 
 def wanted(config: Config) -> list[Stage[Any]]:
     """The stages that these settings ask for, in order."""
-    return [stage for stage in STAGES.values() if stage.wanted(config)]
+    system = system_of(config)
+    return [stage for stage in STAGES.values() if system.uses(stage.name) and stage.wanted(config)]
 
 
 def assemble(run: Run, provenance: dict[str, Any] | None = None, leave_out: Sequence[Stage[Any]] = ()) -> Bundle:

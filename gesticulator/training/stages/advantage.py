@@ -257,7 +257,7 @@ def _pearson(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _wanted(config: Config) -> bool:
-    return config.tokens == "lexicon" and config.schedules.cql.steps > 0 and config.schedules.advantage.steps > 0
+    return config.schedules.cql.steps > 0 and config.schedules.advantage.steps > 0
 
 
 def _build(run: Run) -> nn.Module:

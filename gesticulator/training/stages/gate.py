@@ -39,5 +39,5 @@ def _train(run: Run, model: ActivityGate, folder: Path) -> Figures:
 
 GATE: Stage[ActivityGate] = Stage(
     "gate", settings=("gate", "window"), needs=lambda config: (CORPUS, LABELS), schedule="gate",
-    wanted=lambda config: config.tokens == "lexicon" and config.schedules.gate.steps > 0, part="gate",
+    wanted=lambda config: config.schedules.gate.steps > 0, part="gate",
     build=lambda run: models.gate(model_sizes(run)), train=_train)

@@ -13,6 +13,7 @@ from data_module.layers import freeze
 from generator.flow import FlowGenerator
 from generator.model import BlockInputs, Generator
 from gesticulator.bundle import models
+from gesticulator.bundle.system import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Run, Stage
 from gesticulator.training.stages.features import CORPUS
@@ -62,7 +63,7 @@ def _movements(run: Run) -> MovementLexicon:
 
 
 def _build(run: Run) -> Generator | FlowGenerator:
-    model = models.generator(model_sizes(run, training=run.config.generator.head == "regression"))
+    model = models.generator(model_sizes(run, training=system_of(run.config).drawing.styled))
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
         known = torch.as_tensor(corpus.some("train"))
@@ -110,5 +111,5 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
 GENERATOR: Stage[Generator | FlowGenerator] = Stage(
     "generator", settings=("generator", "window", "control", "silence.augmentation", "silence.longest_insert"),
     needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="generator",
-    wanted=lambda config: config.tokens == "lexicon", part="generator",
+    part="generator",
     build=_build, train=_train)

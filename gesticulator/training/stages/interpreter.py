@@ -56,7 +56,7 @@ _SHAPED_BY = ("window", "control", "silence.hint")
 INTERPRETER: Stage[LstmInterpreter] = Stage(
     "interpreter", settings=(lambda config: config.interpreter.without_text(), *_SHAPED_BY),
     needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="interpreter",
-    wanted=lambda config: config.tokens == "lexicon", part="interpreter",
+    part="interpreter",
     build=lambda run: models.interpreter(model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, INTERPRETER, False))
 
@@ -79,7 +79,7 @@ INTERPRETER_TEXT: Stage[LstmInterpreter] = Stage(
     needs=lambda config: (CORPUS, LEXICON, LABELS, *((INTERPRETER,) if init_from_audio_only(config) else ())),
     schedule="interpreter_text", schedule_of=lambda config: (
         config.schedules.interpreter_text if init_from_audio_only(config) else config.schedules.interpreter),
-    wanted=lambda config: config.tokens == "lexicon" and bool(config.text.encoder) and config.interpreter.reads,
+    wanted=lambda config: bool(config.text.encoder) and config.interpreter.reads,
     part="interpreter_text", build=_build_text,
     train=lambda run, model, folder: _train(run, model, folder, INTERPRETER_TEXT, True))
 

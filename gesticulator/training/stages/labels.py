@@ -13,6 +13,7 @@ from data_module.motion.representation import Representation
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import representation_of
 from gesticulator.bundle.models import Sizes
+from gesticulator.bundle.system import system_of
 from gesticulator.training.stages.base import Node, Run
 from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
 from gesticulator.training.stages.features import CORPUS
@@ -68,8 +69,8 @@ def _speed(corpus: Corpus, blocks: NDArray[np.int64], representation: Representa
 def silent_lexemes(config: Config, corpus: Corpus, labels: NDArray[np.int64]) -> NDArray[np.int64]:
     """Those that the settings name, or those found: slow, and at home in silence (RG 6.4.1)."""
     named, size = config.silence.lexemes, config.lexicon.size
-    if config.tokens == "racer":
-        return np.zeros(0, dtype=np.int64)  # RACER knows no silence
+    if not system_of(config).naming.knows_silence:
+        return np.zeros(0, dtype=np.int64)
     if named:
         if max(named) >= size:
             raise InputError("silence.lexemes", f"names {list(named)}", f"there are 0 to {size - 1}")

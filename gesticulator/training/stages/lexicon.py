@@ -14,6 +14,7 @@ from data_module.motion.movement import Pasts
 from data_module.parallel import own_rows
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
+from gesticulator.bundle.system import system_of
 from gesticulator.training import distributed
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
@@ -89,7 +90,7 @@ def _train_pose_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
 
 LEXICON: Stage[BlockLexicon] = Stage(
     "lexicon", settings=("lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
-    wanted=lambda config: config.tokens == "lexicon", part="lexicon", train=_train_lexicon,
+    part="lexicon", train=_train_lexicon,
     build=lambda run: models.lexicon(sizes(run.config, run.get(BLOCKS))))
 
 
@@ -157,16 +158,16 @@ def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
 
 CODEC: Stage[RacerCodec] = Stage(
     "codec", settings=("racer", "cql.decisions", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
-    wanted=lambda config: config.tokens == "racer", part="lexicon", train=_train_codec,
+    part="lexicon", train=_train_codec,
     build=lambda run: models.codec(sizes(run.config, run.get(BLOCKS))))
 
 
 def _of(config: Config) -> Stage[BlockLexicon] | Stage[RacerCodec]:
-    return CODEC if config.tokens == "racer" else LEXICON
+    return {stage.name: stage for stage in (LEXICON, CODEC)}[system_of(config).naming.stage]
 
 
 TOKENS: Node[Tokens] = Node("tokens", settings=(), needs=lambda config: (_of(config),),
-                            make=lambda run: run.get(CODEC) if run.config.tokens == "racer" else run.get(LEXICON))
+                            make=lambda run: run.get(_of(run.config)))
 """The lexicon or the codec, whichever the settings name."""
 
 

@@ -14,6 +14,7 @@ from data_module.types import Array
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Normaliser, Statistics, representation_of
 from gesticulator.bundle.models import parts_of_body
+from gesticulator.bundle.system import system_of
 
 BOUNDS = (0.1, 99.9)
 """Percent: one frame in a thousand at either end is left out, as captures jump now and then."""
@@ -65,7 +66,7 @@ def resting(poses: Array, config: Config) -> Array:
     (`silence.rest`), the arms of the one in the middle of those with the lowest hands, as a mean of poses with the
     hands down and poses with the hands held up would have them half way, and the mean of these for trunk and head,
     which in any one of them may look aside."""
-    if config.silence.rest == "decay":
+    if not system_of(config).lives:
         return np.asarray(poses.mean(axis=0))
     places = positions_of(representation_of(config).motion(poses, config.rhythm.fps))
     height = places[:, [CHARACTER.index("LeftHand"), CHARACTER.index("RightHand")], 1].mean(axis=1) - places[:, 0, 1]

@@ -15,6 +15,7 @@ from torch.nn import functional
 from data_module.errors import InputError
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
+from gesticulator.bundle.system import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
@@ -68,7 +69,7 @@ def _make_episodes(run: Run) -> Episodes:
     frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
     others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions,
                                                                     config.statistical)}
-    if config.tokens == "lexicon":
+    if system_of(config).uses(INTERPRETER.name):
         others["sampled"] = run.get(INTERPRETER)
     episodes = build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
                      silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy(), policies=BehaviourPolicies(
@@ -78,7 +79,7 @@ def _make_episodes(run: Run) -> Episodes:
 
 
 def _episode_needs(config: Config) -> Sequence[Node[Any]]:
-    return CORPUS, TOKENS, LABELS, REWARD, *((INTERPRETER,) if config.tokens == "lexicon" else ())
+    return CORPUS, TOKENS, LABELS, REWARD, *((INTERPRETER,) if system_of(config).uses(INTERPRETER.name) else ())
 
 
 EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "statistical", "silence.hint"), needs=_episode_needs,

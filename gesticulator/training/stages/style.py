@@ -50,12 +50,12 @@ def _train(run: Run, model: StyleInterpreter, folder: Path, stage: Stage[StyleIn
 STYLE: Stage[StyleInterpreter] = Stage(
     "style", settings=(lambda config: config.style.without_text(), "window"),
     needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR), schedule="style",
-    wanted=lambda config: config.tokens == "lexicon" and config.generator.styled, part="style",
+    wanted=lambda config: config.generator.styled, part="style",
     build=lambda run: models.style(model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, STYLE, False))
 STYLE_TEXT: Stage[StyleInterpreter] = Stage(
     "style_text", settings=("style", "window", "text"), needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR),
     schedule="style", part="style_text", build=lambda run: models.style_text(model_sizes(run)),
-    wanted=lambda config: (config.tokens == "lexicon" and config.generator.styled and bool(config.text.encoder)
+    wanted=lambda config: (config.generator.styled and bool(config.text.encoder)
                            and config.style.text_features > 0),
     train=lambda run, model, folder: _train(run, model, folder, STYLE_TEXT, True))
