@@ -130,8 +130,9 @@ def _shown(value: Any) -> str:
 
 
 def to_dict(settings: Any) -> dict[str, Any]:
-    """A tree of settings as plain values."""
-    return dataclasses.asdict(settings)
+    """A tree of settings as plain values; open groups (fields that are dicts) are left out where they are empty."""
+    return dataclasses.asdict(settings, dict_factory=lambda pairs: {
+        name: value for name, value in pairs if value != {}})
 
 
 def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
@@ -184,6 +185,9 @@ def _put(tree: dict[str, Any], node: Any, path: list[str], value: Any, setting: 
     if path[0] not in names:
         raise InputError(setting, f"there is no setting '{path[0]}'", f"known here: {', '.join(sorted(names))}")
     old = getattr(node, path[0])
+    if isinstance(old, Mapping):  # an open group, which the settings check when they are made
+        _put_open(tree.setdefault(path[0], {}), path[1:], value, setting)
+        return
     if len(path) > 1:
         if not dataclasses.is_dataclass(old):
             raise InputError(setting, f"'{path[0]}' holds no further settings", "shorten the path")
@@ -207,6 +211,17 @@ def whole_number(text: str, most: int) -> int | None:
         return None
     number = int(text)
     return number if number <= most else None
+
+
+def _put_open(tree: dict[str, Any], path: list[str], value: Any, setting: str) -> None:
+    """Put a value into an open group: group.NAME={...}, or group.NAME.setting=value."""
+    if not path or (len(path) == 1 and not isinstance(value, dict)):
+        raise InputError(setting, "names no setting of this group", "write group.name={} or group.name.setting=value")
+    for name in path[:-1]:
+        tree = tree.setdefault(name, {})
+        if not isinstance(tree, dict):
+            raise InputError(setting, f"'{name}' holds no further settings", "shorten the path")
+    tree[path[-1]] = value
 
 
 def digest(*parts: Any) -> str:

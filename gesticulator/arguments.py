@@ -124,7 +124,8 @@ def check_choices(asked: argparse.Namespace) -> None:
         raise InputError(f"--beta {asked.beta:g}", f"is read by the interpreter {steered} alone",
                          f"add --interpreter {steered}, or leave it out")
     if asked.speaker is not None:
-        from gesticulator.bundle.bundle import SHIPPED, read_index
+        from gesticulator.bundle.bundle import SHIPPED
+        from gesticulator.bundle.files import read_index
 
         speakers = read_index(asked.bundle or SHIPPED)["speakers"]
         if asked.speaker not in speakers:

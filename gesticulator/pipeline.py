@@ -19,9 +19,10 @@ from data_module.errors import InputError, shown
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator.body.motion_path import MotionPath
-from gesticulator.bundle.bundle import SHIPPED, Bundle, lexicon_hash
+from gesticulator.bundle.bundle import SHIPPED, Bundle
 from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for
+from gesticulator.bundle.files import lexicon_hash
 from gesticulator.drawing.cutter import BlockCutter, encode_speech
 from gesticulator.drawing.drawer import Direction
 from gesticulator.drawing.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_rows
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from gesticulator.directing.editing import PlanRenderer
     from gesticulator.plan.plan import LexemeName
     from gesticulator.stream import Stream
-    from interpreters.base import Interpreter
+    from interpreters.base import Interpreter, LexemeInterpreter
 
 __all__ = ["Gesticulator"]
 

@@ -198,7 +198,7 @@ class AdvantageInterpreter(InterpreterDefaults):
 
     prior: LexemeInterpreter
     critics: Critics
-    beta: float = 1.0  # type: ignore[assignment]
+    beta: float = 1.0
     temperature: float = 1.0
     name = "advantage"
     steerable = True

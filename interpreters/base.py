@@ -17,7 +17,7 @@ from torch import Tensor
 from data_module.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from torch import nn
 
@@ -78,15 +78,22 @@ class Explanation:
 
 @runtime_checkable
 class Interpreter(LexemeInterpreter, Protocol):
-    """All that the product asks of an interpreter; `InterpreterDefaults` answers for those without anything special.
+    """All that the product asks of an interpreter; `InterpreterDefaults` answers for those without anything special."""
 
-    name: what a plan calls it. gives_values: scores are Q values, not log-probabilities. steerable: it takes a beta
-    (`steered`). beta: the one that it has; None where it takes none. needs: what it reads beside the sound.
-    """
+    @property
+    def name(self) -> str:
+        """What a plan calls it."""
+        ...
 
-    name: str
-    gives_values: bool
-    steerable: bool
+    @property
+    def gives_values(self) -> bool:
+        """Scores are Q values, not log-probabilities."""
+        ...
+
+    @property
+    def steerable(self) -> bool:
+        """It takes a beta (`steered`)."""
+        ...
 
     @property
     def beta(self) -> float | None:
@@ -146,8 +153,8 @@ class InterpreterDefaults:
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> Any:
-        """The interpreter of a bundle; the trained model itself, where that is one."""
-        return parts.model
+        """The interpreter of a bundle: the trained model itself, or made of the counts where there is none."""
+        return parts.model if parts.model is not None else cls(parts.frequencies, parts.transitions)  # type: ignore[call-arg]
 
 
 class _Adapted(InterpreterDefaults):
@@ -163,6 +170,13 @@ class _Adapted(InterpreterDefaults):
     def step(self, state: Any, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, Any]:
         """See `LexemeInterpreter.step`."""
         return self.inner.step(state, features, previous_lexeme)
+
+
+def opened(kind: Any, parts: InterpreterParts) -> Interpreter:
+    """The interpreter of a bundle whose class (or maker) is `kind`; see `InterpreterDefaults.open`."""
+    if isinstance(kind, type) and issubclass(kind, InterpreterDefaults):
+        return as_interpreter(kind.open(parts))
+    return as_interpreter(parts.model if parts.model is not None else kind(parts.frequencies, parts.transitions))
 
 
 _OPTIONAL = frozenset(("gives_values", "steerable", "beta", "needs", "steered", "guided", "explain"))
@@ -218,7 +232,7 @@ class InterpreterParts:
     prior: Interpreter | None
     frequencies: NDArray[np.float64]
     transitions: NDArray[np.float64]
-    settings: Mapping[str, Any] | Any
+    settings: Any
     beta: float
 
 

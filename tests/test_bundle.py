@@ -22,7 +22,8 @@ from data_module.types import Speech
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import models
 from gesticulator.bundle import upgrade as upgrades
-from gesticulator.bundle.models import Sizes
+from gesticulator.bundle.files import CARD, read_index
+from gesticulator.bundle.models import Sizes, part_table
 from gesticulator.pipeline import Gesticulator
 
 PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text",
@@ -104,7 +105,7 @@ def test_dimensions_that_the_data_never_moved_are_known_after_reading(tmp_path: 
 def test_a_bundle_replaces_an_older_one_whole(whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     bundles.save(untrained(*PLAIN), copy, "another card")
-    assert not (copy / "gate.safetensors").exists() and (copy / bundles.CARD).read_text() == "another card"
+    assert not (copy / "gate.safetensors").exists() and (copy / CARD).read_text() == "another card"
     assert bundles.load(copy).gate is None
     assert [path.name for path in tmp_path.iterdir()] == ["copy"], "nothing left of the old one or of the writing"
 
@@ -268,7 +269,7 @@ def test_broken_and_foreign_bundles_are_refused_by_name(whole: Path, tmp_path: P
         file.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
         opened = bundles.load(copy)
         with pytest.raises(InputError, match=rf"{name}\.safetensors.*SHA-256"):
-            _ = opened.parts[{file: part for part, file in bundles.FILES.items()}[name]]
+            _ = opened.parts[{part.file: own for own, part in part_table().items()}[name]]
         file.write_bytes(before)
     (copy / "generator.safetensors").unlink()
     with pytest.raises(InputError, match="missing"):
@@ -303,7 +304,7 @@ def test_a_bundle_without_an_interpreter_is_refused(whole: Path, tmp_path: Path)
 
 def test_a_trained_bundle_is_the_same_after_a_round_trip(tiny_bundle: Path, tmp_path: Path) -> None:
     one = bundles.load(tiny_bundle)
-    bundles.save(one, tmp_path / "again", (tiny_bundle / bundles.CARD).read_text())
+    bundles.save(one, tmp_path / "again", (tiny_bundle / CARD).read_text())
     assert {f.name for f in tiny_bundle.iterdir()} == {f.name for f in (tmp_path / "again").iterdir()}
     for file in tiny_bundle.glob("*.safetensors"):
         assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes()
@@ -471,7 +472,7 @@ def test_who_judges_a_policy_is_not_shipped_with_it(tmp_path: Path) -> None:
 
 def read_names(folder: Path) -> list[str]:
     """The files that a bundle lists."""
-    return list(bundles.read_index(folder)["files"])
+    return list(read_index(folder)["files"])
 
 
 def test_a_part_is_opened_once(whole: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
-from gesticulator.bundle.bundle import FILES
+from gesticulator.bundle.models import part_table
 from interpreters import INTERPRETERS
 from interpreters.advantage import AdvantageInterpreter, Critics
 from interpreters.base import (
@@ -102,7 +102,7 @@ def test_every_interpreter_has_a_maker_here() -> None:
 
 def test_every_part_that_an_interpreter_needs_is_one_of_a_bundle() -> None:
     for entry in INTERPRETERS.values():
-        assert all(part in FILES for part in (entry.part, entry.text_part) if part)
+        assert all(part in part_table() for part in (entry.part, entry.text_part) if part)
 
 
 PLAYED = {**MAKERS, "by ear": lambda: InterpreterByEar(lstm(audio_dropout=0.1).eval(), 0.5),

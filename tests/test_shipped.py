@@ -11,6 +11,7 @@ from data_module.speech.audio import load_speech
 from eval.clip.measure import measure
 from eval.table import load_with_provenance, markdown
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import CARD, read_index
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 
@@ -26,10 +27,10 @@ def example() -> Performance:
 def test_the_bundle_is_small_and_says_what_it_was_trained_on() -> None:
     size = sum(file.stat().st_size for file in bundles.SHIPPED.iterdir())
     assert size < 25e6
-    index = bundles.read_index(bundles.SHIPPED)
+    index = read_index(bundles.SHIPPED)
     assert index["config"]["name"] == "default"
     assert "LGPL" in index["provenance"]["licence"] and "SmartBody" in (ROOT / "NOTICE").read_text()
-    card = (bundles.SHIPPED / bundles.CARD).read_text()
+    card = (bundles.SHIPPED / CARD).read_text()
     assert index["provenance"]["fingerprint"] in card and "## Limits" in card
 
 
@@ -79,7 +80,7 @@ def test_every_shipped_performer_moves_differently(example: Performance) -> None
 def test_the_stored_figures_are_those_of_the_shipped_weights() -> None:
     tables, about = load_with_provenance(ROOT / "docs/results/quality.json")
     assert markdown(tables, about) == (ROOT / "docs/results/quality.md").read_text(), "what is read is what is kept"
-    assert tables[0].facts["store"]["fingerprint"] == bundles.read_index(bundles.SHIPPED)["provenance"]["fingerprint"]
+    assert tables[0].facts["store"]["fingerprint"] == read_index(bundles.SHIPPED)["provenance"]["fingerprint"]
 
 
 def test_nobody_named_means_the_default_performer(example: Performance) -> None:

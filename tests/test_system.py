@@ -7,8 +7,6 @@ import pytest
 from data_module.settings import with_settings
 from gesticulator.bundle.bundle import required
 from gesticulator.bundle.system import system_of
-from gesticulator.drawing.drawer import FlowDrawer, RegressionDrawer
-from gesticulator.drawing.rollout import CodecRollout, Rollout
 from gesticulator.training.presets import PRESETS, preset
 from gesticulator.training.stages import STAGES, wanted
 
@@ -17,9 +15,7 @@ from gesticulator.training.stages import STAGES, wanted
 def test_what_each_preset_is(name: str) -> None:
     system = system_of(preset(name))
     racer, flow = name.startswith("racer"), name == "default"
-    assert system.rollout() is (CodecRollout if racer else Rollout)
-    if not racer:
-        assert system.drawer() is (FlowDrawer if flow else RegressionDrawer)
+    assert system.drawing.name == ("decoded" if racer else "flow" if flow else "regression")
     assert (system.blocks, system.varies) == (not racer, flow)
     assert system.streams == system.lives == (name in ("default", "regression"))
 

@@ -24,6 +24,7 @@ from data_module.store import Store
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
+from gesticulator.bundle.files import read_index
 from gesticulator.training import command as train
 from gesticulator.training import fit as fitting
 from gesticulator.training import presets
@@ -72,7 +73,7 @@ def test_every_stage_learned(work: Path) -> None:
 
 
 def test_the_lexicon_uses_its_codes_and_beats_the_mean(tiny_bundle: Path) -> None:
-    figures = bundles.read_index(tiny_bundle)["figures"]["lexicon"]
+    figures = read_index(tiny_bundle)["figures"]["lexicon"]
     assert figures["usage"] > 0.3  # one recording of 25 s
     assert figures["quantised"] < 0.8  # features have variance near 1
 
@@ -122,7 +123,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
     for name in names:
         a, b = (load_file(tmp_path / run / name) for run in ("whole", "broken"))
         assert a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a), name
-    whole, again = (bundles.read_index(tmp_path / run)["figures"] for run in ("whole", "broken"))
+    whole, again = (read_index(tmp_path / run)["figures"] for run in ("whole", "broken"))
     assert set(whole) == set(SIZES) and whole == again
 
 

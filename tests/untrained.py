@@ -73,7 +73,7 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
         lexicon.quantizer.set_vectors(torch.randn(size, config.lexicon.code_width))
     half(lexicon)
     sizes = dataclasses.replace(sizes, vectors=lexicon.vectors)
-    parts = {stage.part: half(models.BUILDERS[stage.part](sizes)) for stage in wanted(config)
+    parts = {stage.part: half(models.build(stage.part, sizes)) for stage in wanted(config)
              if stage.part and stage.part != "lexicon" and (words or not stage.part.endswith("_text"))}
     parts["lexicon"] = lexicon
     if isinstance(lexicon, MovementLexicon):

@@ -20,6 +20,7 @@ from data_module.store import Recording, Store
 from eval.runner.judges import with_judges
 from eval.table import Provenance
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import INDEX
 from gesticulator.cli import PROGRAM
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.corpus import Corpus, prepare
@@ -107,6 +108,6 @@ def provenance(arguments: argparse.Namespace) -> Provenance:
     left out, and none where the command has no such option."""
     named = getattr(arguments, "bundle", None)
     folder = bundles.SHIPPED if named in (None, "shipped") else Path(named)
-    index = folder / bundles.INDEX
+    index = folder / INDEX
     return Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]]),
                           index if hasattr(arguments, "bundle") and index.is_file() else None)

@@ -15,8 +15,9 @@ from safetensors.torch import load_file
 
 from data_module.layers import freeze
 from data_module.store import Store
-from gesticulator.bundle.bundle import JUDGES, Bundle
+from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import RewardConfig
+from gesticulator.bundle.parts import JUDGES
 from gesticulator.training.stages import STAGES, Run
 from gesticulator.training.stages.base import WEIGHTS, finished
 from interpreters.reward import RewardEnsemble

@@ -40,6 +40,7 @@ from eval.metrics.eye.body import HZ
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechFeatures
+from gesticulator.bundle.files import INDEX
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 
@@ -194,7 +195,7 @@ class BundleSystem:
         self.name, self.folder, self._kept = name, folder, kept
         bundle = bundles.load(folder)
         self.gesticulator = ListeningGesticulator(bundle)
-        self.key = hashlib.sha256((folder / bundles.INDEX).read_bytes()).hexdigest()
+        self.key = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
         self._encoded: dict[str, tuple[SpeechFeatures, float]] = {}
 
     @property
@@ -293,7 +294,7 @@ class FiledSystem:
 
 def system_at(name: str, place: Path, kept: KeptRenderings) -> RenderedSystem:
     """A bundle where the folder holds one, else motion files; InputError where it holds neither."""
-    return BundleSystem(name, place, kept) if (place / bundles.INDEX).is_file() else FiledSystem(name, place)
+    return BundleSystem(name, place, kept) if (place / INDEX).is_file() else FiledSystem(name, place)
 
 
 def described(voices: Sequence[AcceptanceVoice]) -> dict[str, Any]:

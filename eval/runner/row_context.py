@@ -38,6 +38,7 @@ from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import SpeechFeatures
+from gesticulator.bundle.parts import JUDGES
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.fit import late_gain
 from gesticulator.training.stages import (
@@ -151,7 +152,7 @@ class AblationContext:
             bundle = bundles.load(self.bundle)
         else:
             bundle, run = self.trained("q-network", 1)
-            bundle = bundle.with_parts(**{name: run.get(STAGES[name]) for name in bundles.JUDGES})
+            bundle = bundle.with_parts(**{name: run.get(STAGES[name]) for name in JUDGES})
         context = EvalContext(self.store, bundle, self.first.work, self.limit, self.first.progress)
         return RacerRows.of(context, racer.PRESETS[self.first.config.name])
 

@@ -12,6 +12,7 @@ from data_module.store import Store
 from data_module.types import Speech
 from eval.clip.foreign import Clip
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import INDEX
 from gesticulator.pipeline import Gesticulator
 from interpreters import INTERPRETERS
 
@@ -31,7 +32,7 @@ class PlayedBundle:
         before, colon, after = place.rpartition(":")
         own, chooser = (before, after) if colon and after in INTERPRETERS else (place, None)
         folder = bundles.SHIPPED if own == SHIPPED else Path(own)
-        return cls(folder, chooser) if (folder / bundles.INDEX).is_file() else None
+        return cls(folder, chooser) if (folder / INDEX).is_file() else None
 
     def row(self, truth: Mapping[str, Clip], seed: int) -> dict[str, Clip]:
         """What it makes of the truth's sounds, in the manner of each clip's own speaker where the bundle knows her.

@@ -13,7 +13,8 @@ from data_module.errors import InputError
 from gesticulator.batch import ray_pool
 from gesticulator.batch.manifest import check_manifest, default_name
 from gesticulator.batch.run import BatchTask, Maker, asked_shard, done_here, file_hash, run_batch
-from gesticulator.bundle.bundle import INDEX, SHIPPED, read_index
+from gesticulator.bundle.bundle import SHIPPED
+from gesticulator.bundle.files import INDEX, read_index
 from gesticulator.version import __version__
 
 _NOT_SETTINGS = {"speech", "output", "preview", "plan_out", "text", "bundle", "list", "quiet", "manifest", "shard",

@@ -38,7 +38,9 @@ def _run(asked: argparse.Namespace) -> int:
 def _inspected(given: str | None, settings: bool) -> str:
     """What `bundle inspect` prints. Every part is opened, so what is broken is found here."""
     from data_module.layers import parameter_count
-    from gesticulator.bundle.bundle import FILES, SHIPPED, load, read_index
+    from gesticulator.bundle.bundle import SHIPPED, load
+    from gesticulator.bundle.files import read_index
+    from gesticulator.bundle.models import part_table
 
     folder = Path(given) if given else SHIPPED
     index, bundle = read_index(folder), load(folder)
@@ -50,7 +52,7 @@ def _inspected(given: str | None, settings: bool) -> str:
              f"words: {bundle.text.encoder if bundle.text else 'not read'}", "", "trained on"]
     lines += [f"  {name}: {_short(value)}" for name, value in bundle.provenance.items()]
     lines += ["", f"{'file':<36}{'bytes':>12}{'weights':>12}  sha256"]
-    parts = {f"{file}.safetensors": part for part, file in FILES.items()}
+    parts = {f"{part.file}.safetensors": name for name, part in part_table().items()}
     for name, digest in sorted(index["files"].items()):
         count = f"{sizes[parts[name]]:,}" if parts.get(name) in sizes else ""
         lines.append(f"{name:<36}{(folder / name).stat().st_size:>12,}{count:>12}  {digest}")

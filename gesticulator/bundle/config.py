@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
 from data_module.blocks import BlockSettings
@@ -27,6 +28,7 @@ from data_module.settings import (
 from data_module.speech.beats import BeatSettings
 from data_module.speech.speech_encoder import EncoderConfig
 from generator.model import GeneratorConfig
+from interpreters import entries
 from interpreters.settings import (
     CriticConfig,
     EpisodeConfig,
@@ -173,6 +175,8 @@ class Schedules:
     """RACER's Q-network; without steps there are no reward models either."""
     advantage: FitSettings = NOT_TRAINED
     """The critics of the advantage interpreter."""
+    others: dict[str, dict[str, Any]] = field(default_factory=dict, hash=False)
+    """By stage, what differs from the stage's own schedule, for stages that this tree does not name."""
 
 
 UNTOLD = -1.0
@@ -262,6 +266,9 @@ class Config:
     racer: RacerConfig = field(default_factory=RacerConfig)
     silence: SilenceConfig = field(default_factory=SilenceConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
+    others: dict[str, Any] = field(default_factory=dict, hash=False)
+    """Settings of trained interpreters that this tree does not name, by section: others.NAME={} has one trained with
+    its defaults, others.NAME.width=64 changes one of them."""
     default_speaker: str = ""
     """Whose habits are taken when nobody is named; the first performer when empty or unknown."""
     window: Width = 8
@@ -270,6 +277,7 @@ class Config:
     """Every stage draws its own seed from this one and its name, so a stage more changes no other."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "others", {name: _other(name, value) for name, value in self.others.items()})
         check(self)
         if not self.lexicon.widths:
             raise InputError("lexicon.widths", "is empty", "give the channels of one convolution at least")
@@ -282,5 +290,20 @@ class Config:
 
 
 def section(config: Config, name: str) -> Any:
-    """The settings of one interpreter, by the name of its section."""
-    return getattr(config, name)
+    """The settings of one interpreter, by the name of its section; None where these settings have none."""
+    return getattr(config, name) if name in {own.name for own in fields(config)} else config.others.get(name)
+
+
+def _other(name: str, value: Any) -> Any:
+    """The settings of an interpreter of `Config.others`, of its own class; InputError for one that is not known."""
+    kinds = {entry.settings: entry for entry in entries().values()
+             if entry.part and entry.settings not in {own.name for own in fields(Config)}}
+    if name not in kinds:
+        raise InputError(f"others.{name}", "is no interpreter with settings of its own",
+                         f"known here: {', '.join(kinds) or 'none'}")
+    kind = kinds[name].load_model().Settings
+    settings = from_dict(kind, value) if isinstance(value, Mapping) else value
+    if not isinstance(settings, kind):
+        raise InputError(f"others.{name}", f"is {value!r:.40}", "give a group of settings")
+    check(settings, f"others.{name}")
+    return settings

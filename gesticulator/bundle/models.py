@@ -9,24 +9,25 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 from data_module.errors import InputError
-from gesticulator.bundle.config import Config, RewardConfig
+from gesticulator.bundle.config import Config, RewardConfig, section
 from gesticulator.bundle.features import CONTROL_WIDTH, representation_of
 from gesticulator.bundle.system import system_of
+from interpreters import InterpreterEntry, entries
+from interpreters.base import InterpreterSizes
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
-    from interpreters.advantage import Critics
-    from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
-    from interpreters.lstm import LstmInterpreter, StyleInterpreter
+    from interpreters.lstm import StyleInterpreter
     from interpreters.reward import RewardEnsemble
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
@@ -130,24 +131,6 @@ def generator(sizes: Sizes) -> Generator | FlowGenerator:
     return Generator(config.generator, widths, sizes.training_blocks, sizes.present)
 
 
-def interpreter(sizes: Sizes) -> LstmInterpreter:
-    """The lexeme interpreter that hears alone (RG 6.3)."""
-    return _lexeme_interpreter(sizes, False)
-
-
-def interpreter_text(sizes: Sizes) -> LstmInterpreter:
-    """The lexeme interpreter that reads the words too (RG 6.1)."""
-    return _lexeme_interpreter(sizes, True)
-
-
-def _lexeme_interpreter(sizes: Sizes, reads: bool) -> LstmInterpreter:
-    from interpreters.lstm import InterpreterWidths, LstmInterpreter
-
-    config = sizes.config.interpreter
-    return LstmInterpreter(config if reads else config.without_text(), sizes.lexemes, InterpreterWidths(
-        sizes.frames, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH, sizes.motion))
-
-
 def style(sizes: Sizes) -> StyleInterpreter:
     """The style interpreter that hears alone (RG 6.2, 6.3)."""
     return _style_interpreter(sizes, False)
@@ -173,20 +156,6 @@ def gate(sizes: Sizes) -> ActivityGate:
     return ActivityGate(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers)
 
 
-def q_network(sizes: Sizes) -> QNetwork:
-    """Q(s, a) over the codebook (RACER 4.3)."""
-    from interpreters.cql import QNetwork
-
-    return QNetwork(sizes.config.cql, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, sizes.silent)
-
-
-def advantage(sizes: Sizes) -> Critics:
-    """What lexemes are worth beyond the behaviour policy's own."""
-    from interpreters.advantage import Critics
-
-    return Critics(sizes.config.advantage, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers)
-
-
 def reward(sizes: Sizes) -> RewardEnsemble:
     """E_m and E_u of several models (RACER 4.2): what teaches a policy."""
     return _reward(sizes, sizes.config.reward)
@@ -205,11 +174,42 @@ def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
     return RewardEnsemble(config, sizes.frames, sizes.motion, sizes.block_audio)
 
 
-BUILDERS: dict[str, Callable[[Sizes], nn.Module]] = {
-    "encoder": encoder, "lexicon": tokens, "generator": generator, "interpreter": interpreter,
-    "interpreter_text": interpreter_text, "style": style, "style_text": style_text, "gate": gate,
-    "q_network": q_network, "advantage": advantage}
-"""Part of a bundle -> what builds it."""
+@dataclass(frozen=True)
+class BundlePart:
+    """A part of a bundle. file: without the ending; build: the model, untrained; tied: its weights are worthless over
+    another codebook than they were trained on."""
+
+    file: str
+    build: Callable[[Sizes], nn.Module]
+    tied: bool = False
+
+
+PARTS = {"encoder": BundlePart("speech_encoder", encoder), "lexicon": BundlePart("lexicon", tokens),
+         "generator": BundlePart("generator", generator), "style": BundlePart("style_interpreter", style),
+         "style_text": BundlePart("style_interpreter_text", style_text), "gate": BundlePart("gate", gate)}
+"""The parts beside the lexeme interpreters; only the lexicon is never absent."""
+
+
+def part_table() -> dict[str, BundlePart]:
+    """Every part that a bundle may have, those of the lexeme interpreters by their entries."""
+    return {**PARTS, **{part: BundlePart(file, partial(_interpreter, entry, part), entry.tied)
+                        for entry in entries().values() for part, file in entry.files.items()}}
+
+
+def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
+    """The weights of a lexeme interpreter, for speech with words or without."""
+    settings = section(sizes.config, entry.settings)
+    if entry.text_part and part != entry.text_part:
+        settings = settings.without_text()
+    model: nn.Module = entry.load_model().build(settings, InterpreterSizes(
+        sizes.frames, sizes.low, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH, sizes.motion, sizes.lexemes,
+        sizes.silent))
+    return model
+
+
+def build(part: str, sizes: Sizes) -> Any:
+    """The model of a part, untrained."""
+    return part_table()[part].build(sizes)
 
 
 def codebook_shape(config: Config) -> tuple[int, int]:
@@ -237,7 +237,7 @@ def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
                       vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
     try:
         with torch.device("meta"), warnings.catch_warnings(action="ignore", category=UserWarning):
-            return {key: tuple(value.shape) for key, value in BUILDERS[name](on_meta).state_dict().items()}
+            return {key: tuple(value.shape) for key, value in build(name, on_meta).state_dict().items()}
     except (ValueError, RuntimeError, IndexError, OverflowError, ZeroDivisionError) as error:
         raise InputError("settings", f"no {name} can be built of them ({str(error).splitlines()[0][:200]})",
                          "change them") from None

@@ -65,7 +65,7 @@ def silent_of(index: dict[str, Any], folder: Path) -> tuple[tuple[int, ...], int
 
 def rewrite(folder: Path, silent: Iterable[int]) -> None:
     """Put a new list into a bundle's `bundle.json`, whole or not at all; the list of training is kept beside it."""
-    from gesticulator.bundle.bundle import read_index
+    from gesticulator.bundle.files import read_index
 
     index = read_index(folder)
     index["provenance"].setdefault(FOUND, index["silent_lexemes"])
@@ -101,7 +101,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """List or edit; InputError for what cannot be."""
-    from gesticulator.bundle.bundle import SHIPPED, read_index
+    from gesticulator.bundle.bundle import SHIPPED
+    from gesticulator.bundle.files import read_index
 
     folder = Path(asked.bundle) if asked.bundle else SHIPPED
     index = read_index(folder)

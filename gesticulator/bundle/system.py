@@ -1,23 +1,17 @@
 """The systems that a bundle may be: what names gestures, what draws them, and what follows from that.
 
 `system_of` chooses one by the settings. Whoever needs to know asks the system, not the settings: so a further lexicon
-or generator is one more value here. What is built is named by "module:object" and imported when it is asked for, since
-drawing lies above bundles.
+or generator is one more value here. The classes that draw lie above bundles: `gesticulator.drawing` has one for each
+`Drawing`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gesticulator.bundle.config import Config
-
-
-def _object(where: str) -> Any:
-    module, _, name = where.partition(":")
-    return getattr(import_module(module), name)
 
 
 @dataclass(frozen=True)
@@ -38,12 +32,11 @@ class Naming:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What draws blocks. rollout: the loop over blocks; drawer: of one block, empty where the naming decodes itself.
-    parts: of a bundle, beside the lexicon, that it cannot do without. idle: stages that it has no use for. samples: it
-    draws a lexeme in several ways. styled: it is taught style codes, one for each training block."""
+    """What draws blocks. name: of it. parts: of a bundle, beside the lexicon, that it cannot do without. idle: stages
+    that it has no use for. samples: it draws a lexeme in several ways. styled: it is taught style codes, one for each
+    training block."""
 
-    rollout: str
-    drawer: str = ""
+    name: str
     parts: tuple[str, ...] = ()
     idle: frozenset[str] = frozenset()
     samples: bool = False
@@ -57,14 +50,11 @@ MOVEMENTS = Naming("lexicon", "vectors", in_context=True)
 CODES = Naming("codec", "quantizer.vectors", blocks=False, knows_silence=False)
 """RACER's own codec at a fixed rate (RACER 4.1)."""
 
-_ROLLOUT = "gesticulator.drawing.rollout:Rollout"
-REGRESSION = Drawing(_ROLLOUT, "gesticulator.drawing.drawer:RegressionDrawer", ("generator", "interpreter"),
-                     frozenset(("codec",)), styled=True)
+REGRESSION = Drawing("regression", ("generator", "interpreter"), frozenset(("codec",)), styled=True)
 """The paper's generator with style codes (RG 5.2)."""
-FLOW = Drawing(_ROLLOUT, "gesticulator.drawing.drawer:FlowDrawer", ("generator", "interpreter"),
-               frozenset(("codec",)), samples=True)
+FLOW = Drawing("flow", ("generator", "interpreter"), frozenset(("codec",)), samples=True)
 """The generator with a flow head, which samples."""
-DECODED = Drawing("gesticulator.drawing.rollout:CodecRollout", parts=("q_network",), idle=frozenset(
+DECODED = Drawing("decoded", ("q_network",), frozenset(
     ("lexicon", "generator", "interpreter", "interpreter_text", "style", "style_text", "gate", "advantage")))
 """Nothing beside the codec, which decodes its codes (RACER 5.2)."""
 
@@ -96,14 +86,6 @@ class System:
     def uses(self, stage: str) -> bool:
         """Whether a training stage of this name has a place in it."""
         return stage not in self.drawing.idle
-
-    def rollout(self) -> Any:
-        """The class of the loop over blocks."""
-        return _object(self.drawing.rollout)
-
-    def drawer(self) -> Any:
-        """The class that draws one block after the other."""
-        return _object(self.drawing.drawer)
 
 
 def system_of(config: Config) -> System:

@@ -19,18 +19,10 @@ from safetensors.torch import load_file, save_file
 from data_module.errors import InputError
 from data_module.layers import freeze
 from gesticulator.bundle import models
-from gesticulator.bundle.bundle import (
-    CARD,
-    INDEX,
-    OLDER,
-    lexicon_hash,
-    read_json,
-    replace_folder,
-    rest_distances,
-    write_index,
-)
+from gesticulator.bundle.bundle import rest_distances
 from gesticulator.bundle.config import Config, from_dict, to_dict
 from gesticulator.bundle.features import Statistics, representation_of
+from gesticulator.bundle.files import CARD, INDEX, OLDER, lexicon_hash, read_json, replace_folder, write_index
 from gesticulator.bundle.models import Sizes
 from gesticulator.bundle.system import system_of
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from data_module.controls import FEATURES, Controls, Curve
 from data_module.errors import InputError, shown
 from data_module.types import Array, Blocks, Speech, Word
-from gesticulator.bundle.bundle import Bundle, lexicon_hash
+from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
+from gesticulator.bundle.files import lexicon_hash
 from gesticulator.directing.editing import still_frames
 from gesticulator.directing.shaping import (
     FADE,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, cast
 
@@ -16,6 +17,7 @@ from generator.flow import Circumstances, FlowGenerator, FlowInputs, alone
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import UNTOLD
 from gesticulator.bundle.features import SpeechBlock
+from gesticulator.bundle.system import FLOW, REGRESSION, Drawing
 from gesticulator.drawing.candidates import CandidateChooser
 from interpreters.base import BlockFeatures
 
@@ -81,8 +83,8 @@ class Drawer(Protocol):
 
 def drawer_for(bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool = False) -> Drawer:
     """The drawer that the bundle's generator asks for; lexeme: the one before the first block; text: words are read."""
-    drawer: Drawer = bundle.system.drawer()(bundle, speaker, lexeme, keys, text)
-    return drawer
+    kinds: dict[Drawing, Callable[..., Drawer]] = {REGRESSION: RegressionDrawer, FLOW: FlowDrawer}
+    return kinds[bundle.system.drawing](bundle, speaker, lexeme, keys, text)
 
 
 class RegressionDrawer:

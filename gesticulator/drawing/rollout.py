@@ -122,8 +122,8 @@ class RolloutResult:
 def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling, activity: float
             ) -> Rollout | CodecRollout:
     """The loop that the bundle's lexicon needs. speaker: its index; activity: how readily to gesture, 0 to 1."""
-    made: Rollout | CodecRollout = bundle.system.rollout()(bundle, interpreter, speaker, sampling, activity)
-    return made
+    kind = Rollout if bundle.system.blocks else CodecRollout
+    return kind(bundle, interpreter, speaker, sampling, activity)
 
 
 @dataclass(frozen=True)

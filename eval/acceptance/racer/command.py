@@ -50,6 +50,7 @@ from eval.runner.policy import Decisions, PolicyJudge
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import read_index
 from gesticulator.training.stages.q_network import takes_of
 from gesticulator.training.stages.reward import context_of, reward_table
 
@@ -172,7 +173,7 @@ def accepted(context: EvalContext, folder: Path, arguments: argparse.Namespace) 
                *won(measures, rows), *exchange.clauses(context, tables, decisions, rows, arguments.exchange),
                *alive(measures, by, [voice.own for voice in stage.voices], arguments.renderings),
                *timed(measures), *values.honesty_clauses(values.honesty(context, decisions, tables)),
-               *knob(measures), *values.cost_clauses(context, list(bundles.read_index(folder)["files"]))]
+               *knob(measures), *values.cost_clauses(context, list(read_index(folder)["files"]))]
     return clauses, [row_table("Motion as it is played", _SHOWN, {n: row.values for n, row in played.items()}),
                      row_table("Lexemes on recorded speech", _CHOSEN, measures.chosen)]
 

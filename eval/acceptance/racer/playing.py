@@ -43,7 +43,7 @@ from eval.runner.renderings import (
     Rendering,
     program_key,
 )
-from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import INDEX
 from gesticulator.training.stages.interpreter import teacher_logits
 from interpreters.base import LexemeInterpreter
 from interpreters.reward import RewardEnsemble
@@ -173,7 +173,7 @@ class PolicyStage:
 
     @cached_property
     def _key(self) -> str:
-        return hashlib.sha256((self.folder / bundles.INDEX).read_bytes()).hexdigest()
+        return hashlib.sha256((self.folder / INDEX).read_bytes()).hexdigest()
 
     def speaker(self, voice: AcceptanceVoice) -> str:
         """Its own performer where the bundle knows her, else the bundle's default."""

@@ -6,7 +6,7 @@ how it is trained. A new stage is one file and one entry here; it changes the se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,10 +28,30 @@ from gesticulator.training.stages.q_network import EPISODES, Q_NETWORK
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
 from gesticulator.training.stages.speech import CONTRAST, ENCODER, SPEECH
 from gesticulator.training.stages.style import STYLE, STYLE_TEXT
+from interpreters import entries
 
-STAGES: dict[str, Stage[Any]] = other_stages() | {stage.name: stage for stage in (
-    SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, REWARD, REWARD_JUDGE, Q_NETWORK, ADVANTAGE,
-    GENERATOR, STYLE, STYLE_TEXT)}
+OURS: tuple[Stage[Any], ...] = (SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, REWARD,
+                                REWARD_JUDGE, Q_NETWORK, ADVANTAGE, GENERATOR, STYLE, STYLE_TEXT)
+
+
+class StageTable(Mapping[str, Stage[Any]]):
+    """The stages by name: ours in order, then those that the entries of interpreters name."""
+
+    def _all(self) -> dict[str, Stage[Any]]:
+        named = [entry.load_stage() for entry in entries().values() if entry.stage]
+        return {stage.name: stage for stage in (*other_stages().values(), *OURS, *named)}
+
+    def __getitem__(self, name: str) -> Stage[Any]:
+        return self._all()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+
+STAGES = StageTable()
 
 __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
            "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "Q_NETWORK", "REWARD", "REWARD_JUDGE",

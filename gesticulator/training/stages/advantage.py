@@ -261,7 +261,8 @@ def _wanted(config: Config) -> bool:
 
 
 def _build(run: Run) -> nn.Module:
-    return models.advantage(model_sizes(run))
+    model: nn.Module = models.build("advantage", model_sizes(run))
+    return model
 
 
 ADVANTAGE: Stage[Critics] = Stage(

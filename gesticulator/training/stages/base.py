@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
@@ -24,8 +24,9 @@ from data_module.errors import InputError
 from data_module.files import rename, write_text
 from data_module.json_files import read_object
 from data_module.layers import freeze
+from data_module.settings import check
 from data_module.store import Store
-from gesticulator.bundle.config import Config, FitSettings, digest
+from gesticulator.bundle.config import Config, FitSettings, digest, from_dict, to_dict
 from gesticulator.training import distributed
 from gesticulator.training import fit as fitting
 
@@ -65,7 +66,8 @@ class Stage(Node[M]):
     """A node that is a trained model.
 
     build: the model, untrained. train: one call of `Run.fit`, with the last validation figures. schedule: where in
-    `Config.schedules` its steps stand (schedule_of: where that depends on the settings). wanted: whether the settings
+    `Config.schedules` its steps stand (schedule_of: where that depends on the settings; default: its own, of which
+    `Config.schedules.others` may change a part). wanted: whether the settings
     ask for it. finish: what makes of the trained module the one that is used (a learner holds its target network too).
     part: its name in a bundle, empty for none.
     """
@@ -74,6 +76,7 @@ class Stage(Node[M]):
     train: Callable[[Run, Any, Path], Figures] | None = None
     schedule: str = ""
     schedule_of: Callable[[Config], FitSettings] | None = None
+    default: FitSettings | None = None
     wanted: Callable[[Config], bool] = always
     finish: Callable[[nn.Module], M] = cast(Any, lambda model: model)  # noqa: RUF009
     part: str = ""
@@ -83,7 +86,7 @@ def setting(config: Config, path: str) -> Any:
     """The value at a path of settings."""
     value: Any = config
     for name in path.split("."):
-        value = getattr(value, name)
+        value = value[name] if isinstance(value, Mapping) else getattr(value, name)
     return value
 
 
@@ -157,6 +160,11 @@ class Run:
         """How long a stage is trained."""
         if stage.schedule_of is not None:
             return stage.schedule_of(self.config)
+        if stage.default is not None:
+            settings = from_dict(FitSettings, {**to_dict(stage.default),
+                                               **self.config.schedules.others.get(stage.name, {})})
+            check(settings, f"schedules.others.{stage.name}")
+            return settings
         return cast(FitSettings, getattr(self.config.schedules, stage.schedule))
 
     def folder(self, node: Node[Any]) -> Path:

@@ -57,7 +57,7 @@ INTERPRETER: Stage[LstmInterpreter] = Stage(
     "interpreter", settings=(lambda config: config.interpreter.without_text(), *_SHAPED_BY),
     needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="interpreter",
     part="interpreter",
-    build=lambda run: models.interpreter(model_sizes(run)),
+    build=lambda run: models.build("interpreter", model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, INTERPRETER, False))
 
 
@@ -68,7 +68,7 @@ def init_from_audio_only(config: Config) -> bool:
 
 
 def _build_text(run: Run) -> LstmInterpreter:
-    model = models.interpreter_text(model_sizes(run))
+    model: LstmInterpreter = models.build("interpreter_text", model_sizes(run))
     if init_from_audio_only(run.config):
         model.init_from_audio_only(run.get(INTERPRETER))
     return model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -162,12 +163,17 @@ CODEC: Stage[RacerCodec] = Stage(
     build=lambda run: models.codec(sizes(run.config, run.get(BLOCKS))))
 
 
+def _tokens(run: Run) -> Tokens:
+    tokens: Tokens = run.get(cast("Stage[Any]", _of(run.config)))
+    return tokens
+
+
 def _of(config: Config) -> Stage[BlockLexicon] | Stage[RacerCodec]:
     return {stage.name: stage for stage in (LEXICON, CODEC)}[system_of(config).naming.stage]
 
 
 TOKENS: Node[Tokens] = Node("tokens", settings=(), needs=lambda config: (_of(config),),
-                            make=lambda run: run.get(_of(run.config)))
+                            make=_tokens)
 """The lexicon or the codec, whichever the settings name."""
 
 

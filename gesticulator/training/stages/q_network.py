@@ -98,7 +98,9 @@ def q_batch(corpus: Corpus, windows: dict[str, Tensor], lookahead: int = 1) -> d
 
 def new_q_network(config: Config, corpus: Corpus, vectors: Tensor, silent: NDArray[np.int64]) -> QNetwork:
     """An untrained Q-network over a codebook [S, D_s]."""
-    return models.q_network(sizes(config, corpus, vectors=vectors, silent=tuple(silent.tolist())))
+    network: QNetwork = models.build("q_network", sizes(config, corpus, vectors=vectors,
+                                                        silent=tuple(silent.tolist())))
+    return network
 
 
 def _train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
@@ -149,4 +151,4 @@ Q_NETWORK: Stage[QNetwork] = Stage(
     "q_network", settings=("cql", "silence.hint"), schedule="cql",
     needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, EPISODES),
     wanted=lambda config: config.schedules.cql.steps > 0, part="q_network", finish=_online, train=_train,
-    build=lambda run: ConservativeQ(models.q_network(model_sizes(run))))
+    build=lambda run: ConservativeQ(models.build("q_network", model_sizes(run))))

@@ -1,0 +1,263 @@
+"""The folder of a bundle: its list (`bundle.json`), its files of weights, and their hashes.
+
+What is read here is checked first: the format, what the list must hold, the size, hash and shapes of each file. A
+folder is written to a temporary one, synced and renamed, so that it is there whole or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load as load_tensors
+from torch import Tensor
+
+from data_module.errors import InputError
+from data_module.json_files import parse_json, read_object
+from data_module.motion.skeletons import CHARACTER, CHARACTERS
+from data_module.types import Skeleton
+from gesticulator.version import __version__
+
+FORMAT = 6
+"""Format 5 had another flow head; format 4 knew no lexicon of movements, no flow head and no fingers; format 3 had
+other names of settings and tensors and no resting distances (see `gesticulator.bundle.upgrade`)."""
+OLDER = (1, 2, 3, 4, 5)
+"""Formats that `gesticulator bundle upgrade` can bring to this one."""
+INDEX = "bundle.json"
+CARD = "MODEL_CARD.md"
+TIED = "lexicon_hash"
+"""Where a file of weights keeps the hash of the codebook that it was trained over."""
+ENDING = ".safetensors"
+_LARGEST_INDEX = 16 * 2**20
+"""Bytes: a list of files, settings and figures is a thousand times smaller."""
+_HEADER = 2**20
+"""Bytes that the header of a file of weights may take beside its tensors."""
+_LARGEST_STATISTICS = 256 * 2**20
+"""Bytes: the transition matrix of 8,192 lexemes."""
+_MOST_SPEAKERS = 10_000
+
+
+def lexicon_hash(vectors: Tensor) -> str:
+    """SHA-256 of a codebook [S, D_s], which ties an interpreter's weights to it."""
+    return hashlib.sha256(vectors.detach().half().cpu().numpy().tobytes()).hexdigest()
+
+
+def write_index(folder: Path, index: dict[str, Any]) -> None:
+    """Write `bundle.json` with the hashes of all files that are there."""
+    skeleton = _skeleton_of(index["config"])
+    index = {"format": FORMAT,
+             "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
+                         "python": platform.python_version()},
+             "skeleton": {"names": list(skeleton.names), "parents": list(skeleton.parents),
+                          "offsets": skeleton.offsets.tolist()},
+             **index, "files": {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
+                                for file in sorted(folder.iterdir()) if file.name != INDEX}}
+    (folder / INDEX).write_text(json.dumps(index, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
+    """Put what `write(folder)` writes in the place of a bundle, whole or not at all; InputError for anything else that
+    is there."""
+    if target.exists() and not (target / INDEX).is_file() and not (target.is_dir() and not any(target.iterdir())):
+        raise InputError(target, "exists and is not a bundle", "choose another path")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
+    try:
+        write(temporary)
+        temporary.chmod(0o755)  # mkdtemp and safetensors keep others out; a bundle is there to be shared
+        for file in temporary.iterdir():
+            file.chmod(0o644)
+            _sync(file)
+        _sync(temporary)
+        if target.exists():
+            old = temporary.with_name(temporary.name + ".old")
+            target.rename(old)
+            temporary.rename(target)
+            shutil.rmtree(old)
+        else:
+            temporary.rename(target)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def _sync(path: Path) -> None:
+    """Have the disk hold a file (or a folder's list of files) before it is relied on."""
+    if path.is_dir() and os.name == "nt":
+        return  # Windows opens no folders
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object from a file; InputError for anything else, however it is broken."""
+    return read_object(path, "copy the bundle again", _LARGEST_INDEX)
+
+
+_KINDS: dict[str, Any] = {"config": dict, "skeleton": dict, "speakers": list, "silent_lexemes": list, "files": dict,
+                          "provenance": dict, "figures": dict, "audio_levels": int, "text": (dict, type(None))}
+"""What `bundle.json` must hold."""
+
+
+def read_index(path: str | Path) -> dict[str, Any]:
+    """`bundle.json`, after the checks that need no weights; InputError for one that is broken or foreign."""
+    folder = Path(path)
+    file = folder / INDEX
+    if not folder.exists():
+        raise InputError(folder, "does not exist", "give the folder of a bundle, or leave --bundle out")
+    if not file.is_file():
+        raise InputError(folder, f"is not a bundle (no {INDEX})", "give a folder that gesticulator train made")
+    index = read_json(file)
+    version = index.get("format")
+    if version != FORMAT or isinstance(version, bool):
+        advice = (f"run gesticulator bundle upgrade {folder} NEW" if version in OLDER
+                  else "train it again or use the matching version")
+        raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}", advice)
+    lacking = [key for key in _KINDS if key not in index]
+    if lacking:
+        raise InputError(file, f"lacks {', '.join(lacking)}", "copy the bundle again")
+    wrong = [key for key, kind in _KINDS.items() if not isinstance(index[key], kind)]
+    if not wrong:
+        wrong = [name for name, fine in (
+            ("speakers", _strings(index["speakers"]) and 0 < len(index["speakers"]) <= _MOST_SPEAKERS),
+            ("silent_lexemes", all(type(n) is int and 0 <= n < 2**31 for n in index["silent_lexemes"])),
+            ("audio_levels", index["audio_levels"] in (1, 2)),
+            ("files", _strings(index["files"].values())),
+            ("figures", all(isinstance(own, dict) for own in index["figures"].values()))) if not fine]
+    if wrong:
+        raise InputError(file, f"holds something else than it should under {', '.join(wrong)}",
+                         "copy the bundle again")
+    if index["skeleton"].get("names") != list(_skeleton_of(index["config"]).names):
+        raise InputError(file, "was trained on another skeleton", "train it again")
+    return index
+
+
+def _skeleton_of(config: Mapping[str, Any]) -> Skeleton:
+    """The character that settings as they stand in a file draw: older ones do not say, and mean the papers' joints."""
+    motion = config.get("motion")
+    joints = motion.get("joints") if isinstance(motion, Mapping) else None
+    return CHARACTERS[joints] if type(joints) is int and joints in CHARACTERS else CHARACTER
+
+
+def _strings(values: Any) -> bool:
+    return all(isinstance(value, str) for value in values)
+
+
+class Weights:
+    """The files of a bundle, each checked when it is read: listed, of the listed hash, of the right shapes, finite."""
+
+    def __init__(self, folder: Path, listed: Mapping[str, str]) -> None:
+        """InputError when a listed file is missing, or when there are weights that the list leaves out."""
+        self.folder, self.listed = folder, listed
+        for name in listed:
+            if Path(name).name != name or not (folder / name).is_file():
+                raise InputError(folder / name[:200], "is missing from the bundle", "copy the bundle again")
+        for file in sorted(folder.glob(f"*{ENDING}")):
+            if file.name not in listed:
+                raise InputError(file, f"is not in the list of {INDEX}", "delete it, or copy the bundle again")
+
+    def __contains__(self, name: str) -> bool:
+        return f"{name}{ENDING}" in self.listed
+
+    def tensor(self, name: str, key: str, shape: tuple[int, ...]) -> Tensor:
+        """One tensor of a file, which must have this shape, in single precision."""
+        file = self._listed(name)
+        digest = hashlib.sha256()
+        with file.open("rb") as stream:
+            while part := stream.read(_HEADER):
+                digest.update(part)
+        self._check_hash(file, digest.hexdigest())
+        try:
+            with safe_open(file, framework="pt") as opened:
+                found = tuple(opened.get_slice(key).get_shape()) if key in opened.keys() else ()  # noqa: SIM118
+                if found != shape:
+                    raise InputError(file, f"does not fit the settings ({_difference({key: found}, {key: shape})})",
+                                     "train it again")
+                return _finite(file, {key: opened.get_tensor(key)})[key]
+        except _BROKEN as error:
+            raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
+
+    def _listed(self, name: str) -> Path:
+        file = self.folder / f"{name}{ENDING}"
+        if file.name not in self.listed:
+            raise InputError(file, "is missing from the bundle", "copy the bundle again")
+        return file
+
+    def _check_hash(self, file: Path, found: str) -> None:
+        if found != self.listed[file.name]:
+            raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
+                             "copy the bundle again")
+
+    def read(self, name: str, shapes: Mapping[str, tuple[int, ...]] | None, tied: str | None = None
+             ) -> dict[str, Tensor]:
+        """The tensors of a file in single precision.
+
+        shapes: what they must be; None for a file whose shapes are checked by its reader. tied: the hash of the
+        codebook that the file must have been trained over.
+        """
+        file = self._listed(name)
+        largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * _size(s) for s in shapes.values())
+        if file.stat().st_size > largest:
+            raise InputError(file, "is larger than the settings say", "train it again")
+        data = file.read_bytes()
+        self._check_hash(file, hashlib.sha256(data).hexdigest())
+        header = _header(file, data)
+        if shapes is not None and _shapes_of(header) != dict(shapes):
+            raise InputError(file, f"does not fit the settings ({_difference(_shapes_of(header), shapes)})",
+                             "train it again")
+        if tied is not None and header.get("__metadata__", {}).get(TIED) != tied:
+            raise InputError(file, "was trained over another lexicon than the bundle's",
+                             f"train it again (gesticulator train --redo {name})")
+        try:
+            return _finite(file, load_tensors(data))
+        except _BROKEN as error:
+            raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
+
+
+_BROKEN = (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError)
+"""What reading a file of tensors may end in."""
+
+
+def _finite(file: Path, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors in single precision; InputError where one holds NaN or infinity."""
+    broken = next((key for key, value in tensors.items() if not bool(torch.isfinite(value).all())), None)
+    if broken is not None:
+        raise InputError(file, f"holds values that are no numbers ({broken})", "train it again")
+    return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
+
+
+def _header(file: Path, data: bytes) -> dict[str, Any]:
+    text = data[8:8 + min(int.from_bytes(data[:8], "little"), _HEADER)]
+    header = parse_json(text, file, "copy the bundle again")
+    if isinstance(header, dict) and isinstance(header.get("__metadata__", {}), dict):
+        return header
+    raise InputError(file, "is broken (no header of tensors)", "copy the bundle again")
+
+
+def _shapes_of(header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    return {key: tuple(value["shape"]) if isinstance(value, dict) and isinstance(value.get("shape"), list) else ()
+            for key, value in header.items() if key != "__metadata__"}
+
+
+def _size(shape: tuple[int, ...]) -> int:
+    size = 1
+    for length in shape:
+        size *= length
+    return size
+
+
+def _difference(found: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> str:
+    name = next(key for key in sorted({*found, *wanted}) if found.get(key) != wanted.get(key))
+    return f"{name[:80]}: {found.get(name, 'absent')} instead of {wanted.get(name, 'absent')}"
