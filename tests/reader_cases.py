@@ -442,6 +442,20 @@ def _read_plan(file: Path) -> object:
     return plan.to_json().encode(), bml_of(plan).encode()
 
 
+def _read_sent_plan(file: Path) -> object:
+    """As a page sends a plan: parsed, then read twice by one exchange, the second time from what it remembers."""
+    from data_module.json_files import read_json
+    from gesticulator.plan.exchange import PlanExchange
+
+    exchange = PlanExchange()
+    plain = read_json(file, "send it again")
+    if not isinstance(plain, dict):
+        raise InputError(file, "is not a plan", "send it again")
+    plan = exchange.read(plain, str(file))
+    assert exchange.read(plain, str(file)) == plan
+    return exchange.plain(plan)
+
+
 def _manifest(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         from gesticulator.batch.manifest import FAILED, ManifestRow, write_manifest
@@ -611,6 +625,7 @@ READERS: dict[str, Case] = {
     "mapping": Case(_mapping, _read_mapping, ("load_mapping",)),
     "plan": Case(_plan("a.json"), _read_plan, ("read_any_plan", "read_plan", "parse_plan", "json_lines.parse",
                                                    "read_as")),
+    "plan sent by a page": Case(_plan("a.json"), _read_sent_plan, ("PlanExchange.read", "read_part"), examples=2.0),
     "plan in BML": Case(_plan("a.bml"), _read_plan, ("read_any_plan", "parse_bml"), examples=2.0),
     **{f"manifest {name}": Case(_manifest(name), _read_manifest, ("read_manifest",))
        for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},

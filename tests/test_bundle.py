@@ -253,7 +253,7 @@ def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) 
         _ = opened.q_network
 
 
-@pytest.mark.parametrize("number", [0, 7, 99, "2", None, True, 10**400])
+@pytest.mark.parametrize("number", [0, 7, 99, "2", None, True, 10**250])
 def test_an_unknown_format_is_refused_by_its_number(number: object, whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     edit(copy, format=number)

@@ -16,6 +16,7 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
+from gesticulator.batch.one import retargeter_for
 from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
 from gesticulator.characters.command import COMMAND
@@ -267,9 +268,9 @@ def test_the_command_tells_of_somebody_who_sits(tmp_path: Path, capsys: pytest.C
     infer.arguments(parser)
     file = str(seated_file(draw(4, "mixamo", "A"), tmp_path / "sits.glb"))
     for told, legs in (([], False), (["--legs"], True), (["--seated"], False)):
-        made = infer._retargeter(parser.parse_args(["a.wav", "--character", file, *told]))
+        made = retargeter_for(parser.parse_args(["a.wav", "--character", file, *told]))
         assert made is not None and made.legs is legs
-        assert ("sits.glb: sits" in capsys.readouterr().err) is (not told)
+        assert ("sits.glb: is seated" in capsys.readouterr().err) is (not told)
 
 
 def test_a_performance_is_saved_on_a_character(tmp_path: Path) -> None:

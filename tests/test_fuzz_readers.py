@@ -106,6 +106,9 @@ _NO_READERS = {
     "read_take": "through read_bvh", "gesture_features.load": "checked by the hash in its .json", "table.loads": "text",
     "Registry.load": "imports a module", "RegistryEntry.load": "imports a module",
     "open_corpus": "a maker; each corpus is read by read_bvh, read_smplx, load_speech, read_table",
+    "InterpreterEntry.load_model": "imports a module", "InterpreterEntry.load_stage": "imports a module",
+    "AdvantageInterpreter.open": "models in memory", "InterpreterDefaults.open": "models in memory",
+    "StatisticalInterpreter.open": "counts in memory",
     "base.load": "a recording, through its reader", "EvalContext.loaded": "memory",
 }
 """Functions that are called like readers and need no case, with the reason."""

@@ -22,6 +22,7 @@ from data_module.speech.audio import LevelMeter, load_speech, speech_pieces
 from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, noise_floor
 from data_module.types import Motion, Samples
 from gesticulator import infer
+from gesticulator.batch import one
 from gesticulator.batch.long import WRITERS
 from gesticulator.export.glb import skeleton_glb
 from gesticulator.export.glb_pieces import GlbFile
@@ -87,13 +88,13 @@ def test_a_recording_in_pieces_makes_the_bytes_of_the_whole(asked: tuple[str, ..
     samples, _ = example(7.0)
     soundfile.write(tmp_path / "a.wav", np.stack([samples, samples / 3], 1), 22050, subtype="FLOAT")
     monkeypatch.setattr(sound_files, "PIECE", 30_000)
-    assert set(infer.STREAMED) == set(WRITERS)
-    whole = made(tmp_path / "a.wav", tmp_path, *asked, suffixes=infer.STREAMED)
+    assert set(one.STREAMED) == set(WRITERS)
+    whole = made(tmp_path / "a.wav", tmp_path, *asked, suffixes=one.STREAMED)
     done = []
-    was = infer._perform_long
-    monkeypatch.setattr(infer, "_perform_long", lambda *given: done.append(was(*given)))
-    monkeypatch.setattr(infer, "_LONG", 1.0)
-    for before, after in zip(whole, made(tmp_path / "a.wav", tmp_path, *asked, suffixes=infer.STREAMED), strict=True):
+    was = one._perform_long
+    monkeypatch.setattr(one, "_perform_long", lambda *given: done.append(was(*given)))
+    monkeypatch.setattr(one, "_LONG", 1.0)
+    for before, after in zip(whole, made(tmp_path / "a.wav", tmp_path, *asked, suffixes=one.STREAMED), strict=True):
         assert before == after
     assert len(done) == 1, "it went through the pieces"
 
@@ -167,7 +168,7 @@ def test_what_a_glb_cannot_hold_is_refused_before_it_is_drawn(tmp_path: Path, mo
     monkeypatch.setattr("gesticulator.export.glb_pieces.LARGEST", 200_000)
     drawn = []
     monkeypatch.setattr(GlbFile, "add", lambda *given: drawn.append(given))
-    monkeypatch.setattr(infer, "_LONG", 1.0)
+    monkeypatch.setattr(one, "_LONG", 1.0)
     with pytest.raises(SystemExit) as stop:
         made(tmp_path / "a.wav", tmp_path, suffixes=(".bvh", ".glb"))
     assert stop.value.code == 2 and "a GLB file holds" in capfd.readouterr().err
@@ -197,7 +198,7 @@ def test_what_breaks_off_leaves_nothing_behind(tmp_path: Path, monkeypatch: pyte
     samples, rate = example(6.0)
     samples[-rate // 2:] = np.nan
     soundfile.write(tmp_path / "a.wav", samples, rate, subtype="FLOAT")
-    monkeypatch.setattr(infer, "_LONG", 1.0)
+    monkeypatch.setattr(one, "_LONG", 1.0)
     monkeypatch.setattr(sound_files, "PIECE", 30_000)
     with pytest.raises(SystemExit) as stop:
         made(tmp_path / "a.wav", tmp_path)

@@ -61,7 +61,7 @@ def retargeter_for(asked: argparse.Namespace) -> Retargeter | None:
     legs = False if asked.seated else True if asked.legs else None
     made = Retargeter(character, mapping, contacts=not asked.no_contacts, legs=legs)
     if legs is None and not made.legs and not asked.quiet:
-        complain(f"{PROGRAM}: {asked.character}: sits, so hips and legs stay as they are; --legs lets her stand")
+        complain(f"{PROGRAM}: {asked.character}: is seated, so hips and legs stay as they are; --legs makes it stand")
     return made
 
 
