@@ -12,6 +12,7 @@ import math
 import os
 import re
 import struct
+import sys
 import zipfile
 import zlib
 from collections.abc import Collection, Sequence
@@ -110,9 +111,20 @@ def _members(stream: IO[bytes], names: Collection[str] | None) -> dict[str, NDAr
                 raise ValueError(f"{name[:40]} claims {member.file_size} bytes in {member.compress_size}")
             with archive.open(member) as content:
                 arrays[name] = _array(content, member.file_size)
+                if not _is_text(arrays[name]):
+                    raise ValueError(f"{name[:40]} holds characters that Unicode does not have")
                 if content.read(1):  # the end of a member is where zipfile compares its checksum
                     raise ValueError(f"{name[:40]} goes on behind its array")
     return arrays
+
+
+def _is_text(array: NDArray[Any]) -> bool:
+    """Whether every character of an array of text is one; those of other arrays are not looked at. Python refuses the
+    others with a SystemError when the text is taken out of the array."""
+    if array.dtype.kind != "U" or array.size == 0 or array.dtype.itemsize == 0:
+        return True
+    codes = np.ascontiguousarray(array).reshape(-1).view(np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+    return int(codes.max()) <= sys.maxunicode
 
 
 def _opened(path: str | os.PathLike[str]) -> IO[bytes]:

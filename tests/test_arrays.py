@@ -108,6 +108,17 @@ def test_a_broken_archive_is_one_line(kind: str, tmp_path: Path) -> None:
     check_refused(lambda: read_smplx(tmp_path / "a.npz"), "a.npz")
 
 
+def test_characters_that_there_are_not_are_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "a.npz"
+    for order in "<>":
+        codes = np.array([97, 0x10FFFF], order + "u4")
+        np.savez(file, words=codes.view(order + "U2"))
+        assert read_npz(file)["words"].tolist() == ["a\U0010ffff"]
+        np.savez(file, words=(codes + 1).astype(order + "u4").view(order + "U2"))
+        with pytest.raises(InputError, match="words holds characters that Unicode does not have"):
+            read_npz(file)
+
+
 def test_an_encrypted_archive_is_one_line(tmp_path: Path) -> None:
     data = bytearray(zipped("poses.npy", header("<f8", (4,), bytes(32))))
     for mark, place in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
