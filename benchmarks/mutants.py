@@ -198,7 +198,7 @@ MUTANTS = (
            "shares * np.log2(shares)", "tests/test_diversity.py"),
     Mutant("basic bootstrap without its reflection", "eval/stats.py", "2.0 * got - high, 2.0 * got - low",
            "low, high", "tests/test_stats.py"),
-    Mutant("analysis of variance: eta squared is the share within", "eval/anova.py", "1.0 - within / float(",
+    Mutant("analysis of variance: eta squared is the share within", "eval/study/anova.py", "1.0 - within / float(",
            "within / float(", "tests/test_study.py"),
     Mutant("Hellinger distance without its roots", "eval/metrics/smoothness.py",
            "np.sqrt(p / p.sum()) - np.sqrt(q / q.sum())", "p / p.sum() - q / q.sum()", "tests/test_smoothness.py"),

@@ -94,6 +94,7 @@ def test_what_python_writes_beyond_the_standard_is_read_where_it_wrote_it() -> N
 _OTHERS = {
     "data_module/json_files.py": "the reader itself",
     "data_module/performer/espeak_child.py": "runs in a process of its own, on what its parent wrote a moment ago",
+    "gesticulator/plan/exchange.py": "a copy of values that it has just written as text",
     "gesticulator/plan/json_lines.py": "the parser that knows the line of each value; one number at a time",
 }
 
