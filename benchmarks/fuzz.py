@@ -13,16 +13,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import random
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 import warnings
 from collections import Counter
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -212,26 +209,16 @@ def main() -> None:
 
 def save(asked: argparse.Namespace, shares: dict[str, int], found: dict[str, list[tuple[int, str]]]) -> None:
     """Write the table as JSON and as Markdown."""
-    from data_module.files import write_text
+    from eval.table import Column, Provenance, Table, publish
 
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True,
-                            check=False).stdout.strip()
-    about = {"title": "Readers of files against damaged files", "commit": commit, "bundle": "none",
-             "command": f"python benchmarks/fuzz.py --inputs {asked.inputs} --seed {asked.seed}",
-             "date": f"{datetime.now(UTC):%Y-%m-%d}",
-             "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"}
-    rows: list[dict[str, Any]] = [{"reader": name, "inputs": shares[name], "failures": len(failed),
-             "worst": failed[0][1] if failed else ""} for name, failed in found.items()]
-    total: dict[str, Any] = {"reader": "all", "inputs": sum(shares.values()),
-                             "failures": sum(map(len, found.values())), "worst": ""}
-    write_text(asked.out, json.dumps(about | {"rows": [*rows, total]}, indent=1) + "\n")
-    lines = [f"# {about['title']}", "",
-             f"`{about['command']}`, commit {commit}, bundle none, {about['machine']}, {about['date']}.", "",
-             "A failure is anything but an answer or a refusal in one line, over 5 s or over 1 GB.", "",
-             "| reader | inputs | failures | the first |", "|---|---|---|---|"]
-    lines += [f"| {row['reader']} | {row['inputs']} | {row['failures']} | {row['worst'].replace('|', ' ')} |"
-              for row in [*rows, total]]
-    write_text(asked.out.with_suffix(".md"), "\n".join(lines) + "\n")
+    rows: dict[str, dict[str, Any]] = {name: {"inputs": shares[name], "failures": len(failed),
+                                              "first": failed[0][1] if failed else ""}
+                                       for name, failed in found.items()}
+    rows["all"] = {"inputs": sum(shares.values()), "failures": sum(map(len, found.values())), "first": ""}
+    columns = {"inputs": Column("inputs"), "failures": Column("failures"), "first": Column("the first failure")}
+    notes = ["A failure is anything but an answer or a refusal in one line, over 5 s or over 1 GB."]
+    publish([Table("Readers of files against damaged files", columns, rows, "reader", notes)], asked.out,
+            Provenance.now(f"python benchmarks/fuzz.py --inputs {asked.inputs} --seed {asked.seed}"))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
-import platform
 import shutil
 import signal
 import subprocess
@@ -26,7 +25,6 @@ import tempfile
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -358,13 +356,9 @@ def table(outcomes: dict[Mutant, Outcome], earlier: Sequence[Table] = ()) -> Tab
                                 "seconds": outcome.seconds}
     rows = {mutant.formula: rows[mutant.formula] for mutant in MUTANTS if mutant.formula in rows}
     killed = sum(row["verdict"] == KILLED for row in rows.values())
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, check=True, capture_output=True,
-                            text=True).stdout.strip()
     lacking = f"; {len(MUTANTS) - len(rows)} more were not run" if len(rows) < len(MUTANTS) else ""
     notes = [f"{killed} of {len(rows)} mutants are killed{lacking}. Seconds are processor time of the test "
-             "file up to its first failing test.",
-             f"`python benchmarks/mutants.py`, commit {commit}, {date.today().isoformat()}, {platform.machine()}, "
-             f"Python {platform.python_version()}. No bundle is read."]
+             "file up to its first failing test."]
     columns = {"file": Column("file"), "test": Column("test that must notice"), "verdict": Column("verdict"),
                "seconds": Column("time", "s", 1)}
     return Table("Mutants of formulas", columns, rows, "formula, mutated", notes)
@@ -388,9 +382,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     started = time.perf_counter()
     outcomes = judged(chosen, asked.limit)
     if asked.out:
-        from eval.table import load, publish
+        from eval.table import Provenance, load, publish
 
-        publish([table(outcomes, load(asked.out) if asked.out.exists() else ())], asked.out)
+        publish([table(outcomes, load(asked.out) if asked.out.exists() else ())], asked.out,
+                Provenance.now("python benchmarks/mutants.py"))
     killed = sum(outcome.verdict == KILLED for outcome in outcomes.values())
     print(f"{killed} of {len(outcomes)} killed in {time.perf_counter() - started:.0f} s")
     return 0 if killed == len(outcomes) else 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from dataclasses import replace
@@ -24,6 +23,7 @@ from eval.table import (
     Column,
     Provenance,
     Table,
+    dumps,
     load_with_provenance,
     markdown,
     save,
@@ -60,7 +60,7 @@ def results(tmp_path: Path) -> Path:
                  replace(ABOUT, command=f"gesticulator probe {probe}"))
     for file, paper, numbers in (("figure-18", "RG Fig. 18", {"size-10": {"fgd": 1.5, "pmb": float("nan")}}),
                                  ("figure-5", "RG Fig. 5 and 8a", {"p": {"of": list(range(99))}})):
-        (folder / "ablation" / f"{file}.json").write_text(json.dumps({
+        (folder / "ablation" / f"{file}.json").write_text(dumps({
             "figure": paper, "title": f"what {file} shows", "caption": f"A caption of {file}.", "numbers": numbers}))
     (folder / "ablation" / "figure-18.svg").write_text(SVG)
     (folder / "limits.md").write_text("# Limits\n\nIt was made by rule, see [the gate](gate.md).\n")
