@@ -404,7 +404,8 @@ def test_a_store_of_what_was_published(name: str, tmp_path: Path, monkeypatch: p
     monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
     source = LAYOUTS[name](tmp_path / "source")
     out = tmp_path / "store"
-    assert main([name, "--source", str(source), "--out", str(out), "--workers", "1", "--no-dataset"]) == 0
+    assert main([name, "--source", str(source), "--out", str(out), "--workers", "1", "--no-dataset",
+                 "--verbose"]) == 0
     said = capsys.readouterr().out
     store = Store.open(out)
     told = json.loads((out / "report.json").read_text(encoding="utf-8"))

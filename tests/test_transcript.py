@@ -279,7 +279,7 @@ def test_what_the_aligner_cannot_read_shares_out_the_sound(tmp_path: Path, monke
 
 def test_only_plain_english_needs_the_aligner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pocketsphinx", None)
-    text._decoder.cache_clear()
+    text._loaded_decoder.cache_clear()
     plain = _read(tmp_path, "a.txt", "hello there")
     with pytest.raises(InputError, match=r"pip install 'gesticulator\[align\]'"):
         with_transcript(_noise(1.0), plain)

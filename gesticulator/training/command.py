@@ -90,7 +90,7 @@ def run(asked: argparse.Namespace) -> int:
     out = Path(asked.out)
     work = Path(asked.work) if asked.work else out.with_name(out.name + ".work")
     store = Store.open(asked.data)
-    for line in doubts(store):
+    for line in () if asked.quiet else doubts(store):
         complain(f"{PROGRAM}: warning: {asked.data}: {line}")
     with joined(asked.device) as device:
         made = train(config, store, out, work, TrainOptions(
