@@ -1,7 +1,7 @@
 """The one reader of JSON (RFC 8259): what a file asks for is bounded before it can cost memory, time or a crash.
 
 Python's own parser takes NaN and Infinity, turns 1e999 into infinity, raises RecursionError on deep nesting and
-ValueError on integers of thousands of digits; whoever uses such values later fails in some other place. Here each of
+ValueError on integers of thousands of digits; such values later fail in some other place. Here each of
 them is an `InputError` that names the file and the line.
 """
 

@@ -38,7 +38,7 @@ _CONSTANT = 5
 _LOWEST, _MOST_STEPS = 0, 100
 """The first step of a scale at least, and how many follow: each is a column of the tables."""
 _MOST_QUESTIONS = 1_000_000
-"""Clips x systems x aspects of a study: nobody rates more."""
+"""Clips x systems x aspects that one study may have at most."""
 _MOST_RATINGS = 50_000_000
 """Questions x raters, 8 bytes each."""
 _SHARE = (LEVEL[1] - LEVEL[0]) / 100

@@ -2,7 +2,7 @@
 
 `bundle.json` (format, versions, settings, skeleton, data fingerprint and licence, figures, SHA-256 of every file),
 `MODEL_CARD.md` and `*.safetensors` in half precision. It is written to a temporary folder, synced and renamed. An
-unknown format, a foreign skeleton, a file that is not what its hash says and a file of weights that nobody listed are
+unknown format, a foreign skeleton, a file that is not what its hash says and a file of weights that is not listed are
 refused by name. A model is opened when it is asked for, so that drawing one gesture reads no reward model; its shapes
 are compared with the settings before memory is taken for it.
 """

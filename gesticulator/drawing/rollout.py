@@ -55,7 +55,7 @@ class Sampling:
 class DrawnBlock:
     """One block of a rollout. motion: [K, D_m] features as the audience is shown them; lexeme: what was played; best:
     [M] the best lexemes and their scores [M], falling; code: [d_z]; gate: its probability, NaN where it was not asked;
-    prior, advantage: [M + 1] of the best lexemes and, last, the one that was played, NaN where nobody weighed them."""
+    prior, advantage: [M + 1] of the best lexemes and, last, the one that was played, NaN where none were weighed."""
 
     motion: NDArray[np.float32]
     lexeme: int
@@ -93,7 +93,7 @@ class LexemeWorth:
 class RolloutResult:
     """What a rollout gives: motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M],
     style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked. prior, advantage: [N, M + 1] of
-    the best lexemes and, last, the one that was played (`LexemeWorth`), NaN where nobody weighed them."""
+    the best lexemes and, last, the one that was played (`LexemeWorth`), NaN where none were weighed."""
 
     motion: NDArray[np.float32]
     lexemes: NDArray[np.int64]

@@ -65,7 +65,7 @@ class PlanMeaning:
     about: str = ""
     """What is meant, in words."""
     certainty: Annotated[float, SettingRange(0.0, 1.0)] | None = None
-    """How certain whoever found it was."""
+    """How certain the finding is."""
 
 
 @dataclass(frozen=True)
