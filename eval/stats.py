@@ -194,17 +194,6 @@ def of_set(figure: Callable[..., float], *counts: int, seed: int = 0, draws: int
     return limits(got, drawn, min(counts), basic=basic, least=least)
 
 
-def of_groups(figure: Callable[[Array], float], owner: Indices, *, draws: int = SET_DRAWS) -> Interval:
-    """A figure of values [n] that belong to groups, with its percentile interval; whole groups are drawn.
-
-    owner: [n] the group of each value, from 0 without a gap; figure(weights [n]) counts a value as often as its group
-    was drawn.
-    """
-    groups = int(owner.max()) + 1
-    return of_set(lambda chosen: figure(np.bincount(chosen, minlength=groups)[owner].astype(np.float64)), groups,
-                  draws=draws, basic=False)
-
-
 def jackknife(of: Callable[[list[int]], float], count: int) -> Array:
     """[n] pseudo-values n f(all) - (n - 1) f(all but k): what clip k adds to a figure of a set (Tukey 1958).
 

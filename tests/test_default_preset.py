@@ -203,9 +203,8 @@ def test_guidance_by_ear_changes_scores_and_keeps_them_probabilities(system: Ges
     np.testing.assert_array_equal(chosen(3.0, "statistical").scores, chosen(0.0, "statistical").scores)
 
 
-def test_untold_it_draws_the_same_whatever_is_asked_and_more_guidance_is_obeyed_more(
-        context: EvalContext, system: Gesticulator, recording: Recording, tiny_movement_bundle: Path, tmp_path: Path
-        ) -> None:
+def test_without_its_lexeme_a_block_is_drawn_the_same_whatever_the_lexeme(system: Gesticulator, recording: Recording
+                                                                           ) -> None:
     encoded = system.encode_speech(recording.speech)
 
     def drawn(lexeme: int, guidance: float) -> np.ndarray:
@@ -217,12 +216,3 @@ def test_untold_it_draws_the_same_whatever_is_asked_and_more_guidance_is_obeyed_
 
     np.testing.assert_array_equal(drawn(0, -1.0), drawn(7, -1.0))
     assert np.abs(drawn(0, 0.0) - drawn(7, 0.0)).max() > 0.1
-    out = tmp_path / "guidance.json"
-    assert PROBE.main("gesticulator probe", [
-        "guidance", "--store", str(context.store.path), "--bundle", str(tiny_movement_bundle), "--audio", "0",
-        "--lexeme", "-1", "6", "--split", "test", "--limit", "1", "--work", str(tmp_path), "--out", str(out)]) == 0
-    rows = load(out)[0].rows
-    untold, told = (rows[f"sound 0, lexeme {guidance}"]["obeyed"].mean for guidance in (-1, 6))  # type: ignore[union-attr]
-    assert untold != told, "sixty steps of training obey by chance; test_flow has who learned to"
-    assert next(iter(rows)) == "corpus"
-    assert sum("as frozen" in name for name in rows) == 1

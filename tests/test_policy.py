@@ -1,10 +1,9 @@
-"""Interpreters as policies: every quantity by hand, the policies on stand-ins, the probe on random networks."""
+"""Interpreters as policies: every quantity by hand, the policies on stand-ins."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,21 +11,11 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from untrained import with_policies
 
-from data_module.errors import InputError
 from data_module.layers import freeze
-from data_module.store import Store
 from eval.baselines.controls import Random, ReplayInterpreter
-from eval.metrics import gesture_features
-from eval.probes import policies
-from eval.rows.row import DECISIONS, VALUES
 from eval.runner import policy
-from eval.runner.context import EvalContext
 from eval.runner.policy import Decisions, Policy, PolicyJudge
-from eval.stats import Interval
-from eval.table import Marked
-from gesticulator.bundle import bundle as bundles
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmConfig
 from interpreters.reward import RewardConfig, RewardModel
@@ -161,20 +150,6 @@ def reward_of(own: Decisions, window: int = 3) -> RewardTable:
     return RewardTable(freeze(model), torch.randn(count, 2, 2), torch.zeros(count), torch.randn(SIZE, 2, 3))  # type: ignore[arg-type]
 
 
-def test_greedy_has_no_regret_and_forced_greedy_is_the_best_after_the_performer() -> None:
-    own = decisions([0, 1, 2, 3, 3, 1, 0, 2], silent=[3, 4])
-    rewards, take = reward_of(own), own.takes[0]
-    best = policy.greedy(rewards, own, take)
-    each, allowed = policy.every_reward(rewards, take, best), own.allowed(take)[1:]
-    assert policy.regret(each, best[1:], allowed) == pytest.approx(0.0, abs=1e-6)
-    assert best[0] == 0 and set(best[3:5]) <= {2, 3}
-    for lexemes in (take.lexemes, policy.walk(Policy(Next()), own, take)[0]):
-        assert policy.regret(policy.every_reward(rewards, take, lexemes), lexemes[1:], allowed) > 0.01
-    forced = policy.greedy(rewards, own, take, teacher=True)
-    expected = np.where(allowed, policy.every_reward(rewards, take, take.lexemes), -np.inf).argmax(1)
-    assert forced[1:].tolist() == expected.tolist()
-
-
 class ByTable:
     """An lstm whose probabilities are those of a table [S, S], by the lexeme before."""
 
@@ -251,62 +226,3 @@ def test_accuracy_of_known_interpreters() -> None:
     free = [1, 2, 3, 0, 1, 2, 3]
     assert policy.accuracy(Next(), own, own.takes[0], teacher=False) == pytest.approx(
         100 * np.mean(np.array(free) == own.takes[0].lexemes[1:]))
-
-
-# -------------------------------------------------------------------------------------------------------- the probe
-
-def test_means_over_blocks_and_over_recordings() -> None:
-    def row(*values: float) -> dict[str, np.ndarray]:
-        return {key: np.array(values) for part in policies.PARTS.values() for key in part}
-
-    rows = {"lstm": row(0.0, 10.0), "statistical": row(0.0, 0.0), "cql": row(4.0, 14.0)}
-    for table, columns in zip(policies.compared(rows, [1, 3]), policies.PARTS.values(), strict=True):
-        assert list(table.rows) == ["lstm", "statistical", "cql", "cql - lstm", "cql - statistical"]
-        for key, column in columns.items():
-            lstm, apart = (table.rows[name][key] for name in ("lstm", "cql - lstm"))
-            assert isinstance(lstm, Interval) and lstm.mean == (7.5 if column.by_blocks else 5.0)
-            assert apart == Interval(4.0, 4.0, 4.0, 2), "paired"
-
-
-@pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("policies")
-
-
-@pytest.fixture(scope="module")
-def bundle(tiny_store: Path, work: Path) -> bundles.Bundle:
-    """Nobody trained it."""
-    return with_policies(Store.open(tiny_store), work)
-
-
-def test_the_tables_of_a_bundle_with_random_networks(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> None:
-    by = [gesture_features.RawFeatures(frames, count=1) for frames in (10, 20)]
-    tables = policies.policies(EvalContext(Store.open(tiny_store), bundle, work, 2, False), by)
-    names = ["performer", "lstm", "lstm arg max", "statistical", "cql", "majority", "random", "greedy"]
-    mean: dict[str, dict[str, float]] = {name: {} for name in (*names, "cql - lstm", "cql - statistical")}
-    for table in tables[:len(policies.PARTS)]:
-        assert list(table.rows) == list(mean)
-        for name, row in table.rows.items():
-            mean[name] |= {key: cell.mean for key, cell in row.items() if isinstance(cell, Interval)}
-    assert mean["performer"]["accuracy"] == mean["performer"]["teacher_forced"] == 100.0
-    assert mean["greedy"]["regret"] == pytest.approx(0.0, abs=1e-5)
-    assert mean["greedy"]["judge_regret"] > 0 < mean["random"]["regret"]
-    assert mean["majority"]["lexeme_diversity"] < mean["random"]["lexeme_diversity"]
-    assert all(mean[name]["silent"] == 100.0 for name in names)
-    assert mean["lstm"]["lexeme_diversity"] != mean["lstm arg max"]["lexeme_diversity"], "one samples"
-    assert len({mean[name]["maje"] for name in names}) == len(names), "other lexemes, other motion"
-    assert mean["cql - lstm"]["cosine"] == pytest.approx(mean["cql"]["cosine"] - mean["lstm"]["cosine"])
-    distance, q = tables[-2:]
-    assert len(distance.columns) == 2 and len(q.rows) == len(DECISIONS[VALUES])
-    for key in distance.columns:
-        own = {name: cell.value if isinstance(cell, Marked) else cell
-               for name, cell in ((name, row[key]) for name, row in distance.rows.items())}
-        assert own["cql - lstm"].mean == pytest.approx(own["cql"].mean - own["lstm"].mean)  # type: ignore[union-attr]
-    nll, gap = (q.rows[DECISIONS[VALUES][key].title]["mean"] for key in ("nll", "gap"))
-    assert isinstance(nll, Interval) and isinstance(gap, Interval) and nll.mean >= gap.mean >= 0
-
-
-@pytest.mark.parametrize("lacking", ["q_network", "reward", "reward_judge", "interpreter"])
-def test_what_lacks_a_part_is_refused(tiny_store: Path, bundle: bundles.Bundle, work: Path, lacking: str) -> None:
-    with pytest.raises(InputError, match="Q-network"):
-        policies.policies(EvalContext(Store.open(tiny_store), bundle.with_parts(**{lacking: None}), work, 1, False), [])

@@ -63,7 +63,7 @@ def results(tmp_path: Path) -> Path:
         (folder / "ablation" / f"{file}.json").write_text(dumps({
             "figure": paper, "title": f"what {file} shows", "caption": f"A caption of {file}.", "numbers": numbers}))
     (folder / "ablation" / "figure-18.svg").write_text(SVG)
-    (folder / "limits.md").write_text("# Limits\n\nIt was made by rule, see [the gate](gate.md).\n")
+    (folder / "limits.md").write_text("# Limits\n\nIt was made by rule, see [the corpus](corpus.md).\n")
     return folder
 
 
@@ -81,7 +81,7 @@ def test_every_table_is_there_under_its_heading(results: Path) -> None:
         assert f"`gesticulator probe {probe}`" in sections["Other measurements"]
     assert "`languages.json` (`gesticulator probe languages`)" in sections["Other measurements"]
     assert "ours \\| mine" in text and "nan" not in text.split("## The metrics")[0].lower()
-    assert "[the gate](../results/gate.md)" in text, "links lead on from where the report lies"
+    assert "[the corpus](../results/corpus.md)" in text, "links lead on from where the report lies"
 
 
 def test_figures_stand_in_the_papers_order_with_caption_and_numbers(results: Path) -> None:
@@ -109,21 +109,21 @@ def test_the_chapters_are_the_docstrings(results: Path) -> None:
     assert "What fools it" in text.split("## The metrics")[1]
 
 
-@pytest.mark.parametrize("only", ["claims.json", "score.json", "ablation", "gate.json"])
+@pytest.mark.parametrize("only", ["claims.json", "score.json", "ablation", "corpus.json"])
 def test_any_part_may_be_alone_and_the_rest_is_named(results: Path, tmp_path: Path, only: str) -> None:
     alone = tmp_path / "alone"
     alone.mkdir()
     (shutil.copytree if (results / only).is_dir() else shutil.copy)(results / only, alone / only)
     text = report.report(alone, tmp_path / "out").read_text()
     assert text.count("is not there: `gesticulator ") >= 2
-    assert len(re.findall(r"`\w+\.json` \(`gesticulator probe", text)) == len(PROBES) - (only == "gate.json")
+    assert len(re.findall(r"`\w+\.json` \(`gesticulator probe", text)) == len(PROBES) - (only == "corpus.json")
 
 
 def test_what_cannot_be_read_is_left_out_and_named(results: Path) -> None:
-    (results / "gate.json").write_text('{"tables": 3}')
+    (results / "corpus.json").write_text('{"tables": 3}')
     (results / "ablation" / "figure-5.json").write_text("{")
     text = report.document(report.gather(results), results.parent / "report")
-    assert "Cannot be read, so left out: `gate.json`, `ablation/figure-5.json`." in text and "RG Fig. 18" in text
+    assert "Cannot be read, so left out: `corpus.json`, `ablation/figure-5.json`." in text and "RG Fig. 18" in text
 
 
 def test_nothing_at_all_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,8 +3,8 @@
 Every policy is given the performer's first lexeme of a recording and chooses the rest by itself, in silent blocks among
 the silent lexemes alone (where the bundle masks). M blocks are M - 1 decisions; S lexemes.
 
-What fools it: the training reward is what `greedy` and Q-networks were made to please. A policy that gains there and
-not under the judging model, which trained on other recordings, has found a hole in the reward and not a better gesture.
+What fools it: Q-networks are trained to raise the training reward. A policy that gains there and not under the judging
+model, which trained on other recordings, has found a hole in the reward and not a better gesture.
 """
 
 from __future__ import annotations
@@ -157,14 +157,6 @@ class Policy:
     top: int | None = None
 
 
-@dataclass(frozen=True)
-class Choices:
-    """What a policy did on each take, [M] lexemes: on its own past, and on the performer's."""
-
-    free: list[Lexemes]
-    forced: list[Lexemes]
-
-
 class Rewards(Protocol):
     """What is asked of a reward table (interpreters/reward.py)."""
 
@@ -202,21 +194,6 @@ def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: boo
 def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstration, teacher: bool) -> float:
     """Percent of a take's blocks, but the first, on which the best score is the performer's lexeme (RG Table 6)."""
     return lexeme_accuracy(walk(Policy(interpreter), decisions, take, teacher)[0][1:], take.lexemes[1:]).percent
-
-
-def greedy(rewards: Rewards, decisions: Decisions, take: Demonstration, teacher: bool = False) -> Lexemes:
-    """The lexemes [M] of the highest reward at each block, found by trying every one after those before.
-
-    No other choice has a higher reward at that block; over many blocks a patient one may do better still.
-    """
-    lexemes, allowed = take.lexemes.copy(), decisions.allowed(take)
-    for i in range(1, len(lexemes)):
-        begin = max(0, i - rewards.window + 1)
-        past = torch.as_tensor((take.lexemes if teacher else lexemes)[begin:i])[None]
-        blocks = torch.as_tensor(take.blocks[begin:i + 1])[None]
-        each = rewards.every(past, blocks, torch.ones(blocks.shape))[0].double().numpy()
-        lexemes[i] = int(np.where(allowed[i], each, -np.inf).argmax())
-    return lexemes
 
 
 @torch.inference_mode()
