@@ -27,7 +27,9 @@ _SUSPECT = re.compile(rf"(?<!\d)\d{{{MOST_DIGITS}}}|\d[eE]\+?\d{{3}}", re.ASCII)
 """What only a number that is too large has, or a text that looks like one."""
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 """An escaped surrogate, the half of a pair."""
-_STRINGS = re.compile(r'"(?:[^"\\]+|\\.)*"', re.DOTALL)
+_STRINGS = re.compile(r'"(?:[^"\\]+|\\.)*"?', re.DOTALL)
+"""Strings. The closing quote is optional so that no match fails once it has begun: over a string that is never closed,
+failing takes exponential time, since each way of dividing its characters is tried."""
 
 
 def read_json(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT, *, python: bool = False) -> Any:

@@ -89,3 +89,14 @@ def test_nothing_imports_a_probe() -> None:
         if probes:
             found[file] = probes
     assert not found
+
+
+_CLOCKS = {"perf_counter", "process_time", "thread_time", "clock_gettime", "timeit"}
+
+
+def test_no_test_measures_how_long_work_takes() -> None:
+    """Seconds differ between machines: tests bound counted work (`counted.counted_calls`)."""
+    found = [f"{file.name}:{node.lineno} {node.attr}" for file in sorted((ROOT / "tests").glob("*.py"))
+             for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Attribute)
+             and node.attr.removesuffix("_ns") in _CLOCKS]
+    assert found == []

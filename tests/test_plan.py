@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import jsonschema
 import numpy as np
 import pytest
+from counted import counted_calls
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -235,13 +236,50 @@ def test_bml_of_no_plan_is_one_line(text: str) -> None:
     assert len(str(error.value)) < 300
 
 
-def test_reading_bml_takes_time_by_its_size_alone() -> None:
-    """A text of 16 MB comes in thousands of pieces: they are joined once, not each time."""
-    text = f'{_BML}<g:plan>{{"blocks": [], "a": "{"x&amp;" * 2_000_000}"}}</g:plan></bml>'
-    begin = time.process_time()
-    with pytest.raises(InputError):
-        parse_bml(text.encode())
-    assert time.process_time() - begin < 10  # 100 s where each piece is added to all before it
+class _Piece(str):
+    """Text of an XML parser that counts the characters that `+` copies."""
+
+    copied = 0
+
+    def __add__(self, other: str) -> _Piece:
+        _Piece.copied += len(self) + len(other)
+        return _Piece(str(self) + str(other))
+
+    def __radd__(self, other: str) -> _Piece:
+        return _Piece(other) + self
+
+
+class _PieceParser:
+    """The parser of expat, which gives text as `_Piece`."""
+
+    def __init__(self, **settings: Any) -> None:
+        vars(self)["real"] = _create_parser(**settings)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.real, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self.real, name, (lambda data: value(_Piece(data))) if name == "CharacterDataHandler" else value)
+
+
+_create_parser = expat.ParserCreate
+
+
+def _bml_work(entities: int, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int]:
+    """Characters of text that `+` copies, and calls, while a BML text of so many entities is read."""
+    _Piece.copied = 0
+    text = f'{_BML}<g:plan>{{"blocks": [], "a": "{"x&amp;" * entities}"}}</g:plan></bml>'.encode()
+    monkeypatch.setattr(expat, "ParserCreate", _PieceParser)
+    with counted_calls() as calls, pytest.raises(InputError):
+        parse_bml(text)
+    return _Piece.copied, calls.count
+
+
+def test_the_work_of_reading_bml_grows_as_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A text comes from the XML parser in pieces: they are joined once, not each to all before it."""
+    (copied, calls), (copied_twice, calls_twice) = (_bml_work(entities, monkeypatch) for entities in (50_000, 100_000))
+    assert copied <= 2 * 50_000 and copied_twice <= 2 * 100_000, "characters of the text"
+    assert calls < calls_twice <= 2 * calls
 
 
 def test_a_plan_of_millions_of_values_is_refused_before_it_takes_gigabytes() -> None:
