@@ -21,6 +21,10 @@ from data_module.json_files import parse_json
 
 T = TypeVar("T")
 
+PRIVATE_MARK = "private"
+PRIVATE = {PRIVATE_MARK: True}
+"""Metadata of a dataclass field that is not written to files."""
+
 
 @dataclass(frozen=True)
 class SettingRange:

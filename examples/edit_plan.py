@@ -9,7 +9,8 @@ import sys
 from dataclasses import replace
 
 from gesticulator import Gesticulator
-from gesticulator.plan.plan import edited_blocks, write_plan_file
+from gesticulator.plan.plan import edited_blocks
+from gesticulator.plan.plan_file import write_plan_file
 
 
 def main(sound: str, output: str, plan_output: str) -> None:

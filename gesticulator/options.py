@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
 from data_module.errors import InputError
-from gesticulator.plan.plan import ENERGIES, HANDS, shapes
+from gesticulator.plan.plan import ENERGIES, HANDS, PlanKnobs, shapes
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
@@ -189,6 +189,13 @@ class InferenceOptions:
                 raise TypeError(f"{name} is not an option" + (f"; did you mean {near[0]}?" if near else
                                                               f"; choose among {', '.join(known)}"))
         return cls(**options)
+
+    @property
+    def knobs(self) -> PlanKnobs:
+        """The knobs of a plan; an activity that is left to the bundle counts as 1."""
+        return PlanKnobs(float(self.intensity), self.mirror, self.energy,
+                         1.0 if self.activity is None else float(self.activity), self.handedness,
+                         tuple((float(begin), float(stop)) for begin, stop in self.hold_still))
 
     @property
     def energy_share(self) -> float:

@@ -7,8 +7,8 @@ before numpy and torch are loaded.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.rig import Character, CharacterMotion
-    from gesticulator.drawing.rollout import LexemeWorth
     from gesticulator.export.scene import Scene
     from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import GesturePlan, LexemeName
@@ -33,66 +32,93 @@ __all__ = ["Performance"]
 _END_TOLERANCE = 0.05
 
 
-# ---------------------------------------------------------------------------------------------------- the result
-
-
 @dataclass(frozen=True)
 class Performance:
-    """Gesture for one recording.
+    """Gesture for one recording: the speech, the plan of what is gestured in it, and the motion.
 
     motion: on the character of 16, 46 or, with legs, 54 joints, at any frame rate. speech: the sound. blocks: N blocks
-    that tile it. lexemes: [N] the lexeme that was played. best: [N, M] the M best lexemes, best first; scores: [N, M]
-    what the interpreter thought of them, falling along M. M is `BEST`, or the size of the lexicon where that is
-    smaller. The played lexeme need not be the first of `best` (it may have been drawn, or asked for). codes: [N, d_z]
-    style codes. gate: [N] how likely a gesture was on each block, NaN where the gate was not asked. notes: what the
-    user should know, a line each.
+    that tile it. lexemes: [N] the lexeme that was played. codes: [N, d_z] style codes. decided: the plan, without the
+    names of lexemes (`plan` gives them).
     """
 
     motion: Motion
     speech: Speech
     blocks: Blocks
     lexemes: NDArray[np.int64]
-    best: NDArray[np.int64]
-    scores: NDArray[np.float64]
-    codes: NDArray[np.float32] | None = None
-    gate: NDArray[np.float64] | None = None
-    notes: tuple[str, ...] = ()
-    score_is: str = "log-probability"
-    """What the scores are: natural logarithms of probabilities, or "Q value". A Q value is what RACER's Q-network gives
-    a lexeme. It ranks lexemes, and is no expected return: the conservative loss pushes it down where the data have few
-    examples (RACER Eq. 11), so its size is not that of any sum of rewards."""
-    weighed: LexemeWorth | None = None
-    """Of the interpreter "advantage": what the candidates are worth."""
+    codes: NDArray[np.float32]
+    decided: GesturePlan
+    options: InferenceOptions | None = None
+    """The options of the performance, with nothing left to the bundle."""
+    names: Callable[[], tuple[LexemeName, ...]] | None = None
+    """Gives the names of the lexemes, worked out on the first call."""
     character: CharacterMotion | None = None
     """The same motion on a character of the user's, shown by .bvh, .glb, .fbx, .usda, .usdc, .csv, .parquet."""
-    made_by: Mapping[str, Any] = field(default_factory=dict)
-    """What made it, in plain values: the version, the bundle, and the settings that were asked for or chosen."""
-    options: InferenceOptions | None = None
-    """What was asked, with nothing left to the bundle."""
-    names: Callable[[], tuple[LexemeName, ...]] | None = None
-    """The names of the lexemes, worked out when they are asked for."""
-    sound_name: str = ""
-    """The file of the sound."""
 
     def __post_init__(self) -> None:
         import numpy as np
 
         n = len(self.blocks)
-        if self.lexemes.shape != (n,) or self.best.ndim != 2 or len(self.best) != n or self.best.shape[1] == 0:
-            raise ValueError(f"lexemes {self.lexemes.shape} and best {self.best.shape} do not fit {n} blocks")
-        if self.scores.shape != self.best.shape or not np.isfinite(self.scores).all():
-            raise ValueError(f"scores must be finite and shaped as best, {self.best.shape}")
-        if (np.diff(self.scores, axis=1) > 0).any():
+        if self.lexemes.shape != (n,) or len(self.codes) != n or len(self.decided.blocks) != n:
+            raise ValueError(f"{self.lexemes.shape} lexemes, {len(self.codes)} codes and {len(self.decided.blocks)} "
+                             f"planned blocks do not fit {n} blocks")
+        scores = self.scores
+        if self.best.ndim != 2 or self.best.shape[1] == 0 or not np.isfinite(scores).all():
+            raise ValueError("each block needs as many alternatives as the others, with finite scores")
+        if (np.diff(scores, axis=1) > 0).any():
             raise ValueError("scores must fall: the best candidate first")
-        if self.weighed is not None and self.weighed.prior.shape != (n, self.best.shape[1] + 1):
-            raise ValueError(f"the worth of lexemes {self.weighed.prior.shape} does not fit best {self.best.shape}")
         if self.blocks.edges[0] != 0 or abs(self.blocks.edges[-1] - self.speech.duration) > _END_TOLERANCE:
             raise ValueError(f"blocks from {self.blocks.edges[0]} to {self.blocks.edges[-1]} s do not tile "
                              f"{self.speech.duration} s of sound")
 
+    @property
+    def best(self) -> NDArray[np.int64]:
+        """[N, M] the best lexemes of each block, best first. The one that was played need not be the first: it may
+        have been sampled, or asked for."""
+        return self._alternatives("lexeme", int)
+
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """[N, M] the interpreter's scores of `best`, falling along M."""
+        return self._alternatives("score", float)
+
+    @property
+    def score_is(self) -> str:
+        """The scores are natural logarithms of probabilities ("log-probability"), or "Q value": RACER's Q-network ranks
+        lexemes by it. It is no expected return: the conservative loss lowers it where the data have few examples
+        (RACER Eq. 11)."""
+        return self.decided.score_is
+
+    @property
+    def gate(self) -> NDArray[np.float64]:
+        """[N] the gate's probability of a gesture, NaN where there is no gate."""
+        import numpy as np
+
+        return np.array([np.nan if block.gate is None else block.gate for block in self.decided.blocks])
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks for the user, a line each."""
+        return self.decided.notes
+
+    @property
+    def sound_name(self) -> str:
+        """The name of the sound's file; empty for samples."""
+        return self.decided.sound.name
+
+    def labelled(self, sound_name: str, notes: tuple[str, ...] = ()) -> Performance:
+        """The performance with the name of the sound's file, and with remarks for the user."""
+        # A file's name may hold bytes that are no text.
+        name = sound_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+        return replace(self, decided=replace(self.decided, notes=notes, sound=replace(self.decided.sound, name=name)))
+
+    def _alternatives(self, member: str, kind: type) -> NDArray[Any]:
+        import numpy as np
+
+        rows = [[getattr(one, member) for one in block.alternatives] for block in self.decided.blocks]
+        return np.array(rows, dtype=kind)
+
     def __repr__(self) -> str:
-        settings = self.made_by.get("settings", {})
-        by = ", ".join(str(settings[name]) for name in ("speaker", "interpreter") if settings.get(name))
+        by = ", ".join(name for name in (self.decided.speaker, self.decided.interpreter) if name)
         return (f"<Performance of {self.sound_name or 'samples'}: {self.duration:.1f} s, {len(self.blocks)} blocks, "
                 f"{len(self.motion)} frames of {len(self.joints)} joints at {self.fps:g} fps"
                 + (f", by {by}>" if by else ">"))
@@ -165,16 +191,11 @@ class Performance:
         return replace(self, character=retarget(self.motion, character, mapping, contacts=contacts))
 
     def plan(self) -> GesturePlan:
-        """What was decided, as a plan that can be edited and rendered again (`InferenceOptions.plan`)."""
-        from gesticulator.directing.record import plan_of
+        """The plan with the names of lexemes: it can be edited and rendered again (`InferenceOptions.plan`)."""
+        from gesticulator.directing.record import named
 
-        return plan_of(self)
+        return named(self.decided, () if self.names is None else self.names())
 
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture, ready for JSON: `plan` in plain values (docs/plan.md)."""
         return self.plan().to_dict()
-
-
-# ---------------------------------------------------------------------------------------------------- its files
-
-

@@ -24,8 +24,8 @@ from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.drawing.cutter import BlockCutter, encode_speech
-from gesticulator.drawing.drawer import Direction
-from gesticulator.drawing.rollout import Cast, OnBlock, RolloutResult, Sampling, asked_rows
+from gesticulator.drawing.driver import Cast, ControlRows, Driver, OnBlock, Rendering, controls_at, requests
+from gesticulator.drawing.rollout import Sampling
 from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
 from gesticulator.performance import Performance
@@ -173,17 +173,15 @@ class Gesticulator:
             return self.render(speech, options, on_block=on_block)
         cast = self.cast(options, self._reads(speech))
         encoded = self.encode_speech(speech) if encoded is None else encoded
-        rows, said = self._control_rows(cast.controls, encoded), None
+        directions = None
         if options.directed:
             from gesticulator.directing import directions as directing
 
-            said = directing.directions(self.bundle, options, speech, encoded.blocks)
-        made = cast.rollout(self.bundle).run(encoded, rows, on_block, said)
-        if options.variation:
-            again = [replace(one, lexeme=int(lexeme)) for one, lexeme
-                     in zip(said or [Direction()] * len(encoded), made.lexemes, strict=True)]
-            made = cast.varied(self.bundle).run(encoded, rows, on_block, again)
-        return self._performance(speech, options, cast, encoded, made)
+            directions = directing.directions(self.bundle, options, speech, encoded.blocks)
+        driver = Driver(self.bundle, cast)
+        driver.begin(encoded.text is not None)
+        blocks = driver.run(requests(encoded, self._control_rows(cast.controls, encoded), directions), on_block)
+        return self._performance(speech, options, cast, Rendering(encoded, blocks, driver.motion(blocks)))
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
                **options: Unpack[InferenceArguments]) -> Stream:
@@ -243,9 +241,8 @@ class Gesticulator:
 
         assert options.plan is not None
         directing.check_plan_of(self.bundle, options.plan, speech)
-        redrawn = (renderer or self.plan_renderer(speech, options, on_block)).render(options.plan)
-        cast = self.cast(options, self._reads(speech))
-        return self._performance(speech, options, cast, redrawn.encoded, redrawn.result)
+        rendering = (renderer or self.plan_renderer(speech, options, on_block)).render(options.plan)
+        return self._performance(speech, options, self.cast(options, self._reads(speech)), rendering)
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None) -> PlanRenderer:
         """What renders the plans of one first drawing of a speech (at 16 kHz), each in the time of its edits.
@@ -261,30 +258,30 @@ class Gesticulator:
         cast = replace(cast, sampling=replace(cast.sampling, variation=plan.variation))
         rhythm = self.bundle.config.rhythm
         return PlanRenderer(Redrawer(
-            lambda activity: replace(cast, activity=activity).rollout(self.bundle),
+            lambda activity: Driver(self.bundle, replace(cast, activity=activity)),
             lambda blocks: self.encode_speech(speech, blocks),
             lambda encoded: self._control_rows(cast.controls, encoded),
             lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block)
 
-    def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, encoded: SpeechFeatures,
-                     made: RolloutResult) -> Performance:
-        shaping = None
+    def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, rendering: Rendering) -> Performance:
+        from gesticulator.directing.record import Origin, plan_of, rendered_plan
+
+        encoded, blocks, shaping = rendering.encoded, rendering.blocks, None
         if options.shaped:
             from gesticulator.directing import directions as directing
 
-            shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (),
-                                        encoded.blocks.edges)
-        motion = self.to_motion(made.motion, encoded, cast.speaker, options, shaping)
+            shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (), encoded.blocks.edges)
+        motion = self.to_motion(rendering.motion, encoded, cast.speaker, options, shaping)
         used = replace(options, speaker=self.speakers[cast.speaker],
                        interpreter=options.interpreter or self.interpreters[0],
                        temperature=cast.sampling.temperature, beta=cast.beta,
                        activity=self.bundle.config.selection.activity if options.activity is None else options.activity,
                        controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None)
-        return Performance(motion=motion, speech=speech, blocks=encoded.blocks, lexemes=made.lexemes, best=made.best,
-                           scores=made.scores, codes=made.codes, gate=made.gate, weighed=made.worth,
-                           score_is="Q value" if cast.by_value else "log-probability",
-                           made_by=self._made_by(used, self._reads(speech)), options=used,
-                           names=self.lexeme_names)
+        origin = Origin(used, self._program(), self._settings(used, self._reads(speech)), cast.score_is)
+        plan = (plan_of(speech, encoded.blocks, blocks, origin) if options.plan is None else
+                rendered_plan(options.plan, speech, blocks, origin))
+        return Performance(motion, speech, encoded.blocks, np.array([block.lexeme for block in blocks], np.int64),
+                           np.stack([block.code for block in blocks]), plan, used, self.lexeme_names)
 
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
@@ -305,7 +302,7 @@ class Gesticulator:
             options = without_mismatches(options, spoken.words or (), spoken.duration)
         made = self._perform(spoken, options, encoded, on_block)
         name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
-        return replace(made, notes=notes, sound_name=name)
+        return made.labelled(name, made.notes if options.plan is not None else notes)
 
     def encode_speech(self, speech: Speech, blocks: Blocks | None = None) -> SpeechFeatures:
         """A speech at 16 kHz cut into blocks (into these, where told) and encoded, with its words where the bundle
@@ -347,19 +344,23 @@ class Gesticulator:
         text = os.fspath(asked) if isinstance(asked, str | os.PathLike) else repr(float(asked))
         return parse(f"hand_{feature}", text, feature, self.bundle.levels)
 
-    def _control_rows(self, controls: Controls, encoded: SpeechFeatures) -> NDArray[np.float32] | None:
-        """[N, K, 2 F] what is asked and whether it is, or None where nothing is."""
-        if self.bundle.levels is None or controls == Controls.free():
-            return None
-        times = encoded.blocks.knot_times.reshape(len(encoded), -1)
-        return np.stack([asked_rows(self.bundle.levels, controls, own) for own in times])
+    def _control_rows(self, controls: Controls, encoded: SpeechFeatures) -> ControlRows | None:
+        """[N, K, 2 F] rows of the controls, or None where nothing is controlled."""
+        blocks = encoded.blocks
+        rows = controls_at(self.bundle.levels, controls, blocks.knot_times)
+        return None if rows is None else rows.reshape(len(blocks), blocks.frames, -1)
 
-    def _made_by(self, options: InferenceOptions, words: bool) -> dict[str, Any]:
-        """What made a performance, in plain values. options: with nothing left to the bundle; words: they were read."""
-        name = interpreter_name(options.interpreter or self.interpreters[0])
+    def _program(self) -> dict[str, Any]:
+        """The version and the bundle, in plain values."""
+        return {"gesticulator": __version__, "bundle": {"preset": self.bundle.config.name,
+                                                        "lexicon": lexicon_hash(self.bundle.vectors)}}
+
+    def _settings(self, options: InferenceOptions, words: bool) -> dict[str, Any]:
+        """Everything that a generation depends on, in plain values. options: with nothing left to the bundle; words:
+        whether they were read."""
         settings: dict[str, Any] = {
-            "speaker": options.speaker, "interpreter": name, "words": words, "seed": int(options.seed),
-            "variation": int(options.variation),
+            "speaker": options.speaker, "interpreter": interpreter_name(options.interpreter or self.interpreters[0]),
+            "words": words, "seed": int(options.seed), "variation": int(options.variation),
             **{key: float(getattr(options, key)) for key in ("temperature", "activity", "fps", "gain")}}
         if options.beta is not None:
             settings["beta"] = float(options.beta)
@@ -370,8 +371,7 @@ class Gesticulator:
             if value is not None:
                 settings[f"hand_{feature}"] = ({"times": list(value.times), "values": list(value.values)}
                                                if isinstance(value, Curve) else float(value))
-        bundle = {"preset": self.bundle.config.name, "lexicon": lexicon_hash(self.bundle.vectors)}
-        return {"gesticulator": __version__, "bundle": bundle, "settings": settings}
+        return settings
 
     def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int,
                   options: InferenceOptions, shaping: Callable[[Array, Array], Array] | None = None) -> Motion:

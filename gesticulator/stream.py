@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.controls import Controls
 from data_module.errors import InputError
 from data_module.speech import onsets, silence
 from data_module.speech.audio import SAMPLE_RATE, SampleFeed
@@ -33,13 +32,14 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock
 from gesticulator.drawing.cutter import TICK, BlockCutter
 from gesticulator.drawing.drawer import FREE
-from gesticulator.drawing.rollout import Cast, asked_rows
+from gesticulator.drawing.driver import BlockRequest, Cast, Driver, controls_at
 from gesticulator.options import InferenceOptions
+from gesticulator.plan.plan import Block
 
 if TYPE_CHECKING:
     from gesticulator.directing.directions import Director
 
-__all__ = ["Stream", "StreamBlock", "StreamFrames", "StreamState"]
+__all__ = ["Stream", "StreamFrames", "StreamState"]
 
 _KNOT = 0.04
 """Seconds between the poses of idling."""
@@ -57,17 +57,6 @@ class StreamState(StrEnum):
 
 
 @dataclass(frozen=True)
-class StreamBlock:
-    """A block that was drawn, as an event. start, end: seconds of media time (a beat lies on the end); lexeme: what was
-    played; silent: the block lies in a pause."""
-
-    start: float
-    end: float
-    lexeme: int
-    silent: bool
-
-
-@dataclass(frozen=True)
 class StreamFrames:
     """Frames that are final: they follow those before without a gap and will not change, unless `interrupt` takes the
     ones back that were not played. There may be none.
@@ -82,7 +71,7 @@ class StreamFrames:
     skeleton: Skeleton
     rotations: Array
     root_positions: Array
-    blocks: tuple[StreamBlock, ...] = ()
+    blocks: tuple[Block, ...] = ()
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -98,7 +87,7 @@ class StreamFrames:
         return Motion(self.skeleton, self.rotations, self.root_positions, self.fps)
 
 
-_Made: TypeAlias = "list[tuple[Motion | None, StreamBlock | None]]"
+_Made: TypeAlias = "list[tuple[Motion | None, Block | None]]"
 
 
 class Stream:
@@ -121,9 +110,8 @@ class Stream:
         self._voice = SampleFeed(sample_rate, self._gain)
         self._cutter: BlockCutter | None = cutter()
         self._text = self._cutter.reads
-        self._rollouts = [cast.rollout(bundle), *([cast.varied(bundle)] if cast.variation else [])]
-        for one in self._rollouts:
-            one.begin(self._text)
+        self._driver = Driver(bundle, cast)
+        self._driver.begin(self._text)
         if options.plan is not None:
             raise InputError("plan", "is of a whole recording", "render it without a stream")
         self._director: Director | None = None
@@ -209,8 +197,7 @@ class Stream:
     @hurried.setter
     def hurried(self, on: bool) -> None:
         self._hurried = on
-        for one in self._rollouts:
-            one.hurry(on)
+        self._driver.hurry(on)
 
     # -------------------------------------------------------------------------------------------------- what is done
 
@@ -286,8 +273,7 @@ class Stream:
         kept = RestKnots(knots.times[old:last], knots.poses[old:last], knots.gains[old:last])
         shown = shown[old:last]
         if last > 1:
-            for one in self._rollouts:
-                one.break_off(kept, at)
+            self._driver.break_off(kept, at)
             self._path.rewind(kept.times, shown, min(math.ceil(at * self.fps - 1e-6), self._path.next))
         self._shown = deque([(kept, shown)])
         self._committed = float(kept.times[-1])
@@ -354,7 +340,7 @@ class Stream:
         while self._path.next < count:
             away = until + self._path.reach - self._committed
             knots, start = min(max(math.ceil(away / _KNOT), 1), frames), self._committed
-            features = [one.idle(start, _KNOT, knots) for one in self._rollouts][-1]
+            features = self._driver.idle(start, _KNOT, knots)
             times = start + _KNOT * np.arange(1, knots + 1, dtype=np.float64)
             made.append((self._show(times, features, count), None))
         return made
@@ -366,16 +352,11 @@ class Stream:
                              end=block.end + self._begun)
             edges = np.array([speech.start, speech.end])
             times = Blocks(edges, np.zeros(1, np.int8), np.zeros(1, bool), self._bundle.frames, 1.0).knot_times
-            levels, controls = self._bundle.levels, self._cast.controls
-            asked = None if levels is None or controls == Controls.free() else asked_rows(levels, controls, times)
-            drawn, *varied = self._rollouts
-            said = FREE if self._director is None else self._director.direction(times, speech.start)
-            last = drawn.step(speech, asked, said)
-            for one in varied:
-                last = one.step(speech, asked, replace(said, lexeme=last.lexeme))
+            direction = FREE if self._director is None else self._director.direction(times, speech.start)
+            drawn = self._driver.draw(BlockRequest(
+                speech, controls_at(self._bundle.levels, self._cast.controls, times), direction))
             self._past_blocks += 1
-            made.append((self._show(times, last.motion),
-                         StreamBlock(speech.start, speech.end, last.lexeme, speech.silent[1])))
+            made.append((self._show(times, drawn.motion), drawn.block))
         return made
 
     def _show(self, times: Array, features: NDArray[np.float32], until: int | None = None) -> Motion | None:
@@ -383,9 +364,7 @@ class Stream:
         turned = self._turns(times)
         if turned is not None:
             features = (features + turned * self._scale).astype(np.float32)
-        shown = self._rollouts[-1]
-        assert shown.life is not None
-        self._shown.append((RestKnots(times, shown.past[-len(times):], shown.life.gains), features))
+        self._shown.append((self._driver.knots(times), features))
         while self._shown[0][0].times[-1] < times[-1] - self._path.history:
             self._shown.popleft()
         self._committed = float(times[-1])

@@ -15,12 +15,13 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
 from gesticulator.body.motion_path import HISTORY
+from gesticulator.plan.plan import Block, BlockDraw
 from gesticulator.serve.protocol import StreamRequest
 from gesticulator.serve.server import LiveServer, Page, ServerAddress
 from gesticulator.serve.session import Session, SessionFacts
 from gesticulator.serve.settings import ServerLimits
 from gesticulator.serve.vmc import VmcOutput
-from gesticulator.stream import StreamBlock, StreamFrames, StreamState
+from gesticulator.stream import StreamFrames, StreamState
 
 Share = float | Callable[[], float]
 """Seconds of work for a second of sound."""
@@ -93,7 +94,7 @@ class TellingStream:
         turns = np.zeros((len(numbers), len(CHARACTER), 4))
         turns[..., 0] = 1.0
         turns[:, 0] = rotation.from_exponential_map(np.stack([0 * numbers, numbers * TURN, 0 * numbers], -1))
-        blocks = tuple(StreamBlock(k * LOOK_AHEAD, (k + 1) * LOOK_AHEAD, k, k % 2 == 1)
+        blocks = tuple(Block(k * LOOK_AHEAD, (k + 1) * LOOK_AHEAD, k, k % 2 == 1, BlockDraw(0, 0, k))
                        for k in range(int(first / fps / LOOK_AHEAD), int(self.made / fps / LOOK_AHEAD)))
         return StreamFrames(first, fps, CHARACTER, turns, np.tile([0.0, 0.95, 0.0], (len(numbers), 1)), blocks)
 

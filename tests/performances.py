@@ -9,10 +9,15 @@ import numpy as np
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import BeatFlag, Blocks, Motion, Skeleton, Speech, Word
+from gesticulator.directing.record import Origin, plan_of
+from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.export import writers
+from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
+from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
 
 RATE = 16000
+NONE = np.empty((1, 0), np.float32)
 
 
 def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height: float = 0.0,
@@ -34,8 +39,18 @@ def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height:
     flags[-1] = BeatFlag.BOUNDARY
     best = np.stack([rng.choice(64, 5, replace=False) for _ in range(n)])
     scores = np.sort(rng.uniform(size=(n, 5)), axis=1)[:, ::-1].copy()
-    return Performance(motion, speech, Blocks(edges, flags, rng.random(n) < 0.3, 8, 30.0), best[:, 0].copy(), best,
-                       scores)
+    cut = Blocks(edges, flags, rng.random(n) < 0.3, 8, 30.0)
+    blocks = [BlockMotion(_block(cut, i, best[i].tolist(), scores[i].tolist()), int(best[i, 0]), NONE,
+                          NONE[0]) for i in range(n)]
+    settings = {"seed": 0, "variation": 0, "speaker": "", "interpreter": ""}
+    plan = plan_of(speech, cut, blocks, Origin(InferenceOptions(), {}, settings, "log-probability"))
+    return Performance(motion, speech, cut, best[:, 0].copy(), np.empty((n, 0), np.float32), plan)
+
+
+def _block(cut: Blocks, i: int, best: list[int], scores: list[float]) -> Block:
+    flag = BeatFlag(int(cut.flags[i])).name.lower()
+    return Block(float(cut.edges[i]), float(cut.edges[i + 1]), best[0], bool(cut.silent[i]), BlockDraw(0, 0, i), flag,
+                 alternatives=tuple(LexemeChoice(n, "", score) for n, score in zip(best, scores, strict=True)))
 
 
 def write(path: Path, performance: Performance, *, unit: str = "cm") -> Path:

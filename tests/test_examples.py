@@ -23,7 +23,8 @@ from eval.table import load
 from gesticulator import Gesticulator
 from gesticulator.bundle.config import Schedules
 from gesticulator.characters.blender import check_blender, run_in_blender
-from gesticulator.plan.plan import edited_blocks, read_plan
+from gesticulator.plan.plan import edited_blocks
+from gesticulator.plan.plan_file import read_plan
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0

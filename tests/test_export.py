@@ -75,11 +75,12 @@ def test_plan_file_is_the_explanation(tmp_path: Path) -> None:
 ])
 def test_a_performance_that_contradicts_itself_is_refused(change: dict, message: str) -> None:
     whole = perform()
-    if isinstance(change.get("scores"), str):
-        scores = whole.scores[:, ::-1].copy() if change["scores"] == "rising" else whole.scores.copy()
-        if change["scores"] == "nan":
-            scores[0, 0] = np.nan
-        change = {"scores": scores}
+    if "scores" in change:
+        first = whole.decided.blocks[0]
+        choices = first.alternatives[::-1] if change["scores"] == "rising" else \
+            (replace(first.alternatives[0], score=np.nan), *first.alternatives[1:])
+        blocks = (replace(first, alternatives=choices), *whole.decided.blocks[1:])
+        change = {"decided": replace(whole.decided, blocks=blocks)}
     with pytest.raises(ValueError, match=message):
         replace(whole, **change)
 

@@ -20,31 +20,29 @@ from gesticulator.plan.bml import bml_of, parse_bml
 from gesticulator.plan.exchange import PlanExchange
 from gesticulator.plan.json_lines import parse
 from gesticulator.plan.plan import (
+    FORMAT,
     GESTURES,
+    VERSION,
+    Block,
     BlockDraw,
     DrawnBlocks,
     GestureCue,
     GestureName,
-    GesturePlan,
-    LexemeChoice,
-    LexemeName,
-    PlanBlock,
-    PlanKnobs,
-    PlanSound,
-    PlanWord,
-    edited_blocks,
-    parse_plan,
-    schema,
-)
-from gesticulator.plan.sections import (
     GesturePhase,
+    GesturePlan,
     GestureUnit,
     KnobCurve,
+    LexemeChoice,
+    LexemeName,
+    PlanKnobs,
     PlanMeaning,
+    PlanSound,
+    PlanWord,
     PosePin,
     SoundAlignment,
+    edited_blocks,
 )
-from gesticulator.plan.upgrade import FORMAT, UPGRADES, VERSION
+from gesticulator.plan.plan_file import UPGRADES, parse_plan, schema
 
 SCHEMA = Path(__file__).resolve().parent.parent / "docs" / "schema" / "plan.schema.json"
 VERSION_1 = Path(__file__).resolve().parent / "data" / "plans" / "version_1.json"
@@ -56,8 +54,8 @@ def a_plan(count: int = 4, seed: int = 7) -> GesturePlan:
     edges = tuple(np.round(np.concatenate([[0.0], np.cumsum(rng.uniform(0.2, 0.5, count))]), 3).tolist())
     lexemes = tuple(rng.integers(0, 3, count).tolist())
     flags = (*("onset",) * (count - 1), "boundary")
-    blocks = tuple(PlanBlock(edges[i], edges[i + 1], lexemes[i], i == 0, BlockDraw(seed, 0, i), flags[i],
-                             NAMES[lexemes[i]], alternatives=(LexemeChoice(1, NAMES[1], -0.5),)) for i in range(count))
+    blocks = tuple(Block(edges[i], edges[i + 1], lexemes[i], i == 0, BlockDraw(seed, 0, i), flags[i],
+                         NAMES[lexemes[i]], alternatives=(LexemeChoice(1, NAMES[1], -0.5),)) for i in range(count))
     return GesturePlan(
         FORMAT, VERSION, {"gesticulator": "0", "settings": {"temperature": 1.0}},
         PlanSound("a.wav", edges[-1], 16000, "00"),

@@ -37,7 +37,8 @@ from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
 from gesticulator.export.html import describe
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
-from gesticulator.plan.plan import GESTURES, GestureCue, GesturePlan, PlanBlock, parse_plan
+from gesticulator.plan.plan import GESTURES, Block, GestureCue, GesturePlan
+from gesticulator.plan.plan_file import parse_plan
 from gesticulator.serve.edits import LivePlans
 from interpreters.base import BlockFeatures
 from tests.benchmark_files import benchmark
@@ -135,7 +136,7 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePla
 
 
 def test_edits_do_not_know_of_each_other(plans: LivePlans, plan: GesturePlan) -> None:
-    def lexeme(block: PlanBlock) -> int:
+    def lexeme(block: Block) -> int:
         return next(one.lexeme for one in block.alternatives if one.lexeme != block.lexeme)
 
     early = with_block(plan, 5, lexeme=lexeme(plan.blocks[5]))

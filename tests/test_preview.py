@@ -147,7 +147,8 @@ def test_a_name_of_bytes_that_are_no_text_is_written(tmp_path: Path) -> None:
 
 
 def test_the_page_tells_what_a_score_is() -> None:
-    told = _data(_page(replace(perform(), score_is="Q value")))
+    made = perform()
+    told = _data(_page(replace(made, decided=replace(made.decided, score_is="Q value"))))
     assert told["takes"][0]["plan"]["score_is"] == "Q value"
 
 

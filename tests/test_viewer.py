@@ -231,8 +231,8 @@ BREAKS_OUT = "</script><img src=x onerror=broken=1>"
 
 
 def test_gestures_are_asked_for_and_names_are_text(browser: Any, tmp_path: Path) -> None:
-    made = replace(perform(seconds=SECONDS), score_is=BREAKS_OUT, sound_name=BREAKS_OUT,
-                   made_by={"settings": {"speaker": BREAKS_OUT, "interpreter": BREAKS_OUT}})
+    made = perform(seconds=SECONDS).labelled(BREAKS_OUT)
+    made = replace(made, decided=replace(made.decided, score_is=BREAKS_OUT, speaker=BREAKS_OUT, interpreter=BREAKS_OUT))
     takes = {BREAKS_OUT: made.scene(), "b": made.scene()}
     (tmp_path / "talk.html").write_text(html.page(takes, BREAKS_OUT, together=True))
     page = OpenedPage(browser, (tmp_path / "talk.html").as_uri())

@@ -127,14 +127,14 @@ def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Pa
         for piece in sound.pieces:
             meter.add(np.clip(piece * gain, -1.0, 1.0).astype(np.float32))
             given = stream.feed(piece)
-            lexemes += [block.lexeme for block in given.blocks]
+            lexemes += [block.lexeme for block in given.blocks if block.lexeme is not None]
             if len(given):
                 for writer in writers:
                     writer.add(given.motion())
             if on_sound is not None:
                 on_sound(stream.time)
         seconds, rest = stream.time, stream.finish()
-        lexemes += [block.lexeme for block in rest.blocks]
+        lexemes += [block.lexeme for block in rest.blocks if block.lexeme is not None]
         for writer in writers:
             if len(rest):
                 writer.add(rest.motion())

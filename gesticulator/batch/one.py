@@ -74,7 +74,8 @@ def perform(job: Job, system: Gesticulator, asked: argparse.Namespace, controls:
         speech = _heard(job, asked, sound)
     begin = time.perf_counter()
     stands = retargeter is not None and retargeter.mapping.legs and retargeter.legs
-    made = replace(performed(job, speech, system, asked, controls, asked.legs or stands), sound_name=job.name)
+    made = performed(job, speech, system, asked, controls, asked.legs or stands)
+    made = made.labelled(job.name, made.notes)
     if retargeter is not None:
         made = replace(made, character=retargeter(made.motion))
     spent = time.perf_counter() - begin

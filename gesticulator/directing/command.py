@@ -28,7 +28,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Do it; `InputError` for a plan that cannot be used."""
-    from gesticulator.plan.plan import schema
+    from gesticulator.plan.plan_file import schema
 
     if asked.what == "schema":
         print(json.dumps(schema(), indent=1))

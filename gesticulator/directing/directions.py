@@ -35,13 +35,6 @@ Shaping = Callable[[Array, Array], Array]
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
 
 
-def knobs_of(options: InferenceOptions) -> PlanKnobs:
-    """The knobs of options in which nothing is left to the bundle."""
-    return PlanKnobs(float(options.intensity), options.mirror, options.energy,
-                     1.0 if options.activity is None else float(options.activity), options.handedness,
-                     tuple((float(a), float(b)) for a, b in options.hold_still))
-
-
 def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:
     """[S] what a handedness adds to an interpreter's scores; None for none."""
     if hand is None:
@@ -123,7 +116,7 @@ class Director:
 
     def __init__(self, bundle: Bundle, options: InferenceOptions, words: Sequence[Word], duration: float) -> None:
         """words: what is said, as far as it is known; duration: seconds, infinite in a stream."""
-        self._knobs, self._bias = knobs_of(options), bias_of(bundle, options.handedness)
+        self._knobs, self._bias = options.knobs, bias_of(bundle, options.handedness)
         self._due = [one for one in cues_at(options.cues, words, duration, lambda: _names(bundle))
                      if one.lexeme is not None]
 
@@ -270,7 +263,7 @@ def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array,
     0 or 1; [N] whether it is locked."""
     if options.plan is None:
         both = np.full(count, float(options.handedness == "both"))
-        return np.array([_hands(knobs_of(options))] * count), both, np.zeros(count), np.zeros(count, bool)
+        return np.array([_hands(options.knobs)] * count), both, np.zeros(count), np.zeros(count, bool)
     now, then = options.plan.knobs, options.plan.drawn.knobs
     kept = [block.locked for block in options.plan.blocks]
     hands = np.where(np.array(kept)[:, None], _hands(then), _hands(now))

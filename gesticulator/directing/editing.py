@@ -21,22 +21,21 @@ from numpy.typing import NDArray
 from data_module.types import Array, BeatFlag, Blocks
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.drawing.drawer import Direction, Keys
-from gesticulator.drawing.rollout import DrawnBlock, OnBlock, Rollout, RolloutResult
-from gesticulator.plan.plan import DrawnBlocks, GesturePlan, PlanBlock, PlanKnobs, edited_blocks
+from gesticulator.drawing.driver import BlockRequest, Driver, OnBlock, Rendering, requests
+from gesticulator.drawing.rollout import BlockMotion
+from gesticulator.plan.plan import Block, DrawnBlocks, GesturePlan, PlanKnobs, edited_blocks
 
 BLEND = 0.6
 """Seconds after an edited run in which the motion finds back: a hand half a metre off does so at 1.3 m/s at most."""
-_CHOICE = 1
-"""Apart from the noise of a block: what its lexeme is chosen with, where nobody says."""
 Rows = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Redrawer:
-    """All that draws the blocks of one recording. rollouts: activity -> a fresh rollout; encode: blocks -> the speech
-    cut so; control: the rows of what is asked of the style [N, K, 2 F], or None; bias: handedness -> [S] or None."""
+    """Draws the blocks of one recording. drivers: activity -> a fresh driver; encode: blocks -> the speech cut into
+    them; control: the rows of the hand controls [N, K, 2 F], or None; bias: handedness -> [S] or None."""
 
-    rollouts: Callable[[float], Rollout]
+    drivers: Callable[[float], Driver]
     encode: Callable[[Blocks], SpeechFeatures]
     control: Callable[[SpeechFeatures], Rows | None]
     bias: Callable[[str | None], NDArray[np.float64] | None]
@@ -64,7 +63,7 @@ def drawn_blocks(drawn: DrawnBlocks, frames: int, fps: float) -> Blocks:
     return Blocks(np.array(drawn.edges), _flags(drawn.flags), np.array(drawn.silent), frames, fps)
 
 
-def planned_blocks(blocks: Sequence[PlanBlock], frames: int, fps: float) -> Blocks:
+def planned_blocks(blocks: Sequence[Block], frames: int, fps: float) -> Blocks:
     """The blocks of a plan."""
     return Blocks(np.array([0.0, *(block.end for block in blocks)]), _flags([block.flag for block in blocks]),
                   np.array([block.silent for block in blocks]), frames, fps)
@@ -76,40 +75,31 @@ def _flags(names: Sequence[str]) -> NDArray[np.int8]:
     return np.array([by_name.get(name, int(BeatFlag.ONSET)) for name in names], np.int8)
 
 
-@dataclass(frozen=True)
-class Redrawn:
-    """What a plan gives: the speech in the plan's blocks, and what is played in them."""
-
-    encoded: SpeechFeatures
-    result: RolloutResult
-
-
 class PlanRenderer:
     """Renders plans of one first drawing. That is made once; after it, a plan costs what its edited blocks cost."""
 
     def __init__(self, redrawer: Redrawer, plan: GesturePlan, on_block: OnBlock | None = None) -> None:
-        """plan: any of this drawing; its edits do not matter yet. on_block: see `Rollout.run`."""
+        """plan: any of this drawing; its edits do not matter yet. on_block: see `Driver.run`."""
         self._redrawer, self._drawn = redrawer, plan.drawn
         self._blocks = drawn_blocks(plan.drawn, redrawer.frames, redrawer.fps)
         self._encoded = redrawer.encode(self._blocks)
         self._states, self._first = self._run(plan.drawn.knobs, plan.drawn.lexemes, len(self._blocks), on_block)
 
     def _run(self, knobs: PlanKnobs, lexemes: Sequence[int | None], count: int, on_block: OnBlock | None = None
-             ) -> tuple[list[Rollout], list[DrawnBlock]]:
+             ) -> tuple[list[Driver], list[BlockMotion]]:
         """The state before each of the first `count` blocks, and the blocks."""
-        rollout = self._redrawer.rollouts(knobs.share)
-        rollout.begin(self._encoded.text is not None)
-        asked = self._redrawer.control(self._encoded)
-        said = knob_directions(knobs, self._blocks, self._redrawer.bias(knobs.handedness), lexemes)
-        states, drawn = [], []
-        for i in range(count):
-            states.append(rollout.fork())
-            drawn.append(rollout.step(self._encoded.block(i), None if asked is None else asked[i], said[i]))
+        driver = self._redrawer.drivers(knobs.share)
+        driver.begin(self._encoded.text is not None)
+        directions = knob_directions(knobs, self._blocks, self._redrawer.bias(knobs.handedness), lexemes)
+        states, blocks = [], []
+        for request in requests(self._encoded, self._redrawer.control(self._encoded), directions)[:count]:
+            states.append(driver.fork())
+            blocks.append(driver.draw(request))
             if on_block is not None:
-                on_block(i + 1, count)
-        return states, drawn
+                on_block(len(blocks), count)
+        return states, blocks
 
-    def render(self, plan: GesturePlan) -> Redrawn:
+    def render(self, plan: GesturePlan) -> Rendering:
         """The plan's motion. `plan.drawn` must be that of this renderer."""
         if plan.drawn != self._drawn:
             raise ValueError("the plan is of another drawing")
@@ -117,11 +107,11 @@ class PlanRenderer:
         blocks = planned_blocks(plan.blocks, self._redrawer.frames, self._redrawer.fps)
         if not any(changed):
             encoded = replace(self._encoded, blocks=blocks)
-            return Redrawn(encoded, RolloutResult.of(self._first))
+            return Rendering(encoded, self._first, self._states[0].motion(self._first))
         encoded = self._edited_speech(blocks)
         place = {float(edge): at for at, edge in enumerate(self._blocks.edges)}
-        drawn: list[DrawnBlock] = [self._first[place[block.start]] if not changed[i] else self._first[0]
-                                   for i, block in enumerate(plan.blocks)]
+        drawn: list[BlockMotion] = [self._first[place[block.start]] if not changed[i] else self._first[0]
+                                    for i, block in enumerate(plan.blocks)]
         states = self._states_for(plan, changed, place)
         fades = []
         for begin, stop in runs(changed):
@@ -130,8 +120,7 @@ class PlanRenderer:
             if stop < len(drawn):
                 end = place[plan.blocks[stop].start]
                 fades.append((float(blocks.edges[stop]), *self._difference(drawn[stop - 1], blocks, stop, end)))
-        result = RolloutResult.of(drawn)
-        return Redrawn(encoded, replace(result, motion=_faded(result.motion, blocks, fades)))
+        return Rendering(encoded, drawn, _faded(self._states[0].motion(drawn), blocks, fades))
 
     def _edited_speech(self, blocks: Blocks) -> SpeechFeatures:
         """The speech in the plan's blocks: as it was encoded, or anew where beats were moved. A silence that was taken
@@ -146,7 +135,7 @@ class PlanRenderer:
                  for start, silent in zip(blocks.edges, blocks.silent, strict=False)]
         return replace(encoded, quiet=encoded.quiet & ~np.array(woken)[:, None])
 
-    def _states_for(self, plan: GesturePlan, changed: Sequence[bool], place: dict[float, int]) -> list[Rollout]:
+    def _states_for(self, plan: GesturePlan, changed: Sequence[bool], place: dict[float, int]) -> list[Driver]:
         """The state before each block: of the first drawing, or, where knobs were turned that change the drawing, of
         one with the new knobs that stands where the first one stood."""
         if plan.knobs.draws_as(plan.drawn.knobs):
@@ -158,10 +147,10 @@ class PlanRenderer:
             state.stand_as(first)
         return states
 
-    def _redrawn(self, plan: GesturePlan, encoded: SpeechFeatures, state: Rollout, run: tuple[int, int]
-                 ) -> Iterator[DrawnBlock]:
+    def _redrawn(self, plan: GesturePlan, encoded: SpeechFeatures, state: Driver, run: tuple[int, int]
+                 ) -> Iterator[BlockMotion]:
         """The blocks of a run, drawn from the state before it."""
-        rollout, asked = state.fork(), self._redrawer.control(encoded)
+        driver, control = state.fork(), self._redrawer.control(encoded)
         bias = self._redrawer.bias(plan.knobs.handedness)
         times = encoded.blocks.knot_times.reshape(len(encoded), -1)
         turned = not plan.knobs.draws_as(plan.drawn.knobs)
@@ -178,11 +167,11 @@ class PlanRenderer:
             if still is not None and still.mean() >= 0.5:
                 chosen = None
             draw = block.draw
-            rollout.rng = np.random.default_rng([draw.seed, draw.variation, draw.block, _CHOICE])
-            yield rollout.step(replace(encoded.block(i), number=draw.block), None if asked is None else asked[i],
-                               Direction(chosen, Keys(draw.seed, draw.variation), still, bias))
+            yield driver.draw(BlockRequest(
+                replace(encoded.block(i), number=draw.block), None if control is None else control[i],
+                Direction(chosen, Keys(draw.seed, draw.variation), still, bias)))
 
-    def _difference(self, last: DrawnBlock, blocks: Blocks, stop: int, end: int) -> tuple[Array, Array]:
+    def _difference(self, last: BlockMotion, blocks: Blocks, stop: int, end: int) -> tuple[Array, Array]:
         """[D_m] of place and of velocity, between the last frame of a run and the first drawing at that beat. stop,
         end: the block that follows, in the plan and in the first drawing."""
         now, before = last.motion[-1].astype(np.float64), last.motion[-2].astype(np.float64)

@@ -38,12 +38,19 @@ class Keys:
         return torch.as_tensor(np.random.default_rng([self.seed, self.variation, block]).standard_normal(
             shape, dtype=np.float32))
 
+    def choice(self, block: int) -> np.random.Generator:
+        """Random numbers that choose the lexeme of an edited block, apart from its noise."""
+        return np.random.default_rng([self.seed, self.variation, block, 1])
+
 
 @dataclass(frozen=True)
 class Direction:
-    """Of one block. lexeme: to play, whatever the interpreter says; None lets it choose. keys: what its noise is drawn
-    from, None for the performance's own. still: [K] frames in which the hands are to rest, or None. bias: [S] added to
-    the interpreter's scores where it chooses, or None."""
+    """Instructions for one block.
+
+    lexeme: the one to play, whatever the interpreter says; None lets it choose. keys: of the noise and the choice of an
+    edited block; None for those of the performance. still: [K] frames in which the hands are to rest, or None. bias:
+    [S] added to the interpreter's scores where it chooses, or None.
+    """
 
     lexeme: int | None = None
     keys: Keys | None = None
@@ -56,7 +63,7 @@ class Direction:
 
 
 FREE = Direction()
-"""Says nothing."""
+"""Leaves everything to the models."""
 
 HURRIED_STEPS = 2
 """Of Heun's method where a block must cost less; one alone draws the mean of what could be drawn."""

@@ -1,10 +1,10 @@
-"""Block by block from encoded speech to motion features: the loop of inference (RG 6, Eq. 15; RACER 4.3)."""
+"""One step of inference: from a block of encoded speech to its lexeme and its motion (RG 6, Eq. 15; RACER 4.3)."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
@@ -13,23 +13,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_module.controls import Controls, Levels
 from data_module.errors import InputError
 from data_module.layers import without_after
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.features import Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
+from gesticulator.bundle.features import Span, SpeechBlock, representation_of
 from gesticulator.drawing.drawer import FREE, Direction, Keys, drawer_for
-from interpreters.base import BlockFeatures, Explanation, Interpreter, LexemeInterpreter, as_interpreter, select
+from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
+from interpreters.base import BlockFeatures, Explanation, LexemeInterpreter, as_interpreter, select
 
 if TYPE_CHECKING:
     from lexicon.racer import RacerCodec
 
 BEST = 5
-"""How many candidates a block keeps."""
-
-OnBlock = Callable[[int, int], None]
-"""Called after each block with how many are done, and how many there are."""
+"""How many candidate lexemes a block keeps."""
 
 _BLOCKS_BEFORE_REST = 2
 """Quiet blocks that are played as they are generated: the arms come down in them."""
@@ -52,112 +49,41 @@ class Sampling:
 
 
 @dataclass(frozen=True)
-class DrawnBlock:
-    """One block of a rollout. motion: [K, D_m] features as the audience is shown them; lexeme: what was played; best:
-    [M] the best lexemes and their scores [M], falling; code: [d_z]; gate: its probability, NaN where it was not asked;
-    prior, advantage: [M + 1] of the best lexemes and, last, the one that was played, NaN where none were weighed."""
+class BlockMotion:
+    """A block as it was generated.
 
-    motion: NDArray[np.float32]
+    block: what was decided, without names of lexemes (`directing.record.named`). lexeme: the one that was played; an
+    edited plan may name another where the hands are to rest. motion: [K, D_m] features with rest and idle motion;
+    code: [d_z] style code.
+    """
+
+    block: Block
     lexeme: int
-    best: NDArray[np.int64]
-    scores: NDArray[np.float64]
-    code: NDArray[np.float32]
-    gate: float
-    prior: NDArray[np.float64]
-    advantage: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, motion: NDArray[np.float32], lexeme: int, scores: NDArray[np.float64],
-           explanation: Explanation | None, code: NDArray[np.float32], gate: float = math.nan) -> DrawnBlock:
-        """With the best of all scores [S], of equals the lower number first; explanation: what the interpreter has to
-        say of them."""
-        best = np.argsort(-scores, kind="stable")[:BEST]
-        weighed = [np.full(len(best) + 1, np.nan)] * 2
-        if explanation is not None:
-            at = [*best, lexeme]
-            weighed = [np.exp(explanation.log_prior[at]), explanation.advantage[at]]
-        return cls(motion, lexeme, best, scores[best], code, gate, *weighed)
-
-
-@dataclass(frozen=True)
-class LexemeWorth:
-    """What the interpreter "advantage" weighed, for the M best lexemes of each block and, last, the one that was
-    played. prior: [N, M + 1] how likely the behaviour policy makes it; advantage: [N, M + 1] how much more than the
-    behaviour policy's mean the reward expects of it, in standard deviations."""
-
-    prior: NDArray[np.float64]
-    advantage: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class RolloutResult:
-    """What a rollout gives: motion features [N, K, D_m], lexemes [N], the best lexemes [N, M] and their scores [N, M],
-    style codes [N, d_z] and the gate's probabilities [N], NaN where it was not asked. prior, advantage: [N, M + 1] of
-    the best lexemes and, last, the one that was played (`LexemeWorth`), NaN where none were weighed."""
-
     motion: NDArray[np.float32]
-    lexemes: NDArray[np.int64]
-    best: NDArray[np.int64]
-    scores: NDArray[np.float64]
-    codes: NDArray[np.float32]
-    gate: NDArray[np.float64]
-    prior: NDArray[np.float64]
-    advantage: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, drawn: Sequence[DrawnBlock], motion: NDArray[np.float32] | None = None) -> RolloutResult:
-        """Of N blocks one after the other; motion: [N, K, D_m] instead of their own."""
-        own = np.stack([block.motion for block in drawn]) if motion is None else motion
-        return cls(own, np.array([block.lexeme for block in drawn], np.int64),
-                   np.stack([block.best for block in drawn]), np.stack([block.scores for block in drawn]),
-                   np.stack([block.code for block in drawn]), np.array([block.gate for block in drawn]),
-                   np.stack([block.prior for block in drawn]), np.stack([block.advantage for block in drawn]))
-
-    @property
-    def worth(self) -> LexemeWorth | None:
-        """What was weighed; None where nothing was."""
-        return None if np.isnan(self.prior).any() else LexemeWorth(self.prior, self.advantage)
+    code: NDArray[np.float32]
 
 
-def rollout(bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling, activity: float
-            ) -> Rollout | CodecRollout:
-    """The loop that the bundle's lexicon needs. speaker: its index; activity: how readily to gesture, 0 to 1."""
-    kind = Rollout if bundle.system.blocks else CodecRollout
-    return kind(bundle, interpreter, speaker, sampling, activity)
+def decided(speech: SpeechBlock, lexeme: int, scores: NDArray[np.float64], explanation: Explanation | None,
+            keys: Keys, gate: float = math.nan) -> Block:
+    """The block of a plan that records a decision.
 
-
-@dataclass(frozen=True)
-class Cast:
-    """Who gestures, and how: an interpreter, a speaker's index, how lexemes are chosen, how readily to gesture (0 to
-    1), what is asked of the hands, which variation of the drawing; beta: the interpreter's, where it has one."""
-
-    interpreter: Interpreter
-    speaker: int
-    sampling: Sampling
-    activity: float
-    controls: Controls
-    variation: int
-    beta: float | None = None
-
-    @property
-    def by_value(self) -> bool:
-        """Scores are Q values."""
-        return self.interpreter.gives_values
-
-    def rollout(self, bundle: Bundle) -> Rollout | CodecRollout:
-        """The loop that chooses lexemes and, without a variation, draws them."""
-        return rollout(bundle, self.interpreter, self.speaker, self.sampling, self.activity)
-
-    def varied(self, bundle: Bundle) -> Rollout | CodecRollout:
-        """The loop that draws the same lexemes in another manner."""
-        sampling = replace(self.sampling, variation=self.variation)
-        return rollout(bundle, self.interpreter, self.speaker, sampling, self.activity)
-
-
-def asked_rows(levels: Levels, controls: Controls, times: NDArray[np.float64]) -> NDArray[np.float32]:
-    """[K, 2 F] what is asked at `times` [K] seconds, and whether it is."""
-    values, given = controls.at(times)
-    return control_rows(levels, values, np.broadcast_to(given, values.shape))
+    scores: [S] of the interpreter; the best come first, and of equals the lower number. explanation: how the
+    interpreter explains them, or None. gate: its probability, NaN without a gate.
+    """
+    best = np.argsort(-scores, kind="stable")[:BEST].tolist()
+    draw = BlockDraw(keys.seed, keys.variation, speech.number)
+    block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, speech.flag.name.lower(),
+                  gate=None if math.isnan(gate) else gate)
+    if explanation is None:
+        return replace(block, alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
+    places = [*best, lexeme]
+    prior, advantage = np.exp(explanation.log_prior[places]).tolist(), explanation.advantage[places].tolist()
+    other = next((place for place, n in enumerate(best) if n != lexeme), 0)
+    return replace(
+        block, alternatives=tuple(LexemeChoice(n, "", float(scores[n]), prior[place], advantage[place])
+                                  for place, n in enumerate(best)),
+        chosen={"prior": prior[-1], "advantage": advantage[-1]},
+        runner_up={"id": best[other], "worth_more": advantage[other] - advantage[-1]})
 
 
 def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
@@ -206,7 +132,7 @@ class Rollout:
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
-             ) -> DrawnBlock:
+             ) -> BlockMotion:
         """The next block. asked: [K, 2 F] rows of the control, or None; direction: what a director says of it."""
         b = self.bundle
         features = self._features(speech, asked, self._past[0])
@@ -214,7 +140,8 @@ class Rollout:
         scores = self._scores(features)
         quiet = closed or (features.silent and b.config.silence.mask)
         if direction.lexeme is None:
-            self._previous = self._select(direction.biased(scores), b.silent if quiet else None)
+            rng = self.rng if direction.keys is None else direction.keys.choice(speech.number)
+            self._previous = self._select(direction.biased(scores), rng, b.silent if quiet else None)
         else:
             self._previous = direction.lexeme
         if closed and self.life is None and self._quiet_low is not None:
@@ -228,8 +155,9 @@ class Rollout:
         if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
             block = approach_rest(self._past[:, -1:], block, rest_decay)
         shown = self._go_on(block)
-        return DrawnBlock.of(shown, self._previous, scores, self.interpreter.explain(self._inner),
-                             code[0].cpu().numpy(), probability)
+        decision = decided(speech, self._previous, scores, self.interpreter.explain(self._inner), self._drawer.keys,
+                           probability)
+        return BlockMotion(decision, self._previous, shown, code[0].cpu().numpy())
 
     @torch.inference_mode()
     def idle(self, start: float, seconds: float, knots: int) -> NDArray[np.float32]:
@@ -264,22 +192,9 @@ class Rollout:
         """[K, D_m] the last frames that were drawn, without the life on them."""
         return np.asarray(self._past[0].cpu().numpy())
 
-    def run(self, encoded: SpeechFeatures, asked: NDArray[np.float32] | None, on_block: OnBlock | None = None,
-            directions: Sequence[Direction] | None = None) -> RolloutResult:
-        """Every block of a speech from the start. asked: [N, K, 2 F] rows of the control, or None; directions: [N], or
-        None where nothing is directed."""
-        self.begin(encoded.text is not None)
-        drawn, count = [], len(encoded)
-        for i in range(count):
-            drawn.append(self.step(encoded.block(i), None if asked is None else asked[i],
-                                   FREE if directions is None else directions[i]))
-            if on_block is not None:
-                on_block(i + 1, count)
-        return self.result(drawn)
-
-    def result(self, drawn: Sequence[DrawnBlock]) -> RolloutResult:
-        """All blocks of a performance together."""
-        return RolloutResult.of(drawn)
+    def motion(self, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
+        """[N, K, D_m] of all blocks of a performance together."""
+        return np.stack([block.motion for block in blocks])
 
     def fork(self) -> Rollout:
         """A twin that goes on from here by itself: blocks can be drawn from one place in several ways."""
@@ -331,9 +246,10 @@ class Rollout:
         self._past = self._tensor(self.life.step(self._past[0].cpu().numpy()))[None]
         return self.life.alive(self._past[0].cpu().numpy()).astype(np.float32)
 
-    def _select(self, scores: NDArray[np.float64], allowed: NDArray[np.int64] | None = None) -> int:
+    def _select(self, scores: NDArray[np.float64], rng: np.random.Generator,
+                allowed: NDArray[np.int64] | None = None) -> int:
         return select(scores, allowed=allowed, temperature=self.sampling.temperature, top=self.sampling.top or None,
-                      rng=self.rng)
+                      rng=rng)
 
     def _tensor(self, values: NDArray) -> Tensor:
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
@@ -364,19 +280,21 @@ class CodecRollout(Rollout):
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
-             ) -> DrawnBlock:
+             ) -> BlockMotion:
         """The next code, without motion; see `Rollout.step`. Nothing can be asked of the style."""
         scores, self._inner = self.interpreter.step(self._inner, self._features(speech, asked), self._previous)
-        chosen = self._select(direction.biased(scores)) if direction.lexeme is None else direction.lexeme
+        chosen = direction.lexeme
+        if chosen is None:
+            chosen = self._select(direction.biased(scores), self.rng)
         self._previous = self.bundle.rest_lexeme(self.speaker) if self.activity == 0 else chosen
-        return DrawnBlock.of(np.empty((0, 0), np.float32), self._previous, scores,
-                             self.interpreter.explain(self._inner), np.empty(0, np.float32))
+        decision = decided(speech, self._previous, scores, self.interpreter.explain(self._inner), self.sampling.keys)
+        return BlockMotion(decision, self._previous, np.empty((0, 0), np.float32), np.empty(0, np.float32))
 
     @torch.inference_mode()
-    def result(self, drawn: Sequence[DrawnBlock]) -> RolloutResult:
+    def motion(self, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
         """All codes decoded together, the resting code before the first: the codec then begins where the figure
         stands."""
-        codes = [self.bundle.rest_lexeme(self.speaker), *(block.lexeme for block in drawn)]
+        codes = [self.bundle.rest_lexeme(self.speaker), *(block.lexeme for block in blocks)]
         codec = cast("RacerCodec", self.bundle.lexicon)
-        motion = codec.decode_tokens(torch.tensor(codes, device=self.device)[None])[0, 1:].cpu().numpy()
-        return RolloutResult.of(drawn, motion)
+        decoded = codec.decode_tokens(torch.tensor(codes, device=self.device)[None])
+        return np.asarray(decoded[0, 1:].cpu().numpy())

@@ -20,11 +20,12 @@ from xml.sax.saxutils import escape, quoteattr
 from data_module.errors import InputError, shown
 from data_module.files import read_bytes
 from data_module.json_files import parse_json
+from gesticulator.plan.checks import check_plan
 from gesticulator.plan.json_lines import LinedJson
 from gesticulator.plan.json_lines import Path as Place
-from gesticulator.plan.plan import GesturePlan, check_plan, read_plan
+from gesticulator.plan.plan import GesturePlan
+from gesticulator.plan.plan_file import read_plan, upgraded
 from gesticulator.plan.schema import read_as
-from gesticulator.plan.upgrade import upgraded
 
 __all__ = ["bml_of", "parse_bml", "read_any_plan"]
 

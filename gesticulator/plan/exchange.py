@@ -11,10 +11,11 @@ import json
 from typing import Any
 
 from data_module.errors import InputError
+from gesticulator.plan.checks import check_plan
 from gesticulator.plan.json_lines import LinedJson, with_lines
-from gesticulator.plan.plan import GesturePlan, PlanBlock, check_plan
+from gesticulator.plan.plan import Block, GesturePlan
+from gesticulator.plan.plan_file import upgraded
 from gesticulator.plan.schema import part_names, read_as, read_part, to_plain, written_parts
-from gesticulator.plan.upgrade import upgraded
 
 _BLOCKS = "blocks"
 
@@ -24,7 +25,7 @@ class PlanExchange:
 
     def __init__(self) -> None:
         self._read: dict[str, tuple[str, Any]] = {}  # member -> its text, what it was read as
-        self._blocks: dict[str, PlanBlock] = {}  # text of a block -> the block
+        self._blocks: dict[str, Block] = {}  # text of a block -> the block
         self._written: dict[int, tuple[Any, str]] = {}  # identity of a part -> the part, its JSON
 
     def read(self, plain: dict[str, Any], source: str = "plan") -> GesturePlan:
@@ -52,13 +53,13 @@ class PlanExchange:
         self._read, self._blocks = parts, dict(zip(texts, blocks, strict=True))
         return plan
 
-    def _read_blocks(self, lined: LinedJson) -> tuple[tuple[PlanBlock, ...], list[str]]:
+    def _read_blocks(self, lined: LinedJson) -> tuple[tuple[Block, ...], list[str]]:
         """The blocks, and the text of each."""
         known, blocks, texts = self._blocks, [], []
         for at, row in enumerate(lined.value[_BLOCKS]):
             text = repr(row)
             texts.append(text)
-            blocks.append(known[text] if text in known else read_as(PlanBlock, lined, (_BLOCKS, at)))
+            blocks.append(known[text] if text in known else read_as(Block, lined, (_BLOCKS, at)))
         return tuple(blocks), texts
 
     def plain(self, plan: GesturePlan) -> dict[str, Any]:

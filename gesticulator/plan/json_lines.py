@@ -204,3 +204,19 @@ class _Reader:
             if self.text[self.at:self.at + 1] == closing:
                 raise self.error(self.at, "has a comma before the closing bracket", "take the comma away")
         return True
+
+
+def in_lines(value: Any, depth: int = 0) -> str:
+    """JSON text with the members of the first two levels on lines of their own; deeper values stay on one line."""
+    flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    if depth > 2 or len(flat) < 100 or not isinstance(value, dict | list) or not value:
+        return flat
+    if depth == 2 and isinstance(value, dict):
+        return flat
+    inner = " " * (depth + 1)
+    if isinstance(value, dict):
+        rows = [f"{json.dumps(key, ensure_ascii=False)}: {in_lines(one, depth + 1)}" for key, one in value.items()]
+        return "{\n" + ",\n".join(inner + row for row in rows) + "\n" + " " * depth + "}"
+    if not isinstance(value[0], dict):
+        return flat
+    return "[\n" + ",\n".join(inner + in_lines(one, depth + 1) for one in value) + "\n" + " " * depth + "]"

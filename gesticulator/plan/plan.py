@@ -10,37 +10,21 @@ Plain data: nothing here imports numpy or a model. `docs/schema/plan.schema.json
 from __future__ import annotations
 
 import hashlib
-import json
-import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
-from data_module.errors import InputError, shown
-from data_module.files import read_text, write_text
-from data_module.settings import SettingChoice, SettingRange
-from gesticulator.plan.json_lines import LinedJson, parse
-from gesticulator.plan.json_lines import Path as Place
-from gesticulator.plan.schema import PRIVATE, read_as, schema_of, to_plain
-from gesticulator.plan.sections import (
-    GestureUnit,
-    KnobCurve,
-    PlanMeaning,
-    PosePin,
-    SoundAlignment,
-    check_meanings,
-    check_pins,
-    check_points,
-    check_units,
-)
-from gesticulator.plan.upgrade import FORMAT, VERSION, upgraded
+from data_module.settings import PRIVATE, SettingChoice, SettingRange
 
 if TYPE_CHECKING:
+    from data_module.errors import InputError
     from data_module.types import Speech
+    from gesticulator.plan.json_lines import Path as Place
 
-__all__ = ["GESTURES", "BlockDraw", "GestureCue", "GesturePlan", "LexemeChoice", "PlanBlock", "PlanKnobs", "PlanSound",
-           "PlanWord", "check_plan", "edited_blocks", "read_plan", "write_plan_file"]
+__all__ = ["GESTURES", "Block", "BlockDraw", "GestureCue", "GesturePlan", "GestureUnit", "LexemeChoice", "PlanKnobs",
+           "PlanSound", "PlanWord", "edited_blocks"]
+
+FORMAT, VERSION = "gesticulator-plan", 2
 
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
 """Energy -> what intensity and activity are multiplied by: calm is smaller gestures in six tenths of the phrases."""
@@ -50,8 +34,6 @@ HANDS = ("left", "right", "both")
 
 FLAGS = ("boundary", "onset", "loud_pseudo", "even_pseudo", "edited")
 """Why a block ends where it ends: the names of `BeatFlag`, and a beat that a user moved or made."""
-SHORTEST, LONGEST = 0.1, 1.0
-"""Seconds that a block may last whose beats were edited; those that are found last 0.2 to 0.5."""
 GESTURES = {
     "wave": "the right hand goes up beside the head, palm ahead, and waves (made by formula)",
     "point left": "the left arm points to her left (made by formula)",
@@ -69,10 +51,12 @@ meanings, so these are small movements of our own that are laid over what was dr
 
 SETTLES = 0.42
 """Seconds before a range of stillness in which the hands come to rest, the longest that a stop takes."""
-_EPS = 1e-6
-"""Seconds within which two times are the same: files round."""
-_MOST_BYTES = 32 << 20
-"""Bytes of a plan that are read; an hour's has 10 million."""
+
+PHASES = ("preparation", "pre-stroke hold", "stroke", "post-stroke hold", "retraction")
+"""Phases of a gesture unit (Kendon; Kita et al.), in the order in which they come."""
+UNIT_HANDS = ("left", "right", "both")
+CURVES = ("intensity", "activity", "height", "speed", "radius")
+"""What a curve may vary: two knobs, and the three hand controls in their units (metres, metres per second, metres)."""
 
 Seconds = Annotated[float, SettingRange(0.0)]
 Intensity = Annotated[float, SettingRange(0.0, 2.0)]
@@ -159,7 +143,7 @@ class BlockDraw:
 
 
 @dataclass(frozen=True)
-class PlanBlock:
+class Block:
     """A block: from one beat to the next, with one lexeme."""
 
     start: Seconds
@@ -265,6 +249,92 @@ class GestureCue:
 
 
 @dataclass(frozen=True)
+class GesturePhase:
+    """A phase of a gesture unit."""
+
+    kind: Annotated[str, SettingChoice(PHASES)]
+    """Which phase it is."""
+    start: Seconds
+    """Seconds."""
+    end: Seconds
+    """Seconds."""
+
+
+@dataclass(frozen=True)
+class GestureUnit:
+    """From where the hands leave rest to where they are at rest again; it spans several blocks."""
+
+    start: Seconds
+    """Seconds."""
+    end: Seconds
+    """Seconds."""
+    phases: tuple[GesturePhase, ...] = ()
+    """Its phases, in order and without overlap; there may be gaps, and several strokes."""
+    hand: Annotated[str, SettingChoice(UNIT_HANDS)] | None = None
+    """Which hand makes it; null where that is open."""
+    size: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
+    """How large it is, as the intensity of a block."""
+
+
+@dataclass(frozen=True)
+class PlanMeaning:
+    """What a stretch of the speech means, as far as a gesture can show it."""
+
+    start: Seconds
+    """Seconds."""
+    end: Seconds
+    """Seconds."""
+    kind: str
+    """What kind of meaning it is, such as "negation", "pointing" or "size"."""
+    about: str = ""
+    """What is meant, in words."""
+    certainty: Annotated[float, SettingRange(0.0, 1.0)] | None = None
+    """How certain the finding is."""
+
+
+@dataclass(frozen=True)
+class PosePin:
+    """A joint that is to be in one place, or turned in one way, at one time. Give a rotation, a position or both."""
+
+    time: Seconds
+    """Seconds."""
+    joint: str
+    """The joint's name in the skeleton."""
+    rotation: tuple[float, float, float, float] | None = None
+    """Its local rotation, a unit quaternion, w first."""
+    position: tuple[float, float, float] | None = None
+    """Its place in metres: Y up, facing +Z, the floor at 0."""
+    hold: Seconds = 0.0
+    """Seconds that it stays so."""
+
+
+@dataclass(frozen=True)
+class KnobCurve:
+    """A knob that changes over time, on straight lines between its points, and constant before and after them."""
+
+    knob: Annotated[str, SettingChoice(CURVES)]
+    """Which knob."""
+    times: tuple[Seconds, ...]
+    """[M] seconds, rising."""
+    values: tuple[float, ...]
+    """[M] the knob's value at these times, in its unit."""
+
+
+@dataclass(frozen=True)
+class SoundAlignment:
+    """How the plan maps onto another export of its sound, in which pauses or tempo were changed."""
+
+    sha256: str
+    """Of the samples of the other sound, taken as that of `sound`."""
+    duration: Annotated[float, SettingRange(0.0, above=True)]
+    """Seconds of the other sound."""
+    times: tuple[Seconds, ...]
+    """[M] seconds of this plan, rising."""
+    there: tuple[Seconds, ...]
+    """[M] the same moments in seconds of the other sound, rising; straight lines between them."""
+
+
+@dataclass(frozen=True)
 class GesturePlan:
     """What was decided for one recording, and what is to be changed."""
 
@@ -287,7 +357,7 @@ class GesturePlan:
     """What chose the lexemes."""
     drawn: DrawnBlocks
     """What was decided first."""
-    blocks: tuple[PlanBlock, ...]
+    blocks: tuple[Block, ...]
     """What is to be played; edit these."""
     knobs: PlanKnobs = PlanKnobs()
     """How the whole is performed; edit these."""
@@ -313,8 +383,8 @@ class GesturePlan:
     """Knobs that change over time; one curve for a knob at most."""
     alignment: SoundAlignment | None = None
     """How the plan maps onto another export of its sound."""
-    source: LinedJson | None = field(default=None, metadata=PRIVATE, compare=False, repr=False)
-    """The file that it was read from, for messages."""
+    source: Any = field(default=None, metadata=PRIVATE, compare=False, repr=False)
+    """The `LinedJson` that it was read from, for messages; None for a plan that was not read."""
 
     @property
     def duration(self) -> float:
@@ -323,16 +393,23 @@ class GesturePlan:
 
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
         """An error about a part of the plan, with its line where it was read from a file."""
-        return (self.source or LinedJson("plan", None, {})).error(place, wrong, advice)
+        from gesticulator.plan.json_lines import LinedJson
+
+        error: InputError = (self.source or LinedJson("plan", None, {})).error(place, wrong, advice)
+        return error
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
+        from gesticulator.plan.schema import to_plain
+
         plain: dict[str, Any] = to_plain(self)
         return plain
 
     def to_json(self) -> str:
         """As it is written: a line for a block, a word, a lexeme; the same plan gives the same text."""
-        return _dump(self.to_dict(), 0) + "\n"
+        from gesticulator.plan.json_lines import in_lines
+
+        return in_lines(self.to_dict()) + "\n"
 
 
 def sound_hash(speech: Speech) -> str:
@@ -371,121 +448,3 @@ def shapes(plan: GesturePlan) -> bool:
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)
-
-
-def schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of a plan."""
-    return schema_of(GesturePlan)
-
-
-# ------------------------------------------------------------------------------------------------------ files
-
-def read_plan(path: str | os.PathLike[str]) -> GesturePlan:
-    """A plan from a file; `InputError` with the line and what is allowed where it cannot be used."""
-    return parse_plan(read_text(path, "give the file that --plan-out wrote", _MOST_BYTES), str(path))
-
-
-def parse_plan(text: str, source: str = "plan") -> GesturePlan:
-    """A plan from its text; `InputError` with the line and what is allowed. source: what messages call it."""
-    lined = upgraded(parse(text, source))
-    plan = replace(read_as(GesturePlan, lined), source=lined)
-    check_plan(plan)
-    return plan
-
-
-def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:
-    """Write a plan, whole or not at all. Returns the path."""
-    target = Path(path)
-    write_text(target, plan.to_json())
-    return target
-
-
-def _dump(value: Any, depth: int) -> str:
-    """JSON with objects of the first two levels on lines of their own, and everything below on one."""
-    flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if depth > 2 or len(flat) < 100 or not isinstance(value, dict | list) or not value:
-        return flat
-    if depth == 2 and isinstance(value, dict):
-        return flat
-    inner = " " * (depth + 1)
-    if isinstance(value, dict):
-        rows = [f"{json.dumps(key, ensure_ascii=False)}: {_dump(one, depth + 1)}" for key, one in value.items()]
-        return "{\n" + ",\n".join(inner + row for row in rows) + "\n" + " " * depth + "}"
-    if not isinstance(value[0], dict):
-        return flat
-    return "[\n" + ",\n".join(inner + _dump(one, depth + 1) for one in value) + "\n" + " " * depth + "]"
-
-
-# ------------------------------------------------------------------------------------------------------ checks
-
-def check_plan(plan: GesturePlan) -> None:
-    """`InputError` where the parts of a plan do not fit each other."""
-    _check_drawn(plan)
-    _check_blocks(plan)
-    for at, (start, end) in enumerate(plan.knobs.hold_still):
-        if not start < end:
-            raise plan.error(("knobs", "hold_still", at), f"is {start:g} to {end:g}",
-                             "give from and to, the lesser first")
-    for at, cue in enumerate(plan.cues):
-        if (cue.word is None) == (cue.time is None):
-            raise plan.error(("cues", at), "must have either a word or a time", 'write {"gesture": "wave", "word": '
-                             '"hello"} or {"gesture": "wave", "time": 1.5}')
-        if cue.time is not None and cue.time > plan.duration:
-            raise plan.error(("cues", at, "time"), f"is {cue.time:g}", f"give 0 to {plan.duration:g} seconds")
-        _check_gesture(plan, at, cue.gesture)
-    _check_sections(plan)
-
-
-def _check_sections(plan: GesturePlan) -> None:
-    check_units(plan.units, plan.error)
-    check_meanings(plan.meanings, plan.error)
-    check_pins(plan.pins, plan.error)
-    knobs = [curve.knob for curve in plan.curves]
-    for at, curve in enumerate(plan.curves):
-        check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
-        if curve.knob in knobs[:at]:
-            raise plan.error(("curves", at, "knob"), f"is {curve.knob} once more", "give one curve for a knob")
-    if plan.alignment is not None:
-        times, there = plan.alignment.times, plan.alignment.there
-        check_points(("alignment",), ("times", "there"), (times, there), plan.error)
-        check_points(("alignment",), ("there", "times"), (there, times), plan.error)
-
-
-def _check_gesture(plan: GesturePlan, at: int, name: str) -> None:
-    known = [*GESTURES, *(one.name for one in plan.lexicon)]
-    if name not in known and plan.lexicon:
-        raise plan.error(("cues", at, "gesture"), f"is {shown(name)}",
-                         f"give one of {', '.join(GESTURES)}, or a name of the lexicon")
-
-
-def _check_drawn(plan: GesturePlan) -> None:
-    drawn = plan.drawn
-    count = len(drawn.edges) - 1
-    for name in ("flags", "silent", "lexemes"):
-        if len(getattr(drawn, name)) != count or count < 1:
-            raise plan.error(("drawn", name), f"has {len(getattr(drawn, name))} entries for {count} blocks",
-                             "leave what was drawn as it was written")
-    if drawn.edges[0] != 0 or any(not a < b for a, b in zip(drawn.edges, drawn.edges[1:], strict=False)):
-        raise plan.error(("drawn", "edges"), "do not rise from 0", "leave what was drawn as it was written")
-
-
-def _check_blocks(plan: GesturePlan) -> None:
-    """Blocks tile the sound, and have lexemes that there are."""
-    if not plan.blocks:
-        raise plan.error(("blocks",), "is empty", "leave a block at least")
-    known = {one.lexeme for one in plan.lexicon}
-    edges, at_edge = plan.drawn.edges, 0.0
-    pairs = set(zip(edges, edges[1:], strict=False))
-    for at, block in enumerate(plan.blocks):
-        place: Place = ("blocks", at)
-        if abs(block.start - at_edge) > _EPS:
-            raise plan.error((*place, "start"), f"is {block.start:g}", f"give {at_edge:g}, where the block before ends")
-        if (block.start, block.end) not in pairs and not SHORTEST - _EPS <= block.end - block.start <= LONGEST + _EPS:
-            raise plan.error((*place, "end"), f"is {block.end:g}, {block.end - block.start:.3g} s after the start",
-                             f"give {block.start + SHORTEST:.6g} to {block.start + LONGEST:.6g} seconds")
-        if block.lexeme is not None and known and block.lexeme not in known:
-            raise plan.error((*place, "lexeme"), f"is {block.lexeme}", f"give {min(known)} to {max(known)}, or null")
-        at_edge = block.end
-    if abs(at_edge - edges[-1]) > _EPS:
-        raise plan.error(("blocks", len(plan.blocks) - 1, "end"), f"is {at_edge:g}", f"give {edges[-1]:g}, the end of "
-                         "the sound")

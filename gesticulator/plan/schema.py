@@ -19,14 +19,11 @@ from collections.abc import Mapping
 from typing import Any, TypeVar, cast
 
 from data_module.errors import shown
-from data_module.settings import SettingChoice, SettingRange, limits_of
+from data_module.settings import PRIVATE_MARK, SettingChoice, SettingRange, limits_of
 from gesticulator.plan.json_lines import LinedJson, Path, check_plain, half_character
 
 T = TypeVar("T")
 
-PRIVATE_MARK = "private"
-PRIVATE = {PRIVATE_MARK: True}
-"""Metadata of a field that does not stand in the file."""
 _PLAIN: dict[Any, tuple[str, str]] = {bool: ("boolean", "true or false"), int: ("integer", "a whole number"),
                                       float: ("number", "a number"), str: ("string", "a text in quotes")}
 _MOST_WHOLE = 2**64

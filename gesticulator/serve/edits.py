@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from gesticulator.directing.directions import planned
@@ -37,7 +36,7 @@ class LivePlans:
         """The plan as it is now; `InputError` with its line where it cannot be used, or is of another recording."""
         options = planned(InferenceOptions(plan=plan))
         made = self._system.render(self._speech, options, self._renderer(options))
-        return replace(made, sound_name=self._name, notes=plan.notes)
+        return made.labelled(self._name, plan.notes)
 
     def answer(self, plan: dict[str, Any]) -> dict[str, Any]:
         """What a page is told of a plan that it sent as JSON."""

@@ -157,7 +157,7 @@ class Session:
             answer.say("state", state=state, time=round(frames.first / frames.fps, 6))
         for block in frames.blocks:
             answer.say("lexeme", start=round(float(block.start), 6), end=round(float(block.end), 6),
-                       lexeme=int(block.lexeme), silent=bool(block.silent))
+                       lexeme=block.lexeme, silent=block.silent)
             answer.say("beat", time=round(float(block.end), 6))
         end = (frames.first + len(frames)) / frames.fps
         while self._words and self._words[0].start < end:

@@ -115,14 +115,15 @@ def _character(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
 def _takes(system: Gesticulator, job: Job, asked: argparse.Namespace, legs: bool) -> dict[str, Performance]:
     """What each take is called -> its performance."""
     controls, speech = asked_controls(system, asked), load(job, asked)
-    first = replace(performed(job, speech, system, asked, controls, legs), sound_name=job.name)
-    name = str(first.made_by["settings"]["interpreter"])
+    first = performed(job, speech, system, asked, controls, legs)
+    first = first.labelled(job.name, first.notes)
+    name = first.decided.interpreter
     if asked.beside is None:
         return {name: first}
     # Words whose times were found once are not sought again.
     speech, job = replace(speech, words=first.speech.words), replace(job, text=None)
     other = argparse.Namespace(**{**vars(asked), "interpreter": asked.beside})
-    second = replace(performed(job, speech, system, other, controls, legs), sound_name=job.name, notes=first.notes)
+    second = performed(job, speech, system, other, controls, legs).labelled(job.name, first.notes)
     return {name: first, asked.beside if asked.beside != name else f"{name} again": second}
 
 
