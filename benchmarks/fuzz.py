@@ -168,8 +168,8 @@ class Child:
         return False
 
 
-def main() -> None:
-    """See the head of the file."""
+def main() -> int:
+    """Exit code 1 where an input failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--inputs", type=int, default=10_000, help="damaged files of all readers together")
     parser.add_argument("--seed", type=int, required=True, help="of the damage")
@@ -202,9 +202,11 @@ def main() -> None:
             print(f"{one.name}: {one.count} inputs, {len(one.failed)} failures", flush=True)
             for wrong, times in Counter(wrong for _, wrong in one.failed).items():
                 print(f"    {times} x {wrong} (input {next(n for n, w in one.failed if w == wrong)})", flush=True)
-    print(f"all: {asked.inputs} inputs, {sum(map(len, found.values()))} failures")
+    failures = sum(map(len, found.values()))
+    print(f"all: {asked.inputs} inputs, {failures} failures")
     if asked.out is not None:
         save(asked, shares, found)
+    return 1 if failures else 0
 
 
 def save(asked: argparse.Namespace, shares: dict[str, int], found: dict[str, list[tuple[int, str]]]) -> None:
@@ -222,4 +224,4 @@ def save(asked: argparse.Namespace, shares: dict[str, int], found: dict[str, lis
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

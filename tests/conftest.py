@@ -9,8 +9,6 @@ import pytest
 import torch
 from hypothesis import HealthCheck, settings
 
-torch.set_num_threads(1)
-
 # No deadline: the first call of a numerical library is slow and says nothing about the code under test.
 settings.register_profile("project", deadline=None, max_examples=50, derandomize=True,
                           suppress_health_check=[HealthCheck.too_slow])
@@ -30,17 +28,23 @@ def pytest_configure(config: pytest.Config) -> None:
         librosa.pyin(sound, fmin=60, fmax=400, sr=16000)
 
 
+def pytest_runtest_setup() -> None:
+    """One thread for each test: a command that ran before it may have set torch to all cores."""
+    torch.set_num_threads(1)
+
+
 SLOW_FIXTURES = {"tiny_bundle", "tiny_movement_bundle"}
 """What takes half a minute or more to make."""
 SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
-"""FILE::FUNCTION of the other tests that took more than two seconds (pytest --durations=0)."""
+"""FILE::FUNCTION of the other tests, and of fixtures of one file, that take more than two seconds of the processor."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what is slow, so that `pytest -m "not slow"` is done in three minutes."""
     for item in items:
-        name = f"{item.path.name}::{getattr(item, 'originalname', item.name)}"
-        if name in SLOW or SLOW_FIXTURES & set(getattr(item, "fixturenames", ())):
+        fixtures = set(getattr(item, "fixturenames", ()))
+        names = {getattr(item, "originalname", item.name), *fixtures}
+        if SLOW_FIXTURES & fixtures or SLOW & {f"{item.path.name}::{name}" for name in names}:
             item.add_marker(pytest.mark.slow)
 
 

@@ -61,7 +61,7 @@ def with_a_judge(bundle: bundles.Bundle) -> bundles.Bundle:
 @pytest.fixture(scope="module")
 def rows() -> dict[str, Any]:
     """metric -> figure, by row: the truth, the same again, and every control."""
-    truth = {f"clip{seed}": clip(seed) for seed in range(12)}
+    truth = {f"clip{seed}": clip(seed) for seed in range(6)}
     figures = score.score(common_clips({"truth": truth, "same": truth}), {NETWORK: RawFeatures(12)},
                           with_a_judge(bundles.load(bundles.SHIPPED))).figures
     return {row: {("fgd" if key == NETWORK else key): score.mean_of(figures, row, key) for key in cells}
