@@ -23,7 +23,7 @@ from typing import Any
 from urllib.parse import quote
 
 from data_module.errors import InputError
-from data_module.files import write_text
+from data_module.files import read_text, write_text
 from eval.metrics import METRICS
 from eval.probes import PROBES
 from eval.stats import Interval
@@ -125,10 +125,12 @@ def _figures(folder: Path, unreadable: list[str]) -> list[ReportFigure]:
     found = []
     for file in sorted((folder / "ablation").glob("figure-*.json")):
         try:
-            told = loads(file.read_text(encoding="utf-8"))
+            told = loads(read_text(file, "draw it again"))
             picture = next((own for ending in (".svg", ".png") if (own := file.with_suffix(ending)).is_file()), None)
-            found.append(ReportFigure(told["figure"], told["title"], told["caption"], dict(told["numbers"]), picture))
-        except (ValueError, KeyError, TypeError, RecursionError):
+            figure = ReportFigure(told["figure"], told["title"], told["caption"], dict(told["numbers"]), picture)
+            "\n".join([figure.paper, *_lines_of(figure, folder)])  # TypeError where a text is something else
+            found.append(figure)
+        except (InputError, ValueError, KeyError, TypeError, AttributeError):
             unreadable.append(f"ablation/{file.name}")
     pictures = folder.parent / "pictures"
     found += [ReportFigure(*about, {}, pictures / file) for file, about in PICTURES.items()
@@ -138,7 +140,7 @@ def _figures(folder: Path, unreadable: list[str]) -> list[ReportFigure]:
 
 def _order(name: str) -> tuple[int, int, str]:
     """Where a figure of the papers stands: "RG Fig. 8b" is (0, 8, "b"); what has no number comes last."""
-    found = re.search(r"(RG|RACER)\D*(\d+)\s*([a-z]?)", name)
+    found = re.search(r"(RG|RACER)\D*(\d{1,9})\s*([a-z]?)", name)
     return (("RG", "RACER").index(found[1]), int(found[2]), found[3]) if found else (2, 0, name)
 
 
@@ -180,11 +182,12 @@ def _about(results: Results, out: Path) -> list[str]:
              "the order, not the values. `-` stands where a figure is undefined or was not measured. Intervals are "
              "bootstrap 95 %, over clips, and over seeds where there are several.", ""]
     count = results.facts("claims").get("count")
-    if count:
+    if isinstance(count, dict) and all(isinstance(number, int) for number in count.values()):
         told = ", ".join(f"{number} {verdict}" for verdict, number in count.items())
         lines += [f"> **Of {sum(count.values())} claims: {told}.**", ">"]
     flags = results.facts("score").get("flags")
-    beaten = "; ".join(dict.fromkeys(flag["title"] for flag in flags)) if flags else "none, or not measured"
+    titles = [str(flag.get("title")) for flag in flags if isinstance(flag, dict)] if isinstance(flags, list) else []
+    beaten = "; ".join(dict.fromkeys(titles)) or "none, or not measured"
     lines += [f"> Metrics that a control beats: {beaten}.", ""]
     lines += [Table("", {"store": Column("store"), "fingerprint": Column("fingerprint")}, {
         name: {"store": store.get("name"), "fingerprint": str(store.get("fingerprint", "-"))[:12]}
@@ -199,7 +202,7 @@ def _about(results: Results, out: Path) -> list[str]:
 
 def _included(file: Path, out: Path) -> str:
     """A Markdown file as part of a page in `out`: headings below ours, links from here."""
-    text = re.sub(r"^#{1,6}(?= )", "####", file.read_text(encoding="utf-8").strip(), flags=re.MULTILINE)
+    text = re.sub(r"^#{1,6}(?= )", "####", read_text(file, "save it as text in UTF-8").strip(), flags=re.MULTILINE)
     return re.sub(r"(?<=\]\()(?![a-z]+:|#|/)([^)\s]+)(?=\))", lambda link: _link(file.parent / link[1], out), text)
 
 
@@ -218,15 +221,16 @@ def _tables_of(results: Results, name: str, command: str, level: int = 3) -> lis
 
 def _figure_lines(results: Results, out: Path) -> list[str]:
     """Each figure with its caption and numbers."""
-    lines = []
-    for figure in results.figures:
-        named = f"{figure.paper}: {figure.title}"
-        alt = re.sub(r"[\[\]\n]", " ", named)
-        lines += [f"### {named}", "", f"![{alt}]({_link(figure.picture, out)})" if figure.picture else
-                  "The picture is not there.", "", figure.caption, ""]
-        if figure.numbers:
-            lines += [numbers_table(figure.numbers).markdown()]
+    lines = [line for figure in results.figures for line in _lines_of(figure, out)]
     return lines or [f"No figure is there: `{ABLATE}` draws them."]
+
+
+def _lines_of(figure: ReportFigure, out: Path) -> list[str]:
+    named = f"{figure.paper}: {figure.title}"
+    alt = re.sub(r"[\[\]\n]", " ", named)
+    lines = [f"### {named}", "", f"![{alt}]({_link(figure.picture, out)})" if figure.picture else
+             "The picture is not there.", "", figure.caption, ""]
+    return [*lines, numbers_table(figure.numbers).markdown()] if figure.numbers else lines
 
 
 def numbers_table(numbers: Mapping[str, Any]) -> Table:

@@ -31,6 +31,8 @@ __all__ = ["Column", "Provenance", "Table", "load", "markdown", "publish", "save
 
 MOST_COLUMNS = 8
 """Of a table on a page, the names of the rows among them; a wider one goes on below with the same rows."""
+MOST_DIGITS = 15
+"""Of a number behind the point: a float has no more."""
 NOT_RECORDED = "not recorded"
 NO_BUNDLE = "none"
 
@@ -151,7 +153,9 @@ class Table:
 
     @classmethod
     def from_dict(cls, held: Mapping[str, Any]) -> Table:
-        """What `to_dict` gave."""
+        """What `to_dict` gave; ValueError for a number of digits that no cell can be shown with."""
+        if not all(own.get("digits", 0) in range(MOST_DIGITS + 1) for own in held["columns"].values()):
+            raise ValueError(f"digits are not 0 to {MOST_DIGITS}")
         return cls(held["title"], {key: Column(**own) for key, own in held["columns"].items()},
                    {name: {key: _unpacked(cell) for key, cell in row.items()} for name, row in held["rows"].items()},
                    held["head"], held["notes"], _undefined(held["facts"]))
@@ -247,7 +251,9 @@ def load_with_provenance(path: str | Path) -> tuple[list[Table], Provenance]:
         raise InputError(path, "is not there", "run the command that writes it")
     try:
         held = read_object(path, "run the command that writes it", 1 << 28)
-        return [Table.from_dict(own) for own in held["tables"]], Provenance(**held["about"])
+        tables, about = [Table.from_dict(own) for own in held["tables"]], Provenance(**held["about"])
+        markdown(tables, about)  # what holds values of other types cannot be shown
+        return tables, about
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(path, "holds no tables", "run the command that writes it again") from error
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import FrameType
+from typing import Any
 
 
 @dataclass
@@ -18,13 +20,21 @@ class Calls:
 @contextmanager
 def counted_calls() -> Iterator[Calls]:
     """Count the calls that are made inside, by the interpreter's own hook for profilers."""
-    calls, before = Calls(), sys.getprofile()
+    calls = Calls()
 
-    def count_call(_frame: object, event: str, _argument: object) -> None:
+    def count_call(_frame: FrameType, event: str, _argument: object) -> None:
         calls.count += event in ("call", "c_call")
 
-    sys.setprofile(count_call)
-    try:
+    with profiled(count_call):
         yield calls
+
+
+@contextmanager
+def profiled(hook: Callable[[FrameType, str, Any], object]) -> Iterator[None]:
+    """Call `hook` for every call and return inside, as `sys.setprofile` does."""
+    before = sys.getprofile()
+    sys.setprofile(hook)
+    try:
+        yield
     finally:
         sys.setprofile(before)

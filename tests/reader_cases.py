@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
+import io
 import json
 import re
+import threading
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import published
@@ -41,7 +45,10 @@ from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
 from eval.clip import foreign
 from eval.metrics.eye import ReferenceSpace
-from eval.metrics.gesture_features import reference_windows
+from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encoder, reference_windows
+from eval.metrics.gesture_features import load as load_network
+from eval.metrics.gesture_features import published as published_network
+from eval.metrics.gesture_features import save as save_network
 
 RATE = 16000
 
@@ -51,13 +58,12 @@ class Case:
     """A reader and a file for it.
 
     sample: writes a real file, and what belongs beside it, into a folder, and gives its path. read: reads it as a user
-    of it would. covers: names of the functions that are tried so. packed: puts damaged bytes back where they belong,
-    into an archive or under a hash, given the path; by default they are the file. examples: share of `EXAMPLES`.
+    of it would. content: the bytes that are damaged. packed: puts damaged bytes back where they belong, into an archive
+    or under a hash, given the path; by default they are the file. examples: share of `EXAMPLES`.
     """
 
     sample: Callable[[Path], Path]
     read: Callable[[Path], object]
-    covers: tuple[str, ...]
     content: Callable[[Path], bytes] = Path.read_bytes
     packed: Callable[[Path, bytes], object] = Path.write_bytes
     examples: float = 1.0
@@ -84,6 +90,15 @@ def _sound(kind: str, subtype: str | None) -> Callable[[Path], Path]:
         return folder / f"a.{kind.lower()}"
 
     return write
+
+
+def _read_pipe(file: Path) -> object:
+    """As standard input gives a file: nothing can be read twice."""
+    class Pipe(io.BytesIO):
+        def seekable(self) -> bool:
+            return False
+
+    return load_speech(Pipe(file.read_bytes()))
 
 
 def _container(suffix: str, kind: str, codec: str) -> Callable[[Path], Path]:
@@ -150,6 +165,36 @@ def _arrays(shapes: dict[str, tuple[int, ...]]) -> Callable[[Path], Path]:
         rng = np.random.default_rng(3)
         np.savez(folder / "a.npz", **{name: rng.uniform(0.5, 1.0, shape) for name, shape in shapes.items()})
         return folder / "a.npz"
+
+    return write
+
+
+def _published_network(damaged: str) -> Callable[[Path], Path]:
+    """A network in the shape of the published one, with features that it gives for windows of its own."""
+    def write(folder: Path) -> Path:
+        from safetensors.torch import save_file
+
+        network = Encoder(34, slope=1.0)
+        theirs = {"convolutions": "net", "linear": "out_net", "feature": "fc_mu"}
+        save_file({f"pose_encoder.{theirs[part]}.{rest}": value.contiguous() for key, value
+                   in network.state_dict().items() for part, _, rest in (key.partition("."),)},
+                  folder / "h36m_gesture_encoder.safetensors")
+        (folder / "h36m_gesture_encoder.json").write_text(json.dumps({"frames": 34, "fps": 15, "dim": 27}))
+        rng = np.random.default_rng(0)
+        windows = {f"windows_{name}": rng.normal(size=(2, 34, 27)) for name in "ab"}
+        np.savez(folder / "windows.npz", **windows)  # type: ignore[arg-type]
+        features = published_network(folder).features(np.concatenate(reference_windows(folder / "windows.npz")))
+        np.savez(folder / "h36m_reference.npz", **windows, features_a=features[:2],  # type: ignore[arg-type]
+                 features_b=features[2:])
+        return folder / damaged
+
+    return write
+
+
+def _our_network(damaged: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        save_network(Autoencoder(AutoencoderConfig(frames=34)), folder)
+        return folder / damaged
 
     return write
 
@@ -306,6 +351,12 @@ def _pairs(folder: Path) -> Path:
     return folder / "a.json"
 
 
+def _folder_splits(folder: Path) -> Path:
+    _pairs(folder)
+    (folder / "splits.txt").write_text("name,split\na,train\n")
+    return folder / "splits.txt"
+
+
 def _read_pairs(file: Path) -> object:
     reader = open_corpus("folder", file.parent, Options())
     return [reader.read(item) for item in reader.items()]
@@ -315,6 +366,10 @@ def _beat2(folder: Path) -> Path:
     published.write_beat2(folder, published.TAKE, published.poses_of(45))
     (folder / "train_test_split.csv").write_text(f"id,type\n{published.TAKE},test\n")
     return folder / "train_test_split.csv"
+
+
+def _zeroeggs(folder: Path) -> Path:
+    return published_bvh.zeroeggs(folder, (1, 5)) / "info.csv"
 
 
 def _ted(folder: Path) -> Path:
@@ -351,6 +406,30 @@ def _read_bundle(file: Path) -> object:
     from gesticulator.bundle import bundle
 
     return bundle.load(file.parent)
+
+
+def _read_silent(file: Path) -> object:
+    from gesticulator.bundle.files import read_index
+    from gesticulator.bundle.silent import silent_of
+
+    return silent_of(read_index(file.parent), file.parent)
+
+
+def _older_bundle(damaged: str) -> Callable[[Path], Path]:
+    """A bundle of format 3."""
+    def write(folder: Path) -> Path:
+        from test_bundle import SMALL, as_format_3
+        from untrained import PLAIN, untrained
+
+        return as_format_3(untrained(*PLAIN, *SMALL), folder / "bundle") / damaged
+
+    return write
+
+
+def _read_older_bundle(file: Path) -> object:
+    from gesticulator.bundle.upgrade import upgrade
+
+    return upgrade(file.parent, file.parent.with_name("new"))
 
 
 def _with_index(file: Path, data: bytes) -> None:
@@ -394,13 +473,33 @@ def _read_character(file: Path) -> object:
     from gesticulator.characters.reading import read_character
     from gesticulator.export.gltf import open_gltf
 
+    file = file.with_suffix(".gltf") if file.suffix == ".bin" else file
     character = read_character(file)
     if file.suffix != ".bvh":
         open_gltf(file).to_bytes()
     return find_joints(character)
 
 
-_GLTF_READERS = ("read_character", "read_gltf_character", "read_gltf", "open_gltf", "parse_json", "read_bytes")
+def _gltf(damaged: str, beside: bool) -> Callable[[Path], Path]:
+    """A character as a .gltf, its buffer and picture in files beside it or as base64 in its text."""
+    def write(folder: Path) -> Path:
+        glb = _glb("a.glb")(folder)
+        document, text = json.loads(_gltf_text(glb)), _gltf_text(glb)
+        binary = glb.read_bytes()[28 + len(text):][:document["buffers"][0]["byteLength"]]
+        glb.unlink()
+        picture = document["images"][0]
+        view = document["bufferViews"][picture.pop("bufferView")]
+        start = view.get("byteOffset", 0)
+        for row, name, data in ((document["buffers"][0], "a.bin", binary),
+                                (picture, "a.png", binary[start:start + view["byteLength"]])):
+            row["uri"] = name if beside else "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+            if beside:
+                (folder / name).write_bytes(data)
+        (folder / "a.gltf").write_text(json.dumps(document))
+        return folder / damaged
+
+    return write
+
 
 
 def _mapping(folder: Path) -> Path:
@@ -456,6 +555,44 @@ def _read_sent_plan(file: Path) -> object:
     return exchange.plain(plan)
 
 
+def _request(folder: Path) -> Path:
+    """A plan as a page sends it, with the head of its request."""
+    body = _plan("a.json")(folder).read_bytes().strip()
+    head = ("POST /render HTTP/1.1", "Host: 127.0.0.1:1", "Origin: http://127.0.0.1:1", "X-Gesticulator-Token: secret",
+            "Content-Type: application/json", f"Content-Length: {len(body) + 9}", "", "")
+    return _written("a.http", "\r\n".join(head).encode() + b'{"plan":' + body + b"}")(folder)
+
+
+class _Client:
+    """A connection that sent what lies in a file; it keeps what it is sent."""
+
+    def __init__(self, file: Path) -> None:
+        self.sent, self.answer = file.read_bytes(), b""
+
+    def makefile(self, *_: object) -> io.BytesIO:
+        return io.BytesIO(self.sent)
+
+    def sendall(self, data: bytes) -> None:
+        self.answer += data
+
+    def settimeout(self, _: float) -> None:
+        """It never waits."""
+
+
+def _read_request(file: Path) -> object:
+    """The answer of a server whose rendering reads the plan; AssertionError where it says that the program failed."""
+    from gesticulator.plan.exchange import PlanExchange
+    from gesticulator.serve.page_server import _PageHandler
+
+    exchange = PlanExchange()
+    server = SimpleNamespace(hosts=("127.0.0.1:1",), token="secret", page=b"", queue=0.0, rendering=threading.Lock(),
+                             render=lambda plan: exchange.plain(exchange.read(plan)))
+    client = _Client(file)
+    _PageHandler(client, ("127.0.0.1", 1), server)  # type: ignore[arg-type]
+    assert b" 500 " not in client.answer, client.answer[:1000]
+    return client.answer
+
+
 def _manifest(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         from gesticulator.batch.manifest import FAILED, ManifestRow, write_manifest
@@ -509,11 +646,34 @@ def _read_tables(file: Path) -> object:
     return table.load(file)
 
 
+def _report(name: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / "ablation").mkdir()
+        _results(folder).rename(folder / "claims.json")
+        text = (folder / "claims.json").read_text().replace('"facts": {', '"facts": {"count": {"holds": 3}, ', 1)
+        (folder / "claims.json").write_text(text)
+        (folder / "ablation" / "figure-1.json").write_text(json.dumps({
+            "figure": "RG Fig. 18", "title": "a", "caption": "b", "numbers": {"size-10": {"fgd": 1.5}, "x": [1, 2]}}))
+        (folder / "limits.md").write_text("# Limits\n\nIt was made by rule, see [the corpus](corpus.md).\n")
+        return folder / name
+
+    return write
+
+
+def _read_report(file: Path) -> object:
+    from eval.report import document, gather
+
+    folder = file.parents[file.parent.name == "ablation"]
+    return document(gather(folder), folder / "out", "Results")
+
+
 def _read_words_of_a_command(file: Path) -> object:
     """Each line of the file as what a user writes on a command line."""
     from data_module.settings import with_settings
-    from gesticulator.arguments import _cue
+    from eval.score.command import _positive
+    from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch.run import asked_shard
+    from gesticulator.bundle.silent import numbers
     from gesticulator.options import RANGES
     from gesticulator.serve.vmc import read_target
     from gesticulator.training.tune import SearchRange
@@ -522,7 +682,8 @@ def _read_words_of_a_command(file: Path) -> object:
     lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
     readers: tuple[Callable[[str], object], ...] = (
         read_target, asked_shard, _cue, lambda text: with_settings(LstmConfig(), [text]), SearchRange.parse,
-        lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text))
+        lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
+        _seconds, numbers, lambda text: _positive("--seconds", text))
     refusals = []
     for read, line in zip(readers, lines, strict=False):
         try:
@@ -537,6 +698,12 @@ def _read_message(file: Path) -> object:
 
     text = file.read_bytes().decode("utf-8", "replace")
     return read_message(text), read_hello(text)
+
+
+def _read_sound_message(file: Path) -> object:
+    from gesticulator.serve.protocol import StreamRequest
+
+    return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
 
 
 def _read_edges(file: Path) -> object:
@@ -565,83 +732,93 @@ def _results(folder: Path) -> Path:
     return folder / "t.json"
 
 
-_STORE = ("Store.open", "Store.load", "read_json")
 READERS: dict[str, Case] = {
-    **{kind: Case(_sound(kind, subtype), load_speech, ("load_speech",), examples=share)
+    **{kind: Case(_sound(kind, subtype), load_speech, examples=share)
        # MP3 takes a process each.
        for kind, subtype, share in (("WAV", "PCM_16", 1), ("FLAC", "PCM_16", 1), ("OGG", "VORBIS", 1),
                                     ("AIFF", "PCM_16", 1), ("MP3", None, 0.2))},
-    **{suffix: Case(_container(suffix, kind, codec), load_speech, ("load_speech",))
+    **{suffix: Case(_container(suffix, kind, codec), load_speech)
        for suffix, kind, codec in (("m4a", "mp4", "aac"), ("webm", "webm", "libopus"), ("mkv", "matroska", "flac"))},
-    "bvh": Case(_bvh, lambda file: skeletons.to_character(read_bvh(file)), ("read_bvh",)),
-    "bvh, the hierarchy": Case(_bvh, read_hierarchy, ("read_hierarchy",)),
-    "smplx, the archive": Case(_smplx, lambda file: skeletons.to_character(read_smplx(file)),
-                               ("read_smplx", "read_npz")),
+    "sound from a pipe": Case(_sound("WAV", "PCM_16"), _read_pipe),
+    "bvh": Case(_bvh, lambda file: skeletons.to_character(read_bvh(file))),
+    "bvh, the hierarchy": Case(_bvh, read_hierarchy),
+    "smplx, the archive": Case(_smplx, lambda file: skeletons.to_character(read_smplx(file))),
     **{f"smplx, {name}": Case(_smplx, lambda file: (skeletons.to_character(read_smplx(file)), read_npz(file)),
-                              ("read_smplx", "read_npz"), _member(f"{name}.npy"), _with_member(f"{name}.npy"))
+                              _member(f"{name}.npy"), _with_member(f"{name}.npy"))
        for name in _SMPLX},
-    **{f"{kind}, {name}": Case(_arrays(shapes), read, ("read_numbers", "read_npz"), _member(f"{name}.npy"),
-                               _with_member(f"{name}.npy"), examples=0.5)
+    **{f"{kind}, {name}": Case(_arrays(shapes), read, _member(f"{name}.npy"), _with_member(f"{name}.npy"), 0.5)
        for kind, shapes, read in (("eye's space", _SPACE, ReferenceSpace.load),
                                   ("FGD windows", _WINDOWS, reference_windows))
        for name in tuple(shapes)[:2]},
-    "eye's space, the archive": Case(_arrays(_SPACE), ReferenceSpace.load, ("read_numbers", "ReferenceSpace.load"),
-                                     examples=0.5),
-    "smartbody, skeleton": Case(_smartbody("a.sk"), _read_smartbody, ("read_sk",)),
-    "smartbody, motion": Case(_smartbody("a.skm"), _read_smartbody, ("read_skm",)),
-    **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH),
-                                    ("read_transcript", "read_text")) for suffix, text in TRANSCRIPTS.items()},
+    "eye's space, the archive": Case(_arrays(_SPACE), ReferenceSpace.load, examples=0.5),
+    **{f"published network, {name}": Case(_published_network(name), lambda file: published_network(file.parent),
+                                          examples=0.5)
+       for name in ("h36m_gesture_encoder.json", "h36m_gesture_encoder.safetensors", "h36m_reference.npz")},
+    **{f"our network, {name}": Case(_our_network(name), lambda file: load_network(file.parent), examples=0.5)
+       for name in ("gesture_features.json", "gesture_features.safetensors")},
+    "smartbody, skeleton": Case(_smartbody("a.sk"), _read_smartbody),
+    "smartbody, motion": Case(_smartbody("a.skm"), _read_smartbody),
+    **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH))
+       for suffix, text in TRANSCRIPTS.items()},
     "control curve": Case(_written("a.csv", "# from a tool\ntime;height;speed\n0;0,1;0,3\n1,5;0,2;0,4\n"),
-                          lambda file: [read_curve(file, feature) for feature in FEATURES[:2]], ("read_curve",)),
-    "store, listing": Case(_store("store.json"), _read_store, _STORE),
-    "store, edited listing": Case(_store("store.json"), _read_store, _STORE, packed=_with_fingerprint),
-    "store, report": Case(_store("report.json"), _read_store, _STORE, lambda file: b'{"recordings": 1}'),
-    "store, sound": Case(_store("recordings/a.flac"), _read_store, _STORE,
-                         packed=_with_hashes(Path.write_bytes)),
-    **{f"store, {name}": Case(_store("recordings/a.npz"), _read_store, _STORE, _member(f"{name}.npy"),
+                          lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
+    "store, listing": Case(_store("store.json"), _read_store),
+    "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
+    "store, report": Case(_store("report.json"), _read_store, lambda file: b'{"recordings": 1}'),
+    "store, sound": Case(_store("recordings/a.flac"), _read_store, packed=_with_hashes(Path.write_bytes)),
+    **{f"store, {name}": Case(_store("recordings/a.npz"), _read_store, _member(f"{name}.npy"),
                               _with_hashes(_with_member(f"{name}.npy")))
        for name in ("rotations", "fps", "joints", "word_text", "strokes_beat", "strokes_held_out")},
-    "strokes, manifest": Case(_strokes("manifest.csv"), _read_strokes, ("read_manifest", "load_strokes", "read_table")),
-    "clips, manifest": Case(_clips("manifest.csv"), _read_clips, ("read_clips", "load_takes", "load_borrowed"),
-                            examples=0.5),
-    "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, ("load_takes",), examples=0.5),
-    "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes, ("load_strokes",)),
-    "foreign positions": Case(_positions("a.npy"), foreign.read_motion, ("read_motion", "read_positions", "read_npy")),
-    "foreign sidecar": Case(_positions("a.json"), lambda file: foreign.read_motion(file.with_suffix(".npy")),
-                            ("read_motion", "read_positions")),
-    "folder, NAME.json": Case(_pairs, _read_pairs, ("read_motion",)),
-    "trinity, words": Case(_written("a.json", json.dumps(published_bvh.google(WORDS))), read_words, ("read_words",)),
-    "beat2, its list": Case(_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items(), ("read_table",)),
-    "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file), ("deserialise",)),
-    "fairseq checkpoint": Case(_checkpoint, load_fairseq, ("load_fairseq",)),
-    "bundle, index": Case(_bundle("bundle.json"), _read_bundle, ("read_index", "bundle.load")),
-    "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle, ("bundle.load",)),
-    "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, ("bundle.load",),
-                                           packed=_with_index),
-    "glb character": Case(_glb("a.glb"), _read_character, _GLTF_READERS),
-    "glb character, its JSON": Case(_glb("a.glb"), _read_character, _GLTF_READERS, _gltf_text, _with_gltf_text, 2.0),
-    "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _GLTF_READERS, _gltf_text, _with_gltf_text),
-    "bvh character": Case(_bvh, _read_character, ("read_character", "read_bvh_character")),
-    "mapping": Case(_mapping, _read_mapping, ("load_mapping",)),
-    "plan": Case(_plan("a.json"), _read_plan, ("read_any_plan", "read_plan", "parse_plan", "json_lines.parse",
-                                                   "read_as")),
-    "plan sent by a page": Case(_plan("a.json"), _read_sent_plan, ("PlanExchange.read", "read_part"), examples=2.0),
-    "plan in BML": Case(_plan("a.bml"), _read_plan, ("read_any_plan", "parse_bml"), examples=2.0),
-    **{f"manifest {name}": Case(_manifest(name), _read_manifest, ("read_manifest",))
+    "strokes, manifest": Case(_strokes("manifest.csv"), _read_strokes),
+    "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
+    "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),
+    "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes),
+    "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
+    "foreign sidecar": Case(_positions("a.json"), lambda file: foreign.read_motion(file.with_suffix(".npy"))),
+    "folder, NAME.json": Case(_pairs, _read_pairs),
+    "folder, its splits": Case(_folder_splits, lambda file: open_corpus("folder", file.parent,
+                                                                          Options(split=str(file))).items()),
+    "trinity, words": Case(_written("a.json", json.dumps(published_bvh.google(WORDS))), read_words),
+    "beat2, its list": Case(_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
+    "zeroeggs, its list": Case(_zeroeggs, lambda file: open_corpus("zeroeggs", file.parent, Options()).items()),
+    "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file)),
+    "fairseq checkpoint": Case(_checkpoint, load_fairseq),
+    "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
+    "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
+    "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
+    "bundle, silent lexemes": Case(_bundle("bundle.json"), _read_silent),
+    "older bundle, index": Case(_older_bundle("bundle.json"), _read_older_bundle),
+    **{f"older bundle, {name} and its hash": Case(_older_bundle(f"{name}.safetensors"), _read_older_bundle,
+                                                  packed=_with_index)
+       for name in ("statistics", "lexicon", "style_interpreter")},
+    "glb character": Case(_glb("a.glb"), _read_character),
+    "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
+    "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),
+    "gltf character, data in its text": Case(_gltf("a.gltf", beside=False), _read_character),
+    "gltf character, files beside it": Case(_gltf("a.gltf", beside=True), _read_character),
+    "gltf character, the file beside it": Case(_gltf("a.bin", beside=True), _read_character, examples=0.5),
+    "bvh character": Case(_bvh, _read_character),
+    "mapping": Case(_mapping, _read_mapping),
+    "plan": Case(_plan("a.json"), _read_plan),
+    "plan sent by a page": Case(_plan("a.json"), _read_sent_plan, examples=2.0),
+    "plan in BML": Case(_plan("a.bml"), _read_plan, examples=2.0),
+    "request to the server of a page": Case(_request, _read_request, examples=2.0),
+    **{f"manifest {name}": Case(_manifest(name), _read_manifest)
        for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
-    **{f"study {name}": Case(_study(name), _read_study, ("read_key", "read_answers"))
-       for name in ("key.json", "1.json", "1.csv")},
-    "table of results": Case(_results, _read_tables, ("table.load", "load_with_provenance", "read_object")),
+    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
+    "table of results": Case(_results, _read_tables),
+    **{f"report, {name}": Case(_report(name), _read_report) for name in (
+        "claims.json", "ablation/figure-1.json", "limits.md")},
     "words of a command": Case(_written("a.txt", "\n".join((
-        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5"))),
-                               _read_words_of_a_command, ("read_target", "Range.parse", "SearchRange.parse"),
-                               examples=2.0),
+        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9", "2"))),
+                               _read_words_of_a_command, examples=2.0),
     "message of a client": Case(_written("a.json", json.dumps({
         "type": "hello", "protocol": 1, "sample_rate": 16000, "format": "pcm16", "fps": 30, "seed": 4,
-        "options": {"speaker": "ann", "temperature": 1.0}})), _read_message, ("read_message", "read_hello")),
+        "options": {"speaker": "ann", "temperature": 1.0}})), _read_message),
+    "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
     "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
-                            _read_edges, ()),
-    "token": Case(_written("a.txt", "secret\n"), _read_token, ("read_token",))
+                            _read_edges),
+    "token": Case(_written("a.txt", "secret\n"), _read_token)
 }
 
 

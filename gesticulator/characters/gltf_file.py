@@ -247,7 +247,8 @@ class GltfFile:
         kind, width = np.dtype(_TYPES[own["componentType"]]), math.prod(_SHAPES[own["type"]])
         chosen = range(first, own["count"], step)[:most]
         if "bufferView" in own:
-            values = self._numbers(own, own["count"], kind, width)[first::step][:most].astype(np.float64)
+            with np.errstate(invalid="ignore"):  # a signalling NaN; what takes the values checks that they are finite
+                values = self._numbers(own, own["count"], kind, width)[first::step][:most].astype(np.float64)
         else:
             if len(chosen) * width > _MOST_ZEROS:
                 raise self.error(f"accessors[{accessor}] has {own['count']:,} values and no view")
