@@ -43,8 +43,7 @@ class Renderer:
         if (lexemes == 999).any():
             raise RuntimeError("nobody thought of this")
         same = (lexemes == self.first.lexemes).all()
-        made = replace(self.first if same else self.other, blocks=self.first.blocks, lexemes=lexemes,
-                       best=self.first.best, scores=self.first.scores)
+        made = replace(self.first, motion=(self.first if same else self.other).motion, lexemes=lexemes)
         return {**html.describe(made.scene()), "plan": plan}
 
 
