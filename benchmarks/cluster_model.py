@@ -194,7 +194,7 @@ def driver_times(clip: Path, folder: Path, count: int) -> tuple[dict[str, float]
     """Processor seconds of the driver for a recording, without Ray, as `BatchCosts` has them; and bytes of the manifest
     for it."""
     from gesticulator.batch.jobs import plan
-    from gesticulator.batch.run import READERS, BatchTask, TaskOutcome, file_hash, run_batch, told_seconds
+    from gesticulator.batch.run import READERS, BatchTask, TaskOutcome, estimated_seconds, file_hash, run_batch
 
     for number in range(count):
         (folder / "many").mkdir(exist_ok=True)
@@ -217,7 +217,7 @@ def driver_times(clip: Path, folder: Path, count: int) -> tuple[dict[str, float]
     spent = time.process_time() - begin
     begin = time.process_time()
     for task in tasks:
-        told_seconds(task.source)
+        estimated_seconds(task.source)
         file_hash(task.source)
     read = time.process_time() - begin
     times = {"plan": (spent - noted - read) / count, "read": read / count, "dispatch": noted / count}

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def number(name: str) -> Callable[[str], float]:
-    """Reads the argument --NAME, in its range of `gesticulator.options.RANGES`."""
+    """A parser of the argument --NAME that checks its range in `gesticulator.options.RANGES`."""
     return lambda text: RANGES[name].parse(f"--{name}", text)
 
 
@@ -57,12 +57,12 @@ def _cue(text: str) -> GestureCue:
 
 
 _PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue}
-"""Field -> reads its value, where that is neither a number nor a word."""
+"""Field -> parser of its value, for values that are neither numbers nor words."""
 _GROUPS = {
     "audio and transcript": "",
     "motion": "VALUE is low, mid or high, a number, or a CSV file with the columns time and value.",
 }
-"""Heading of a group of options -> the line below it."""
+"""Title of a group of options -> its description."""
 
 
 def performance_arguments(p: argparse.ArgumentParser) -> None:
@@ -95,7 +95,6 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
 
 
 def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionFlag) -> None:
-    """Add the option of one field."""
     name = f"--{(flag.name or field.name).replace('_', '-')}"
     text, more = flag.help, dict[str, Any](dest=field.name, default=[] if flag.many else field.default)
     if flag.metavar is None:
@@ -117,28 +116,29 @@ def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionF
     group.add_argument(name, help=text, **more)
 
 
-def check_choices(asked: argparse.Namespace) -> None:
-    """`InputError` for a speaker that the bundle does not have and a --beta that nothing reads, before models load."""
-    if asked.beta is not None and (asked.interpreter is None or not INTERPRETERS[asked.interpreter].prior):
+def check_choices(args: argparse.Namespace) -> None:
+    """`InputError` for a speaker that is not in the bundle or a --beta that would have no effect, before models
+    load."""
+    if args.beta is not None and (args.interpreter is None or not INTERPRETERS[args.interpreter].prior):
         steered = ", ".join(name for name, entry in INTERPRETERS.items() if entry.prior)
-        raise InputError(f"--beta {asked.beta:g}", f"is read by the interpreter {steered} alone",
+        raise InputError(f"--beta {args.beta:g}", f"is read by the interpreter {steered} alone",
                          f"add --interpreter {steered}, or leave it out")
-    if asked.speaker is not None:
+    if args.speaker is not None:
         from gesticulator.bundle.bundle import SHIPPED
         from gesticulator.bundle.files import read_index
 
-        speakers = read_index(asked.bundle or SHIPPED)["speakers"]
-        if asked.speaker not in speakers:
-            near = difflib.get_close_matches(asked.speaker, speakers, 1)
-            raise InputError(f"--speaker {shown(asked.speaker)}", "is not in the bundle",
+        speakers = read_index(args.bundle or SHIPPED)["speakers"]
+        if args.speaker not in speakers:
+            near = difflib.get_close_matches(args.speaker, speakers, 1)
+            raise InputError(f"--speaker {shown(args.speaker)}", "is not in the bundle",
                              (f"did you mean {near[0]}? " if near else "") + f"choose among {', '.join(speakers)}")
 
 
-def check_cues(system: Gesticulator, asked: argparse.Namespace) -> None:
-    """`InputError` for a cue whose gesture has no such name, before any recording is done."""
+def check_cues(system: Gesticulator, args: argparse.Namespace) -> None:
+    """`InputError` for a cue that names an unknown gesture, before any recording is processed."""
     from gesticulator.plan.plan import GESTURES
 
-    unknown = [cue.gesture for cue in asked.cues if cue.gesture not in GESTURES]
+    unknown = [cue.gesture for cue in args.cues if cue.gesture not in GESTURES]
     if unknown:
         from gesticulator.directing.lexeme_names import lexeme_names
 
@@ -152,33 +152,33 @@ def check_cues(system: Gesticulator, asked: argparse.Namespace) -> None:
                                  "(gesticulator plan names)")
 
 
-def asked_controls(system: Gesticulator, asked: argparse.Namespace) -> Controls | None:
-    """What the command asks of the style; None when it asks nothing."""
+def controls_from_args(system: Gesticulator, args: argparse.Namespace) -> Controls | None:
+    """The style controls given on the command line; None if there are none."""
     from data_module.controls import controls_from
 
-    asked_for = asked.hand_height, asked.hand_speed, asked.hand_radius
-    if asked_for == (None, None, None):
+    values = args.hand_height, args.hand_speed, args.hand_radius
+    if values == (None, None, None):
         return None
     if system.bundle.levels is None:
-        raise InputError("--hand-height, --hand-speed, --hand-radius", "are not heard by this bundle",
+        raise InputError("--hand-height, --hand-speed, --hand-radius", "are not supported by this bundle",
                          "use a bundle trained with style editing, or leave them out")
-    return controls_from(*asked_for, system.bundle.levels)
+    return controls_from(*values, system.bundle.levels)
 
 
-def asked_options(asked: argparse.Namespace, controls: Controls | None, legs: bool) -> InferenceArguments:
-    """The options that the command line sets, as keyword arguments. controls: what `asked_controls` gave; legs:
-    whether the character has legs."""
-    values = {field.name: getattr(asked, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}
+def options_from_args(args: argparse.Namespace, controls: Controls | None, legs: bool) -> InferenceArguments:
+    """The options given on the command line, as keyword arguments. controls: from `controls_from_args`; legs: whether
+    the character has legs."""
+    values = {field.name: getattr(args, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}
     values.update({name: tuple(value) for name, value in values.items() if isinstance(value, list)})
     values.update(dict.fromkeys(("hand_height", "hand_speed", "hand_radius")), controls=controls, legs=legs,
-                  plan=asked_plan(asked))
+                  plan=plan_from_args(args))
     return cast("InferenceArguments", values)
 
 
-def asked_plan(asked: argparse.Namespace) -> GesturePlan | None:
-    """The plan to render, if any."""
-    if asked.plan is None:
+def plan_from_args(args: argparse.Namespace) -> GesturePlan | None:
+    """The plan given by --plan; None without one."""
+    if args.plan is None:
         return None
     from gesticulator.plan.bml import read_any_plan
 
-    return read_any_plan(asked.plan)
+    return read_any_plan(args.plan)

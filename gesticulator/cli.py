@@ -1,7 +1,7 @@
 """The command line: `gesticulator VERB ...`, and `python -m gesticulator VERB ...`.
 
-A verb is an entry point of the group `gesticulator.commands`, so that packages above this one, and other people's, can
-add verbs. It names a `Command`, which must be cheap to import: what is heavy (torch, librosa) is imported by its `run`.
+A verb is an entry point of the group `gesticulator.commands`, so that higher packages and third-party packages can add
+verbs. It names a `Command`, which must be cheap to import: heavy modules (torch, librosa) are imported by its `run`.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ __all__ = ["Command", "main"]
 PROGRAM = "gesticulator"
 LOG_LEVELS = {"error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO, "debug": logging.DEBUG}
 DEFAULT = "infer"
-"""What is meant when the first word is no verb: `gesticulator speech.wav -o gesture.bvh`."""
+"""The verb used if the first word is not a verb: `gesticulator speech.wav -o gesture.bvh`."""
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that says what is wrong in one line, like every other error of a user."""
+    """A parser that reports errors in one line, like all other user errors."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise the message as an `InputError` (instead of printing the whole usage)."""
-        subject, found, wrong = message.partition(": ")
+        """Raise the message as an `InputError` instead of printing the usage."""
+        subject, colon, wrong = message.partition(": ")
         near = self._nearest(wrong) if subject == "unrecognized arguments" else ""
-        raise InputError(subject if found else "arguments", wrong or message,
+        raise InputError(subject if colon else "arguments", wrong or message,
                          (f"did you mean {near}? " if near else "") + f"see {self.prog} --help")
 
     def _nearest(self, arguments: str) -> str:
-        """The option that the first unknown one looks like, or ""."""
+        """The known option most similar to the first unknown one, or ""."""
         unknown = next((word.partition("=")[0] for word in arguments.split() if word.startswith("--")), "")
         return next(iter(difflib.get_close_matches(unknown, list(self._option_string_actions), 1)), "")
 
@@ -51,8 +51,8 @@ class Parser(argparse.ArgumentParser):
 class Command:
     """A verb of the command line.
 
-    summary: one line for the list of verbs. arguments: adds what it takes to a parser. run: does it, with the exit
-    code. examples: command lines for its help, without the program's name; each is a line that works.
+    summary: one line for the list of verbs. arguments: adds its arguments to a parser. run: executes it and returns the
+    exit code. examples: command lines for its help, without the program's name; each one works as written.
     """
 
     summary: str
@@ -61,9 +61,9 @@ class Command:
     examples: Sequence[str] = ()
 
     def parser(self, program: str) -> argparse.ArgumentParser:
-        """The command's own parser; program: how it was called, such as "gesticulator infer"."""
+        """The parser of this command; program: how it was called, such as "gesticulator infer"."""
         epilog = "examples:\n" + "\n".join(f"  {PROGRAM} {line}" for line in self.examples) if self.examples else None
-        # Without abbreviations: one that works today would break a script when an option that begins alike is added.
+        # No abbreviations: a new option with the same prefix would break scripts that use one.
         parser = Parser(program, description=self.summary, epilog=epilog, allow_abbrev=False,
                         formatter_class=argparse.RawDescriptionHelpFormatter)
         self.arguments(parser)
@@ -77,28 +77,22 @@ class Command:
         with one_line_errors(PROGRAM):
             arguments = self.parser(program).parse_args(argv)
             logging.getLogger("gesticulator").setLevel(LOG_LEVELS[arguments.log_level])
-            code = self._run(arguments)
-            sys.stdout.flush()  # so that a full disk or a closed pipe is met here
+            try:
+                code = self.run(arguments)
+            except (InputError, OSError):
+                if arguments.log_level == "debug":
+                    traceback.print_exc()
+                raise
+            sys.stdout.flush()  # raise errors of a full disk or a closed pipe here
             return code
 
 
-    def _run(self, arguments: argparse.Namespace) -> int:
-        if arguments.log_level != "debug":
-            return self.run(arguments)
-        try:
-            return self.run(arguments)
-        except (InputError, OSError):
-            traceback.print_exc()
-            raise
-
-
 def steady_streams() -> None:
-    """See to it that printing never fails.
+    """Make sure that printing never fails.
 
-    A character that the terminal's encoding lacks is printed as an escape, and so are bytes of a file's name that are
-    no text. A standard stream that is closed becomes the null device; else the next file that is opened would take
-    its number, and what libraries print would land in it.
-    """
+    Characters that the terminal's encoding lacks, and bytes of file names that are not valid text, are printed as
+    escapes. A closed standard stream is replaced by the null device; otherwise the next opened file would take its
+    number and receive the output of libraries. """
     for number in range(3):
         try:
             os.fstat(number)
@@ -115,7 +109,7 @@ def steady_streams() -> None:
 
 @contextmanager
 def our_warnings() -> Iterator[None]:
-    """Only our own warnings concern the user, a line each; those of libraries do not."""
+    """Show only warnings of this package, one line each; suppress those of libraries."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for name in ("data_module", "gesticulator"):
@@ -132,9 +126,9 @@ def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 @contextmanager
 def limited_threads(count: int) -> Iterator[None]:
-    """As many threads in torch and in numpy's matrix products, whatever the environment says: the order in which sums
-    are added up, and with it the last bits of a result, depend on their number."""
-    import numpy  # noqa: F401 - its library must be loaded to be told
+    """Fix the number of threads of torch and of numpy's matrix products regardless of the environment: it determines
+    the order of summation and with it the last bits of a result."""
+    import numpy  # noqa: F401 - its BLAS must be loaded before it can be limited
     import torch
     from threadpoolctl import threadpool_limits
 
@@ -149,16 +143,16 @@ def limited_threads(count: int) -> Iterator[None]:
 
 VERBS: Registry[RegistryEntry] = Registry("commands", "a gesticulator.cli.Command", {}, RegistryEntry,
                                  fits=lambda found: isinstance(found, Command))
-"""By name; ours, too, are entry points (pyproject.toml), so that `eval` can stand above this package."""
+"""By name; the verbs of this project are entry points too (pyproject.toml), so that `eval` can add verbs."""
 
 
 def verbs() -> list[str]:
-    """The verbs' names, `DEFAULT` first, then by name."""
+    """Names of the verbs: `DEFAULT` first, then alphabetically."""
     return sorted(VERBS, key=lambda name: (name != DEFAULT, name))
 
 
 def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
-    """The verbs of a program, one a line."""
+    """The usage of a program with its verbs, one per line."""
     width = max(map(len, known), default=0)
     lines = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
     text = f"usage: {program} VERB ...      ({program} VERB --help describes each)\n"
@@ -171,7 +165,7 @@ def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
 
 
 def _usable() -> dict[str, Command]:
-    """The commands that can be loaded; of each other one a line is printed."""
+    """The commands that can be loaded; an error line is printed for each of the others."""
     known = {}
     for name in verbs():
         try:
@@ -182,11 +176,11 @@ def _usable() -> dict[str, Command]:
 
 
 def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
-    """`InputError` where the first word is neither an option nor anything that could be a recording."""
+    """`InputError` if the first word is neither an option nor could name a recording."""
     plain = word and not word.startswith("-") and not set(word) & set("./\\*?[")
     if plain and not os.path.lexists(word):
         near = difflib.get_close_matches(word, known, 1)
-        raise InputError(word, "is no verb and no file", (f"did you mean {near[0]}? " if near else "")
+        raise InputError(word, "is neither a verb nor a file", (f"did you mean {near[0]}? " if near else "")
                          + f"verbs are {', '.join(known)}")
 
 
@@ -194,7 +188,7 @@ SHELLS = ("bash", "zsh", "fish")
 
 
 def _completion(arguments: Sequence[str]) -> str:
-    """What a shell evaluates to complete verbs and options; `InputError` for another shell, or without argcomplete."""
+    """Shell code that completes verbs and options; `InputError` for an unknown shell, or without argcomplete."""
     if len(arguments) != 1 or arguments[0] not in SHELLS:
         raise InputError("--completion", "needs the name of a shell", f"choose among {', '.join(SHELLS)}")
     if find_spec("argcomplete") is None:
@@ -206,7 +200,7 @@ def _completion(arguments: Sequence[str]) -> str:
 
 
 def _complete() -> None:
-    """Answer a shell that asks what the command line could go on with; never returns where argcomplete is there."""
+    """Answer a shell's completion request; does not return if argcomplete is installed."""
     if find_spec("argcomplete") is not None:
         import argcomplete
 
@@ -218,7 +212,7 @@ def _complete() -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Hand the arguments to the verb that is named first."""
+    """Run the verb named by the first argument."""
     steady_streams()
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["--version"]:

@@ -1,8 +1,8 @@
 """`gesticulator infer`: from recordings to motion files, the main command.
 
-Everything that can be checked before the work is (`gesticulator.batch.jobs`). A fault of the command is an
-`InputError`; a fault of one recording is kept in its `Job`, so that the others are still done. Only what is
-needed is imported, and only after the command line is understood.
+Everything that can be checked before the work is checked first (`gesticulator.batch.jobs`). An error of the command is
+an `InputError`; an error of one recording is stored in its `Job`, so that the others are still processed. Modules are
+imported only when needed, after the command line has been parsed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
-from gesticulator.arguments import asked_controls, asked_plan, check_choices, check_cues, performance_arguments
+from gesticulator.arguments import check_choices, check_cues, controls_from_args, performance_arguments, plan_from_args
 from gesticulator.batch.jobs import Job, is_folder, plan
 from gesticulator.batch.one import check_job, perform, retargeter_for
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
@@ -26,26 +26,23 @@ if TYPE_CHECKING:
 
 EXIT_PART_FAILED = 1
 _OUTPUTS = {"preview": ".html", "plan_out": ".json"}
-"""Argument that names a file of one kind to write -> its suffix; --output takes every kind."""
+"""Argument for an output file of one format -> its suffix; --output takes every format."""
 FORMAT = "bvh"
-"""What is written to a folder that --output names, when not told."""
+"""The format written to a folder if --format is not given."""
 _SHORT = {".g1": ".g1.csv"}
-"""What --format may be called, too."""
+"""Alternative names for --format."""
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
     p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
     p.add_argument("speech", nargs="*", metavar="SPEECH",
                    help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s to one "
                    "hour), folders of them, patterns such as '*.wav', or - for standard input")
-    out = p.add_argument_group("output (at least one is required)", "A path that ends in / or is a folder "
-                                                                         "receives one file per recording, "
-                                                                         "named\nafter it; any other path is the "
-                                                                         "file itself. Missing folders are created.")
+    out = p.add_argument_group(
+        "output (at least one is required)", "A path that ends in / or is a folder receives one file per recording, "
+        "named\nafter it; any other path is the file itself. Missing folders are created.")
     out.add_argument("-o", "--output", metavar="FILE", action="append", help="motion, in the format given by the "
-                                                                             "suffix: "
-                     + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; can be repeated")
+                     "suffix: " + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; can be repeated")
     out.add_argument("--format", metavar="SUFFIX", help=f"format of -o if it is a folder (default {FORMAT})")
     out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length in .bvh files (default cm)")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays the motion in a browser")
@@ -63,64 +60,64 @@ def arguments(p: argparse.ArgumentParser) -> None:
     performance_arguments(p)
 
 
-def run(asked: argparse.Namespace) -> int:
-    """Do every recording; exit code 0, 1 where a part of them failed, 2 where none could be done."""
-    jobs = [] if asked.list else _plan(asked)
-    check_choices(asked)
-    if not asked.list and (asked.manifest or asked.shard or asked.ray):
-        return _run_batch(jobs, asked)
-    retargeter = None if asked.list else retargeter_for(asked)
+def run(args: argparse.Namespace) -> int:
+    """Process all recordings; exit code 0, 1 if some failed, 2 if none succeeded."""
+    jobs = [] if args.list else _plan(args)
+    check_choices(args)
+    if not args.list and (args.manifest or args.shard or args.ray):
+        return _run_batch(jobs, args)
+    retargeter = None if args.list else retargeter_for(args)
     alone = len(jobs) == 1
     done = 0
     with our_warnings():
-        ready = [job for job in jobs if _went_well(partial(check_job, job, asked), alone)]
-        if ready or asked.list:
-            with limited_threads(int(asked.threads)):
+        ready = [job for job in jobs if _succeeded(partial(check_job, job, args), alone)]
+        if ready or args.list:
+            with limited_threads(int(args.threads)):
                 from gesticulator.pipeline import Gesticulator
 
-                system = Gesticulator.from_pretrained(asked.bundle)
-                if asked.list:
-                    return _list(system, asked.list)
-                check_cues(system, asked)
-                controls = asked_controls(system, asked)
-                done = sum(_went_well(partial(perform, job, system, asked, controls, retargeter), alone)
+                system = Gesticulator.from_pretrained(args.bundle)
+                if args.list:
+                    return _list(system, args.list)
+                check_cues(system, args)
+                controls = controls_from_args(system, args)
+                done = sum(_succeeded(partial(perform, job, system, args, controls, retargeter), alone)
                            for job in ready)
-    return 0 if alone else _conclude(len(jobs), done, asked.quiet)
+    return 0 if alone else _conclude(len(jobs), done, args.quiet)
 
 
-def _run_batch(jobs: list[Job], asked: argparse.Namespace) -> int:
-    """Do every recording that is not done yet, and note it in a manifest; the exit code of `run`."""
+def _run_batch(jobs: list[Job], args: argparse.Namespace) -> int:
+    """Process recordings that are not done yet and record them in a manifest; the exit code of `run`."""
     from gesticulator.batch.infer_batch import run_jobs
 
     with our_warnings():
-        total, done = run_jobs(jobs, asked, partial(_worker, jobs, asked))
+        total, done = run_jobs(jobs, args, partial(_worker, jobs, args))
     return 0 if done == total else EXIT_PART_FAILED if done else EXIT_BAD_INPUT
 
 
-def _worker(jobs: Sequence[Job], asked: argparse.Namespace) -> Callable[[int], float]:
-    """Loads what jobs need, and gives what does the job of a number and tells its seconds of sound."""
+def _worker(jobs: Sequence[Job], args: argparse.Namespace) -> Callable[[int], float]:
+    """Load the models; returns a function that processes a job by its number and returns its duration in seconds."""
     from gesticulator.pipeline import Gesticulator
 
-    retargeter = retargeter_for(asked)
-    with limited_threads(int(asked.threads)):
-        system = Gesticulator.from_pretrained(asked.bundle)
-    check_cues(system, asked)
-    controls = asked_controls(system, asked)
-    silent = argparse.Namespace(**{**vars(asked), "quiet": True})
+    retargeter = retargeter_for(args)
+    with limited_threads(int(args.threads)):
+        system = Gesticulator.from_pretrained(args.bundle)
+    check_cues(system, args)
+    controls = controls_from_args(system, args)
+    silent = argparse.Namespace(**{**vars(args), "quiet": True})
 
     def do(number: int) -> float:
-        check_job(jobs[number], asked)
-        with limited_threads(int(asked.threads)):
+        check_job(jobs[number], args)
+        with limited_threads(int(args.threads)):
             return perform(jobs[number], system, silent, controls, retargeter)
 
     return do
 
 
-def _went_well(step: Callable[[], object], alone: bool) -> bool:
-    """Whether a step did its work. A fault of one recording among several is told; that of the only one is raised."""
+def _succeeded(step: Callable[[], object], alone: bool) -> bool:
+    """Whether a step succeeded. The error of one recording among several is printed; that of the only one is raised."""
     try:
         step()
-    except BrokenPipeError:  # whoever read the summaries has gone: no recording's fault
+    except BrokenPipeError:  # the reader of the summaries has exited: not an error of the recording
         raise
     except (InputError, OSError) as error:
         if alone:
@@ -130,46 +127,46 @@ def _went_well(step: Callable[[], object], alone: bool) -> bool:
     return True
 
 
-def _plan(asked: argparse.Namespace) -> list[Job]:
-    if not asked.speech:
+def _plan(args: argparse.Namespace) -> list[Job]:
+    if not args.speech:
         raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
-    jobs = plan(asked.speech, _asked_outputs(asked), asked.text)
-    if asked.plan is not None:
+    jobs = plan(args.speech, _output_files(args), args.text)
+    if args.plan is not None:
         if len(jobs) > 1:
-            raise InputError("--plan", f"is of one recording, and {len(jobs)} are given", "give the one")
-        if asked.text is not None:
-            raise InputError("--text", "stands in the plan already", "leave it out")
-        asked_plan(asked)  # what is wrong with it is found before the work
+            raise InputError("--plan", f"is for one recording, and {len(jobs)} are given", "give one")
+        if args.text is not None:
+            raise InputError("--text", "is already in the plan", "leave it out")
+        plan_from_args(args)  # report errors in the plan before any work
     return jobs
 
 
-def _asked_outputs(asked: argparse.Namespace) -> dict[str, str]:
-    """Suffix -> the file or folder to write to. `InputError` for what cannot be written here, or twice."""
-    given = [(_suffix_of(name, asked.format), name) for name in asked.output or ()]
-    given += [(suffix, getattr(asked, name)) for name, suffix in _OUTPUTS.items() if getattr(asked, name) is not None]
+def _output_files(args: argparse.Namespace) -> dict[str, str]:
+    """Suffix -> the file or folder to write to. `InputError` if it cannot be written or a format is given twice."""
+    given = [(_suffix_of(name, args.format), name) for name in args.output or ()]
+    given += [(suffix, getattr(args, name)) for name, suffix in _OUTPUTS.items() if getattr(args, name) is not None]
     outputs: dict[str, str] = {}
     for suffix, name in given:
         if suffix in outputs:
             raise InputError(name, f"is a second {suffix} beside {outputs[suffix]}", "name one of them")
         check_output(Path(name) / f"gesture{suffix}" if is_folder(name) else name)
         outputs[suffix] = name
-    if asked.unit != "cm" and ".bvh" not in outputs:
-        raise InputError("--unit", "is for .bvh", "leave it out: other formats have their own")
+    if args.unit != "cm" and ".bvh" not in outputs:
+        raise InputError("--unit", "is only for .bvh", "leave it out: other formats have their own")
     return outputs
 
 
-def _suffix_of(name: str, told: str | None) -> str:
-    """The kind of file that an output is."""
+def _suffix_of(name: str, chosen: str | None) -> str:
+    """The suffix of an output; chosen: the value of --format."""
     if is_folder(name):
-        asked = "." + (told or FORMAT).lower().lstrip(".")
-        return _SHORT.get(asked, asked)
-    if told is not None:
+        suffix = "." + (chosen or FORMAT).lower().lstrip(".")
+        return _SHORT.get(suffix, suffix)
+    if chosen is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
     return suffix_of(name) or f".{FORMAT}"
 
 
 def _list(system: Gesticulator, what: str) -> int:
-    """Print the names, the one that is taken when none is told first marked."""
+    """Print the names, with the default one marked."""
     names = system.speakers if what == "speakers" else system.interpreters
     default = system.speakers[system.speaker_index(None)] if what == "speakers" else names[0]
     for name in names:
@@ -178,7 +175,7 @@ def _list(system: Gesticulator, what: str) -> int:
 
 
 def _conclude(count: int, done: int, quiet: bool) -> int:
-    """Sum up a batch of `count` recordings of which `done` were done; the exit code."""
+    """Print how many of `count` recordings were done; the exit code."""
     if done < count:
         complain(f"{PROGRAM}: {done} of {count} recordings done, {count - done} failed")
         return EXIT_PART_FAILED if done else EXIT_BAD_INPUT

@@ -672,7 +672,7 @@ def _read_words_of_a_command(file: Path) -> object:
     from data_module.settings import with_settings
     from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
-    from gesticulator.batch.run import asked_shard
+    from gesticulator.batch.run import parse_shard
     from gesticulator.bundle.silent import numbers
     from gesticulator.options import RANGES
     from gesticulator.serve.vmc import read_target
@@ -681,7 +681,7 @@ def _read_words_of_a_command(file: Path) -> object:
 
     lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
     readers: tuple[Callable[[str], object], ...] = (
-        read_target, asked_shard, _cue, lambda text: with_settings(LstmConfig(), [text]), SearchRange.parse,
+        read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]), SearchRange.parse,
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
         _seconds, numbers, lambda text: _positive("--seconds", text))
     refusals = []

@@ -22,7 +22,7 @@ from gesticulator import infer
 from gesticulator.batch import manifest as manifests
 from gesticulator.batch import run as batch
 from gesticulator.batch.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
-from gesticulator.batch.run import BatchTask, TaskOutcome, asked_shard, done_here, run_batch, sharded
+from gesticulator.batch.run import BatchTask, TaskOutcome, done_here, parse_shard, run_batch, sharded
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 MADE = ("1", "bundle", "settings")
@@ -79,13 +79,13 @@ def test_what_a_killed_process_noted_is_there_and_half_a_line_is_not(tmp_path: P
 def test_a_manifest_is_held_by_one_process_and_must_be_one(tmp_path: Path) -> None:
     with Manifest(tmp_path / "m.jsonl"), pytest.raises(InputError, match="in use"), Manifest(tmp_path / "m.jsonl"):
         pass
-    with pytest.raises(InputError, match="no name of a manifest"):
+    with pytest.raises(InputError, match="not the name of a manifest"):
         Manifest(tmp_path / "m.csv")
     with pytest.raises(InputError, match="does not exist"):
         read_manifest(tmp_path / "none.jsonl")
     for broken in (b"{", b"[1]\n", b'{"input": 3}\n', b'{"input": "a", "status": "maybe"}\n', b"\xff\n"):
         (tmp_path / "x.jsonl").write_bytes(broken)
-        with pytest.raises(InputError, match="is no manifest"):
+        with pytest.raises(InputError, match="is not a manifest"):
             read_manifest(tmp_path / "x.jsonl")
 
 
@@ -127,8 +127,8 @@ def test_a_name_that_is_no_text_does_not_stop_the_manifest(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("asked", ["9" * 5000 + "/" + "9" * 5000, "1/" + "9" * 400, "\u00b2/3", "0/1", "-1/2", "1/1/1"])
 def test_a_shard_of_other_digits_is_refused(asked: str) -> None:
-    with pytest.raises(InputError, match="is no shard"):
-        asked_shard(asked)
+    with pytest.raises(InputError, match="is not a shard"):
+        parse_shard(asked)
 
 
 def test_manifests_of_shards_are_joined_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

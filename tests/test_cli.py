@@ -119,7 +119,7 @@ def test_our_own_verb_wins_over_one_of_the_same_name(monkeypatch: pytest.MonkeyP
 
 def test_an_unknown_verb_is_told_and_the_nearest_named(capfd: pytest.CaptureFixture[str]) -> None:
     assert "did you mean infer?" in stopped(["infre"], capfd)
-    assert "is no verb and no file" in stopped(["zzzz", "--help"], capfd)
+    assert "is neither a verb nor a file" in stopped(["zzzz", "--help"], capfd)
 
 
 def test_a_recording_without_a_verb_is_inferred_whatever_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

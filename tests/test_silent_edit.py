@@ -71,7 +71,7 @@ def test_copy_beside_the_shipped_bundle(tmp_path: Path, capsys: pytest.CaptureFi
     assert "--out DIR" in refused(capsys, "--add", "1")
     link = tmp_path / "link"
     link.symlink_to(bundles.SHIPPED)
-    assert "comes with the package" in refused(capsys, str(link), "--set", "1")
+    assert "is shipped with the package" in refused(capsys, str(link), "--set", "1")
     assert command(*["--set", "1,2", "--out", str(out)]) == 0
     assert bundles.load(out).silent.tolist() == [1, 2]
     assert hashes(bundles.SHIPPED) == files

@@ -27,7 +27,7 @@ def test_a_range_is_read(text: str, whole: bool, log: bool) -> None:
 @pytest.mark.parametrize("text", ["a", "a=", "=1..2", "a=2..1", "a=1..2:cube", "a=0..1:log", "a=1..x", "a=1..2..3",
                                   "a=1..inf", "a=nan..2"])
 def test_what_is_no_range_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="is no range"):
+    with pytest.raises(InputError, match="is not a range"):
         SearchRange.parse(text)
 
 

@@ -1,7 +1,7 @@
-"""`gesticulator build`: a corpus in processes of this machine, in shards, or on a Ray cluster, noted in a manifest.
+"""`gesticulator build`: build a corpus in local processes, in shards, or on a Ray cluster, with a manifest.
 
-Whoever makes a recording writes it into the store that is under way, with what became of it; the store is finished when
-all are there, with the same bytes whoever made them and in whichever order.
+Each worker writes its recordings and their outcomes into the unfinished store. The store is finished when all
+recordings are there; its bytes do not depend on which worker made them, or in what order.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ def _arguments(p: argparse.ArgumentParser) -> None:
                       "--shard: STORE.manifest.parquet")
 
 
-def _run(asked: argparse.Namespace) -> int:
-    if not (asked.ray or asked.shard or asked.manifest):
-        return build.run(asked)
+def _run(args: argparse.Namespace) -> int:
+    if not (args.ray or args.shard or args.manifest):
+        return build.run(args)
     from gesticulator.batch import ray_pool
-    from gesticulator.batch.run import asked_shard
+    from gesticulator.batch.run import parse_shard
 
-    shard = asked_shard(asked.shard)
-    path = Path(asked.manifest or asked.out.with_name(f"{asked.out.name}.{default_name(*shard)}"))
+    shard = parse_shard(args.shard)
+    path = Path(args.manifest or args.out.with_name(f"{args.out.name}.{default_name(*shard)}"))
     check_manifest(path)
-    if asked.ray:
-        ray_pool.check_ray(asked.ray)
-    request = build.asked_for(asked)
+    if args.ray:
+        ray_pool.check_ray(args.ray)
+    request = build.asked_for(args)
     from data_module.corpora.table import STROKE_SOURCES
     from data_module.store import Store
 
@@ -60,14 +60,14 @@ def _run(asked: argparse.Namespace) -> int:
         raise InputError(f"--ray, --shard and --manifest with {request.corpus}", "do not go together",
                          "leave them out: it makes strokes, in one go")
     with Manifest(path) as notes:
-        noted = _NotedBuild(notes, asked.ray, asked.workers, *shard)
+        noted = _NotedBuild(notes, args.ray, args.workers, *shard)
         if shard == (1, 1):
-            build.run(asked, noted.made)
-            noted.complete((info.name, info.seconds) for info in Store.open(asked.out).recordings)
+            build.run(args, noted.made)
+            noted.complete((info.name, info.seconds) for info in Store.open(args.out).recordings)
         else:
             made = build.build_share(request, noted.made, noted.mine)
             noted.complete((outcome.name, outcome.seconds) for outcome in made or ())
-            print(f"{asked.out}: " + ("is there already" if made is None else f"share {shard[0]} of {shard[1]}"))
+            print(f"{args.out}: " + ("is there already" if made is None else f"share {shard[0]} of {shard[1]}"))
         rows = list(notes.rows.values())
     print(f"{path}:\n{table(rows)}", flush=True)
     return 0
@@ -75,7 +75,7 @@ def _run(asked: argparse.Namespace) -> int:
 
 @dataclass
 class _NotedBuild:
-    """Makes recordings where it was asked, and notes them. ray: see `done_on_ray`; workers: processes without it;
+    """Builds recordings and records them in the manifest. ray: see `done_on_ray`; workers: processes without Ray;
     index, count: of the shard."""
 
     notes: Manifest
@@ -86,7 +86,7 @@ class _NotedBuild:
     _writer: StoreWriter | None = None
 
     def mine(self, items: Sequence[Item]) -> list[Item]:
-        """Those of the shard, the largest first."""
+        """The items of this shard, the largest first."""
         from gesticulator.batch.run import sharded
 
         return [items[task.number] for task in sharded(_tasks(items), self.index, self.count)]
@@ -99,7 +99,7 @@ class _NotedBuild:
         self._writer = workshop.writer
         settings = self._row("").settings
         for name in [row.input for row in self.notes.rows.values() if row.settings != settings]:
-            del self.notes.rows[name]  # of a store of that name that is there no more
+            del self.notes.rows[name]  # rows of an earlier store of the same name
         make = partial(_worker, workshop, tuple(items))
         order = [task.number for task in sharded(_tasks(items), 1, 1)]
         if not order:
@@ -116,13 +116,12 @@ class _NotedBuild:
                 complain(f"{PROGRAM}: {item.info.name}: {wrong}")
 
     def complete(self, made: Iterable[tuple[str, float]]) -> None:
-        """Note what was made, with its seconds, by a run that was killed before it could."""
+        """Add recordings (name, seconds) that an earlier run built but could not record before it was killed."""
         for name, seconds in made if self._writer is not None else ():
             if name not in self.notes.rows:
                 self.notes.add(self._row(name, seconds))
 
     def _row(self, name: str, seconds: float = 0.0) -> ManifestRow:
-        """Of a recording that was made."""
         from gesticulator.version import __version__
 
         assert self._writer is not None
@@ -139,12 +138,12 @@ def _tasks(items: Sequence[Item]) -> list[BatchTask]:
 
 
 def _worker(workshop: build.Workshop, items: Sequence[Item]) -> Callable[[int], float]:
-    """Opens the corpus, and gives what makes the recording of a number and tells its seconds of sound."""
+    """Open the corpus; returns a function that builds recording `number` and returns its duration in seconds."""
     from data_module.corpora.table import open_corpus
 
     workshop.reader = open_corpus(workshop.corpus, workshop.source, workshop.options)
-    found = json.loads(json.dumps(dict(workshop.reader.settings())))
-    if found != workshop.writer.head["settings"]:
+    settings = json.loads(json.dumps(dict(workshop.reader.settings())))
+    if settings != workshop.writer.head["settings"]:
         raise InputError(workshop.source or workshop.corpus, "is not the same on all machines",
                          "give them the same files and programs")
 

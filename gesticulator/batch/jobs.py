@@ -1,7 +1,7 @@
-"""The recordings that a command line names, and the files that are written for each: `plan`.
+"""The recordings named on the command line and the files to write for each: `plan`.
 
-Names, suffixes, folders and rights are checked before any work. What is wrong with the command is an `InputError`; what
-is wrong with one recording is kept in its `Job`.
+Names, suffixes, folders and permissions are checked before any work. An error of the command is an `InputError`; an
+error of one recording is stored in its `Job`.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from gesticulator.export.writers import suffix_of
 STDIN = "-"
 """The name of standard input on the command line."""
 TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
-"""Endings of the files that a folder of transcripts is searched for, in this order."""
+"""File suffixes that a folder of transcripts is searched for, in this order."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A recording and what is to be written for it.
+    """A recording and the files to write for it.
 
-    source: None is standard input. targets: a file for each thing that was asked for. text: its transcript, if any.
-    fault: why it cannot be done, known beforehand.
+    source: None is standard input. targets: the output files. text: its transcript, if any. fault: why it cannot be
+    processed, if that is already known.
     """
 
     source: Path | None
@@ -36,7 +36,7 @@ class Job:
 
     @property
     def name(self) -> str:
-        """What the recording is called in messages."""
+        """The name of the recording in messages."""
         return "standard input" if self.source is None else printable(self.source.name)
 
 
@@ -44,10 +44,9 @@ def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = No
     """The jobs of a command. names: files, folders, patterns, or "-". outputs: suffix (".bvh") -> the file or folder
     to write to. text: a transcript, or a folder of transcripts named like the recordings.
 
-    A path that ends in a slash, or that is a folder, means a folder; anything else is a file. InputError where the
-    names or the outputs are wrong whatever the recordings hold: an output without the suffix, one file for several
-    recordings, two recordings of one name, a place that cannot be written.
-    """
+    A path that ends in a slash, or that is a folder, means a folder; anything else is a file. `InputError` for an
+    output with the wrong suffix, one file for several recordings, two recordings of one name, or a place that cannot be
+    written. """
     sources = _sources(names)
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")
@@ -76,18 +75,19 @@ def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = No
 
 
 def is_folder(given: str) -> bool:
-    """Whether a path means a folder: it ends in a slash, or is one."""
+    """Whether a path denotes a folder: it ends in a slash or is an existing folder."""
     return given.endswith(("/", os.sep)) or Path(given).is_dir()
 
 
 def _sources(names: Sequence[str]) -> list[Path | None]:
-    """Every recording that is named, once, in the order of the command; what a folder or a pattern holds is sorted."""
+    """All named recordings without repeats, in the order of the command; contents of folders and patterns are
+    sorted."""
     from data_module.speech.audio import SOUNDS
 
-    found: dict[Path | None, Path | None] = {}
+    unique: dict[Path | None, Path | None] = {}
     for name in names:
         if name == STDIN:
-            found[None] = None
+            unique[None] = None
             continue
         path = Path(name)
         if path.is_dir():
@@ -96,25 +96,25 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
             if not inside:
                 raise InputError(path, "is a folder without sound files", f"give one with {', '.join(SOUNDS)}")
         elif set(name) & set("*?[") and not os.path.lexists(name):
-            # A shell leaves a pattern as it is where it is quoted, and Windows always does.
-            matches = glob.glob(name, recursive=True)  # noqa: PTH207 - absolute patterns, and ** in one call
+            # A shell passes a quoted pattern on unexpanded, and Windows never expands patterns.
+            matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
             inside = sorted(Path(match) for match in matches if Path(match).is_file())
             if not inside:
                 raise InputError(name, "matches no file", "check the pattern")
         else:
             inside = [path]
-        found.update({file.resolve(): file for file in inside if file.resolve() not in found})
-    return list(found.values())
+        unique.update({file.resolve(): file for file in inside if file.resolve() not in unique})
+    return list(unique.values())
 
 
 def _check_output(given: str, suffix: str, count: int) -> None:
     if is_folder(given):
         return
-    own = suffix_of(given)
-    stem = given[:-len(own)] if own else given
+    ending = suffix_of(given)
+    stem = given[:-len(ending)] if ending else given
     if count > 1:
         raise InputError(given, f"is one file for {count} recordings", f"name a folder: {stem}/")
-    if own != suffix:
+    if ending != suffix:
         raise InputError(given, f"does not end in {suffix}", f"name it {stem or 'gesture'}{suffix}, or {given}/ for a "
                          "folder")
 
@@ -138,7 +138,7 @@ def _transcript(given: str | None, stem: str) -> Path | None:
 
 
 def _check_place(target: Path) -> None:
-    """`InputError` where the target cannot be written; folders that are missing are made when it is."""
+    """`InputError` if the target cannot be written; missing folders are created later, when it is written."""
     if target.is_dir():
         raise InputError(target, "is a folder", "choose another output")
     folder = target.parent

@@ -1,7 +1,7 @@
-"""A recording of any length to motion files in bounded memory: sound is read in pieces, fed to a stream, and frames are
-written as they come. The bytes are those of the recording done at once.
+"""Inference for recordings of any length in bounded memory: audio is read in pieces, fed to a stream, and frames are
+written as they come. The output is byte-identical to processing the recording at once.
 
-What grows with the recording is a lexeme for each block: some 70 KB an hour.
+Only the lexeme of each block is kept: about 70 KB per hour.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from gesticulator.pipeline import Gesticulator
 
 _COPIED = 1 << 20
-"""Bytes that are copied at a time."""
+"""Bytes copied at a time."""
 
 
 class FrameWriter(Protocol):
-    """Writes a motion whose frames come in pieces."""
+    """Writes a motion whose frames arrive in pieces."""
 
     def expect(self, frames: int) -> None:
-        """`InputError` where so many frames are more than the file can hold."""
+        """`InputError` if the file cannot hold this many frames."""
 
     def add(self, motion: Motion) -> None:
         """Some more frames."""
@@ -46,11 +46,11 @@ class FrameWriter(Protocol):
         """Give the file its name; nothing follows."""
 
     def close(self) -> None:
-        """Let go of temporary files; whatever is not finished is gone."""
+        """Delete temporary files; a file that was not finished is discarded."""
 
 
 class BvhFile:
-    """A .bvh file. Its header tells how many frames there are, so they wait in a file without a name until then."""
+    """A .bvh file. Its header holds the number of frames, so frames are kept in a temporary file until it is known."""
 
     def __init__(self, path: Path, skeleton: Skeleton, fps: float, unit: str = "cm") -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -78,8 +78,8 @@ class BvhFile:
 
 @dataclass(frozen=True)
 class LongPerformance:
-    """What is kept of a long recording. seconds: of sound; lexemes: [N] of its blocks; frames: of its motion; note:
-    what to tell of its level."""
+    """The result for a long recording. seconds: duration of the audio; lexemes: [N] of its blocks; frames: of its
+    motion; note: a warning about its level, if any."""
 
     seconds: float
     lexemes: tuple[int, ...]
@@ -94,26 +94,20 @@ def _glb(path: Path, skeleton: Skeleton, fps: float, unit: str) -> FrameWriter:
 
 
 WRITERS: dict[str, Callable[[Path, Skeleton, float, str], FrameWriter]] = {".bvh": BvhFile, ".glb": _glb}
-"""Suffix -> what writes it in pieces: (path, skeleton, frames per second, unit of a BVH file)."""
-
-
-def can_be_written(targets: Collection[Path]) -> bool:
-    """Whether all of these files can be written in pieces."""
-    return all(target.suffix.lower() in WRITERS for target in targets)
+"""Suffix -> writer that takes frames in pieces: (path, skeleton, frames per second, unit of a BVH file)."""
 
 
 def can_be_done(bundle: Bundle) -> bool:
-    """Whether the bundle's motion can be made in pieces: its phrases rest, and its joints turn."""
+    """Whether the bundle can generate motion in pieces: it rests between phrases and represents joints as rotations."""
     return bundle.system.streams and bundle.config.motion.representation == "rotations"
 
 
 def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Path], options: InferenceArguments,
                  unit: str = "cm", on_sound: Callable[[float], None] | None = None) -> LongPerformance:
-    """Write the gestures for a recording, whole or not at all.
+    """Write the gestures for a recording, atomically.
 
-    targets: files that `can_be_written`. unit: of a BVH file. on_sound(seconds) is called as sound was taken in.
-    `InputError` for what the recording cannot be used for, or for more frames than a file can hold; OSError where the
-    disk refuses.
+    targets: files with a suffix in `WRITERS`. unit: of a BVH file. on_sound(seconds) is called after each piece.
+    `InputError` if the recording cannot be processed or has more frames than a file can hold; OSError for disk errors.
     """
     stream = system.stream(SAMPLE_RATE, **options)
     lexemes: list[int] = []

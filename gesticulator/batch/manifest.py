@@ -1,7 +1,7 @@
-"""The manifest of a batch: a row for each recording, of what was made of it and with what, as Parquet or JSON lines.
+"""The manifest of a batch: one row per recording with its outputs and settings, as Parquet or JSON lines.
 
-While a batch runs, rows are added to a journal beside the manifest, a line each, so that nothing is lost with the
-process; the next run takes them over. `gesticulator manifest` joins the manifests of shards and shows what they hold.
+While a batch runs, rows are appended to a journal beside the manifest, one line each, so that nothing is lost if the
+process is killed; the next run reads it. `gesticulator manifest` joins the manifests of shards and summarises them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import contextlib
 import io
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,71 +25,70 @@ from gesticulator.cli import Command
 
 DONE, FAILED = "done", "failed"
 SUFFIXES = (".parquet", ".jsonl")
-"""Endings of a manifest; Parquet needs pyarrow."""
+"""Suffixes of a manifest; Parquet needs pyarrow."""
 _JOURNAL = ".journal"
 _LONGEST_LINE = 1 << 20
-"""Bytes (1 MiB) of a row in JSON: paths and a message of some kilobytes."""
+"""Largest row in JSON, bytes (1 MiB): paths and an error message take a few kilobytes."""
 _MOST_ROWS = 10_000_000
-"""Rows of a manifest: more than any corpus has recordings. A Parquet file can claim any number in some bytes."""
+"""Most rows of a manifest: more than any corpus has. A Parquet file of a few bytes can claim any number."""
 _MOST_BYTES = 1 << 32
-"""Bytes (4 GiB) of all columns together, unpacked."""
+"""Largest size of all columns together, uncompressed bytes (4 GiB)."""
 _ADVICE = "name another, or move it away"
 
 
 @dataclass(frozen=True)
 class ManifestRow:
-    """A recording of a batch. What tells whether it must be done again: `sha256`, `output`, `program`, `bundle` and
-    `settings`."""
+    """A recording of a batch. It is processed again if `sha256`, `output`, `program`, `bundle` or `settings`
+    changed."""
 
     input: str
-    """The path of the recording."""
+    """Path of the recording."""
     sha256: str = ""
-    """Of its bytes; "" where it could not be read."""
+    """SHA-256 of its bytes; "" if it could not be read."""
     seconds: float = 0.0
-    """Of sound; by the header, or guessed by its size, where it failed."""
+    """Duration; taken from the header or estimated from the file size if processing failed."""
     output: tuple[str, ...] = ()
-    """The paths of what was asked for."""
+    """Paths of the output files."""
     status: str = DONE
     """"done" or "failed"."""
     error: str = ""
-    """What was wrong with it, a line."""
+    """Why it failed, one line."""
     time: float = 0.0
-    """Seconds of computing."""
+    """Computing time, seconds."""
     program: str = ""
-    """The version."""
+    """Version of the program."""
     bundle: str = ""
-    """SHA-256 of the bundle's index, which holds those of all its files."""
+    """SHA-256 of the bundle's index, which holds the hashes of all its files."""
     settings: str = ""
-    """SHA-256 of what was asked, the contents of files that were named included."""
+    """SHA-256 of the options, including the contents of files that they name."""
     worker: str = field(default="", compare=False)
-    """Host and process that did it."""
+    """Host and process that processed it."""
 
     @property
     def made_of(self) -> tuple[object, ...]:
-        """What its output depends on, and where that lies."""
+        """Everything that the output depends on, and the output paths."""
         return self.sha256, self.output, self.program, self.bundle, self.settings
 
     def stands(self) -> bool:
-        """Whether it was done and its files are there."""
+        """Whether it was processed and its output files exist."""
         return self.status == DONE and all(Path(path).is_file() for path in self.output)
 
 
 def row_of(entry: Any) -> ManifestRow:
-    """The row of plain values; ValueError where they are none. What is absent or null has its default."""
+    """The row from plain values; absent or null values get their defaults. ValueError for invalid values."""
     if not isinstance(entry, Mapping):
         raise ValueError("a row is no object")
-    given = {one.name: entry[one.name] for one in fields(ManifestRow) if entry.get(one.name) is not None}
-    for name, value in given.items():
+    values = {one.name: entry[one.name] for one in fields(ManifestRow) if entry.get(one.name) is not None}
+    for name, value in values.items():
         if not _fits(name, value):
             raise ValueError(f"{name} is {shown(value)}")
-    if "input" not in given or given.get("status", DONE) not in (DONE, FAILED):
+    if "input" not in values or values.get("status", DONE) not in (DONE, FAILED):
         raise ValueError("a row without an input or a status")
-    row = ManifestRow(**given)
+    row = ManifestRow(**values)
     return replace(row, output=tuple(row.output), seconds=float(row.seconds), time=float(row.time))
 
 
 def _fits(name: str, value: Any) -> bool:
-    """Whether a value is of its field's kind."""
     if name in ("seconds", "time"):
         return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     if name == "output":
@@ -98,23 +97,23 @@ def _fits(name: str, value: Any) -> bool:
 
 
 def check_manifest(path: Path) -> None:
-    """`InputError` where a manifest of that name cannot be written here."""
+    """`InputError` if a manifest of that name cannot be written here."""
     if path.suffix not in SUFFIXES:
-        raise InputError(path, "is no name of a manifest", f"let it end in {' or '.join(SUFFIXES)}")
+        raise InputError(path, "is not the name of a manifest", f"use a name that ends in {' or '.join(SUFFIXES)}")
     if path.suffix == ".parquet" and find_spec("pyarrow") is None:
         raise InputError(path, "needs pyarrow, which is not installed", "pip install 'gesticulator[parquet]', or name "
                          f"it {path.with_suffix('.jsonl')}")
 
 
 def default_name(index: int = 1, count: int = 1) -> str:
-    """What a manifest is called where nobody says; that of a shard bears its number."""
+    """The default file name of a manifest; that of a shard contains its number."""
     shard = "" if count == 1 else f".{index}-of-{count}"
     return f"manifest{shard}.parquet" if find_spec("pyarrow") is not None else f"manifest{shard}.jsonl"
 
 
 def read_manifest(path: Path) -> dict[str, ManifestRow]:
-    """Input -> its row; what the journal beside it holds counts, and a line that was being written when a process was
-    killed does not. `InputError` for a file that is no manifest, or is lacking with its journal."""
+    """Input -> its row, including rows of the journal beside it; an incomplete last line of the journal is ignored.
+    `InputError` if the file is not a manifest, or neither manifest nor journal exists."""
     check_manifest(path)
     entries: list[Any] = []
     journal = path.with_name(path.name + _JOURNAL)
@@ -127,11 +126,11 @@ def read_manifest(path: Path) -> dict[str, ManifestRow]:
             entries += _lines(journal, whole=False)
         return {row.input: row for row in map(row_of, entries)}
     except (ValueError, OSError) as error:
-        raise InputError(path, f"is no manifest ({' '.join(str(error).split())[:80]})", _ADVICE) from None
+        raise InputError(path, f"is not a manifest ({' '.join(str(error).split())[:80]})", _ADVICE) from None
 
 
 def _read_table(path: Path) -> list[Any]:
-    """The rows of a Parquet file; ValueError where its columns are not those of a manifest, before they are read."""
+    """The rows of a Parquet file; its columns are checked before they are read (ValueError)."""
     import pyarrow
     from pyarrow import parquet
 
@@ -153,15 +152,15 @@ def _read_table(path: Path) -> list[Any]:
 
 
 def _lines(path: Path, whole: bool) -> list[Any]:
-    """The values of a file of JSON lines. whole: the last line counts, too, which else may be cut off."""
-    found: list[Any] = []
+    """The values of a file of JSON lines. whole: False ignores an incomplete last line."""
+    rows: list[Any] = []
     with path.open("rb") as file:
         while line := file.readline(_LONGEST_LINE + 1):
             if len(line) > _LONGEST_LINE:
                 raise InputError(path, "has a line longer than 1 MiB", _ADVICE)
             if line.strip() and (whole or line.endswith(b"\n")):
-                found.append(_entry(line))
-    return found
+                rows.append(_entry(line))
+    return rows
 
 
 def _entry(line: bytes) -> Any:
@@ -172,7 +171,7 @@ def _entry(line: bytes) -> Any:
 
 
 def _is_kind(kind: Any, wanted: Any) -> bool:
-    """Whether a column's type is the one wanted, in any of its sizes, or has no values at all."""
+    """Whether a column has the wanted type in any of its sizes, or no values at all."""
     from pyarrow import types
 
     if types.is_list(wanted):
@@ -191,7 +190,7 @@ def _schema() -> Any:
 
 
 def write_manifest(path: Path, rows: Iterable[ManifestRow]) -> None:
-    """Write rows by the name of their input, whole or not at all."""
+    """Write rows sorted by input, atomically."""
     entries = [asdict(row) for row in sorted(rows, key=lambda row: row.input)]
     if path.suffix == ".jsonl":
         write_bytes(path, "".join(json.dumps(entry, ensure_ascii=True) + "\n" for entry in entries).encode())
@@ -205,7 +204,7 @@ def write_manifest(path: Path, rows: Iterable[ManifestRow]) -> None:
 
 
 def _as_text(entry: dict[str, Any]) -> dict[str, Any]:
-    """The bytes of names that are no text as escapes: Parquet holds UTF-8 alone."""
+    """Escape the bytes of names that are not valid text: Parquet holds only UTF-8."""
     def plain(value: Any) -> Any:
         if isinstance(value, str):
             return value.encode("utf-8", "backslashreplace").decode()
@@ -215,10 +214,7 @@ def _as_text(entry: dict[str, Any]) -> dict[str, Any]:
 
 
 class Manifest:
-    """A manifest that is being added to, held against other processes; used in a `with`.
-
-    `InputError` where another process holds it.
-    """
+    """A manifest being written, locked against other processes; used in a `with`. `InputError` if it is locked."""
 
     def __init__(self, path: Path) -> None:
         check_manifest(path)
@@ -235,19 +231,19 @@ class Manifest:
             held.enter_context(lock(self.path, "a batch", beside=True))
             if self.path.exists() or self._journal_path.exists():
                 self.rows = read_manifest(self.path)
-                self._settle()  # a line that broke off must not be gone on with
+                self._merge_journal()  # must not append to an incomplete line
             self._journal = held.enter_context(self._journal_path.open("ab"))
             self._held = held.pop_all()
         return self
 
     def add(self, row: ManifestRow) -> None:
-        """One row more, or another for its recording; it is on its way to the disk when this returns."""
+        """Add a row, or replace that of the same recording; it has been flushed when this returns."""
         assert self._journal is not None
         self.rows[row.input] = row
         self._journal.write((json.dumps(asdict(row), ensure_ascii=True) + "\n").encode())
         self._journal.flush()
 
-    def _settle(self) -> None:
+    def _merge_journal(self) -> None:
         if self.rows or self.path.exists():
             write_manifest(self.path, self.rows.values())
         self._journal_path.unlink(missing_ok=True)
@@ -255,13 +251,13 @@ class Manifest:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
                  ) -> None:
         with self._held:
-            self._settle()
+            self._merge_journal()
 
 
 # ------------------------------------------------------------------------------------------------------ the verb
 
 def table(rows: Sequence[ManifestRow], kept: int = 0) -> str:
-    """What a batch came to. kept: how many of the rows stood already."""
+    """The summary of a batch. kept: number of rows that were up to date before."""
     done = [row for row in rows if row.status == DONE]
     hours, spent = sum(row.seconds for row in done) / 3600, sum(row.time for row in done)
     cells = [("recordings", f"{len(rows)}"), ("done", f"{len(done)}"), ("of which before", f"{kept}"),
@@ -272,7 +268,7 @@ def table(rows: Sequence[ManifestRow], kept: int = 0) -> str:
 
 
 def merged(paths: Iterable[Path]) -> dict[str, ManifestRow]:
-    """The rows of several manifests; of two for one recording the one that was done counts, then the later."""
+    """The rows of several manifests; of two rows for one recording a successful one wins, then the later."""
     rows: dict[str, ManifestRow] = {}
     for path in paths:
         for row in read_manifest(path).values():
@@ -289,20 +285,17 @@ def _arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--failed", action="store_true", help="list the failures and their reasons")
 
 
-def _run(asked: argparse.Namespace) -> int:
-    if asked.output is not None:
-        check_manifest(asked.output)
-    rows = merged(asked.manifest)
-    if asked.output is not None:
-        write_manifest(asked.output, rows.values())
-    for row in _worst(rows.values()) if asked.failed else ():
-        print(printable(f"{row.input}: {row.error}"))
+def _run(args: argparse.Namespace) -> int:
+    if args.output is not None:
+        check_manifest(args.output)
+    rows = merged(args.manifest)
+    if args.output is not None:
+        write_manifest(args.output, rows.values())
+    for row in sorted(rows.values(), key=lambda row: row.input) if args.failed else ():
+        if row.status == FAILED:
+            print(printable(f"{row.input}: {row.error}"))
     print(table(list(rows.values())), flush=True)
     return 0
-
-
-def _worst(rows: Iterable[ManifestRow]) -> Iterator[ManifestRow]:
-    yield from sorted((row for row in rows if row.status == FAILED), key=lambda row: row.input)
 
 
 COMMAND = Command(

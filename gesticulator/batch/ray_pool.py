@@ -1,8 +1,8 @@
-"""Work on a Ray cluster: each worker loads the models once, and one that dies, or that is slow, is replaced.
+"""Batches on a Ray cluster: each worker loads the models once; a worker that dies or is slow is replaced.
 
-Each worker has one task at a time, so that those that come first are begun first. What a worker was doing when it died
-is given to the next one. When nothing waits any more, a task that takes far longer than the others is done a second
-time by a worker that is free, and whichever is ready first counts: results are written whole and are the same.
+Each worker has one task at a time, so that tasks start in order. The task of a worker that died is given to the next
+one. When no tasks are waiting, a task that takes far longer than the others is also given to an idle worker, and the
+first result counts: results are written atomically and are identical.
 """
 
 from __future__ import annotations
@@ -26,47 +26,49 @@ from data_module.settings import whole_number
 from gesticulator.batch.run import Doing, Maker, TaskOutcome, attempted
 
 ATTEMPTS = 3
-"""How often a task is tried whose worker dies: more likely it is what kills them (memory) than chance."""
+"""Attempts at a task whose worker dies: the task itself is the likelier cause (memory) than chance."""
 SLOW, SLOW_SECONDS = 3.0, 10.0
-"""A task is slow that takes so many times the median of those before it, and so many seconds at the least."""
+"""A task is slow if it takes this many times the median duration of finished tasks, and at least this many seconds."""
 PULSE = 2.0
-"""Seconds after which, where nothing was heard, the head of the cluster is asked whether it is there."""
+"""Seconds without a result after which the connection to the head of the cluster is checked."""
 STARTS = 3
-"""Times that a cluster of this machine is tried to be started."""
+"""Attempts to start a cluster on this machine."""
 MISSED = 3
-"""Times without an answer after which it is not: a busy machine may miss one."""
+"""Failed checks in a row after which the head counts as lost: a busy machine may miss one."""
 _LOCAL, _CLIENT = "local:", "ray://"
 _MOST_WORKERS = 10_000
 
 
 def check_ray(given: str) -> None:
-    """`InputError` where Ray is not installed, or what --ray names is none."""
+    """`InputError` if Ray is not installed or the value of --ray is invalid."""
     if find_spec("ray") is None:
         raise InputError("--ray", "needs Ray, which is not installed", "pip install 'gesticulator[scale]', or use "
                          "--shard")
     if given.startswith(_LOCAL) and not whole_number(given[len(_LOCAL):], _MOST_WORKERS):
-        raise InputError(f"--ray {given[:40]}", "is no number of workers", "write --ray local:4")
+        raise InputError(f"--ray {given[:40]}", "is not a number of workers", "write --ray local:4")
 
 
 class RayWorker:
-    """What a worker of the cluster holds: the models."""
+    """A worker process of the cluster, with the models loaded."""
 
     def __init__(self, make: Maker) -> None:
         self._doing: Doing | None = None
         try:
             self._doing = make()
-        except (InputError, OSError) as error:  # raised here, it would look like a death and be tried again
+        except (InputError, OSError) as error:  # if raised here, it would look like a dead worker and be retried
             self._fault = one_line(error)
 
     def do(self, number: int) -> TaskOutcome | str:
-        """Do a task; why this worker can do none, where it cannot."""
+        """Process a task; returns the error message if this worker could not load the models."""
         return self._fault if self._doing is None else attempted(self._doing, number)
 
 
 def done_on_ray(given: str, make: Maker, numbers: Sequence[int], doubles: bool = True) -> Iterator[TaskOutcome]:
-    """Do tasks on the cluster; given: "auto" (the one that runs here, else this machine), the address of one, or
-    "local:N" for N workers here; doubles: whether what is slow may be done twice at a time. What is done comes as it is
-    done. `InputError` where no cluster answers, where it is lost, and where a worker cannot load what it needs."""
+    """Process tasks on a cluster; outcomes arrive in the order in which tasks finish.
+
+    given: "auto" (the cluster running here, else this machine), the address of a cluster, or "local:N" for N workers on
+    this machine; doubles: whether slow tasks may run twice at a time. `InputError` if no cluster answers, if it is
+    lost, or if a worker cannot load the models. """
     check_ray(given)
     import ray
 
@@ -74,11 +76,11 @@ def done_on_ray(given: str, make: Maker, numbers: Sequence[int], doubles: bool =
     pool = None
     try:
         count = int(given[len(_LOCAL):]) if given.startswith(_LOCAL) else int(ray.cluster_resources().get("CPU", 1))
-        # One that died is not started again by Ray but by us: until it stands, all it is given would fail.
+        # We restart dead workers, not Ray: until Ray has restarted one, every task given to it would fail.
         kind, maker = ray.remote(num_cpus=1, max_restarts=0)(RayWorker), ray.put(make)
         pool = _Pool(ray, partial(kind.remote, maker), deque(numbers), doubles, _Head.of(ray, given))
         yield from pool.outcomes(min(count, len(numbers)))
-    except ConnectionError as error:  # of a client (ray://)
+    except ConnectionError as error:  # raised by a Ray client (ray://)
         raise _lost(given, str(error)) from None
     finally:
         if pool is not None:
@@ -90,25 +92,26 @@ def done_on_ray(given: str, make: Maker, numbers: Sequence[int], doubles: bool =
 # ------------------------------------------------------------------------------------------------- the connection
 
 def _connect(ray: Any, given: str) -> bool:
-    """Whether the connection is ours to close."""
+    """Connect to the cluster; returns whether this process made the connection and must close it."""
     if ray.is_initialized():
         return False
-    # Packages are found by workers where they are found here, and each has one thread, as on one machine.
-    told = {name: os.environ[name] for name in ("PYTHONPATH", "GESTICULATOR_DATA") if name in os.environ} \
+    # Workers import packages from the same paths and use one thread each, as on a single machine.
+    environment = {name: os.environ[name] for name in ("PYTHONPATH", "GESTICULATOR_DATA") if name in os.environ} \
         | {"OMP_NUM_THREADS": "1"}
-    there: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR", "runtime_env": {"env_vars": told}}
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR",
+                               "runtime_env": {"env_vars": environment}}
     try:
         if given.startswith(_LOCAL):
-            _start_here(ray, {**there, "num_cpus": int(given[len(_LOCAL):])})
+            _start_here(ray, {**options, "num_cpus": int(given[len(_LOCAL):])})
         elif given == "auto" and not _runs_here():
-            _start_here(ray, there)
+            _start_here(ray, options)
         elif given == "auto":
-            ray.init(address="auto", **there)
+            ray.init(address="auto", **options)
         else:
-            # Ray tries for minutes to reach what is not there.
+            # Ray itself would retry an unreachable address for minutes.
             if not _answers(given):
                 raise ConnectionError("nothing answers there")
-            ray.init(address=given, **there)
+            ray.init(address=given, **options)
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001 - Ray raises a plain Exception where it cannot be reached
@@ -119,8 +122,8 @@ def _connect(ray: Any, given: str) -> bool:
 
 
 def _start_here(ray: Any, options: dict[str, Any]) -> None:
-    """Start a cluster on this machine. Ray gives up where a process of its own has not begun within 30 s, which on a
-    busy machine happens: it is tried again."""
+    """Start a cluster on this machine; retried because Ray gives up if one of its processes takes over 30 s to start,
+    which happens on a busy machine."""
     for left in reversed(range(STARTS)):
         try:
             ray.init(address="local", include_dashboard=False, **options)
@@ -129,12 +132,12 @@ def _start_here(ray: Any, options: dict[str, Any]) -> None:
             ray.shutdown()
             if not left:
                 raise InputError("--ray", f"Ray does not start on this machine ({' '.join(str(error).split())[:200]})",
-                                 "try again when less runs here, or use --shard") from None
+                                 "try again when the machine is less busy, or use --shard") from None
 
 
 def _runs_here() -> bool:
-    """Whether there is a cluster that "auto" finds. The note of one that was killed stays, and Ray would wait for it
-    without end."""
+    """Whether there is a running cluster for "auto". A killed cluster leaves its address file, and Ray would wait
+    forever."""
     address = os.environ.get("RAY_ADDRESS", "")
     if not address:
         with contextlib.suppress(OSError, UnicodeDecodeError):
@@ -144,8 +147,8 @@ def _runs_here() -> bool:
 
 
 def _answers(address: str) -> bool:
-    """Whether something listens at an address such as "head:6379" or "ray://head:10001"; True where it is of another
-    kind, which Ray may know."""
+    """Whether something listens at an address such as "head:6379" or "ray://head:10001"; True for other forms of
+    address, which Ray may know."""
     host, mark, port = address.removeprefix(_CLIENT).rpartition(":")
     if not mark or whole_number(port, 65535) is None:
         return True
@@ -158,8 +161,8 @@ def _answers(address: str) -> bool:
 
 @dataclass
 class _Head:
-    """The head of the cluster, which is asked now and then whether it is there: Ray itself waits for it for a minute
-    and then ends the process. address: empty for what is not asked (a client notices by itself)."""
+    """Checks that the head of the cluster is alive: Ray itself waits a minute and then ends the process. address: empty
+    for a Ray client, which notices by itself."""
 
     given: str
     address: str
@@ -167,18 +170,18 @@ class _Head:
 
     @classmethod
     def of(cls, ray: Any, given: str) -> _Head:
-        """Of the cluster that Ray is connected to."""
+        """The head of the cluster that Ray is connected to."""
         client = given.startswith(_CLIENT)
         return cls(given, "" if client else str(ray.get_runtime_context().gcs_address))
 
     def check(self) -> None:
-        """`InputError` where it did not answer several times in a row."""
+        """`InputError` after several failed checks in a row."""
         self.missed = 0 if not self.address or _answers(self.address) else self.missed + 1
         if self.missed >= MISSED:
             raise _lost(self.given, f"nothing answers at {self.address}")
 
     def assure(self) -> None:
-        """Ask until it has answered, or is lost: what is begun without it would wait for it."""
+        """Check until the head answers or counts as lost: a worker started without it would hang."""
         self.check()
         while self.missed:
             time.sleep(PULSE / 4)
@@ -187,14 +190,14 @@ class _Head:
 
 def _lost(given: str, why: str) -> InputError:
     return InputError(f"--ray {given}", f"the cluster is lost ({' '.join(why.split())[:100]})",
-                      "start it again, and then the same command: what is done stays")
+                      "restart it and repeat the command: finished recordings are kept")
 
 
 # ----------------------------------------------------------------------------------------------------- the workers
 
 @dataclass
 class _Going:
-    """A task that a worker does, and since when."""
+    """A running task: its worker, number and start time."""
 
     worker: Any
     number: int
@@ -203,7 +206,7 @@ class _Going:
 
 @dataclass
 class _Pool:
-    """The workers and what they do. hire: begins a worker; waiting: numbers, those to begin first; doubles: see
+    """The workers and their tasks. hire: starts a worker; waiting: task numbers in order; doubles: see
     `done_on_ray`."""
 
     ray: Any
@@ -215,12 +218,12 @@ class _Pool:
     idle: list[Any] = field(default_factory=list)
     tried: dict[int, int] = field(default_factory=dict)
     times: list[float] = field(default_factory=list)
-    """Seconds of computing of what is done."""
+    """Computing times of finished tasks, seconds."""
     left: set[int] = field(default_factory=set)
-    """What is not done yet."""
+    """Unfinished task numbers."""
 
     def outcomes(self, workers: int) -> Iterator[TaskOutcome]:
-        """Do everything."""
+        """Process all tasks."""
         self.left = set(self.waiting)
         for _ in range(workers):
             self._employ(self.hire())
@@ -236,13 +239,13 @@ class _Pool:
             self._double()
 
     def _ended(self, task: _Going, reference: Any) -> TaskOutcome | None:
-        """What became of a task; None where it is to be done again, or is being done."""
+        """The outcome of a task; None if it will be retried or is still running elsewhere."""
         try:
-            found = self.ray.get(reference)
+            result = self.ray.get(reference)
         except self.ray.exceptions.RayActorError as error:
-            told = " ".join(str(error).split())
-            if "creation task" in told:
-                raise InputError("a worker", f"could not begin ({told[-160:]})",
+            message = " ".join(str(error).split())
+            if "creation task" in message:
+                raise InputError("a worker", f"could not start ({message[-160:]})",
                                  "install the same program on every machine") from None
             self.head.assure()
             outcome = None
@@ -250,20 +253,20 @@ class _Pool:
                 if self.tried[task.number] < ATTEMPTS:
                     self.waiting.appendleft(task.number)
                 else:
-                    outcome = TaskOutcome(task.number, 0.0, f"its worker died {ATTEMPTS} times ({told[:120]})", 0.0, "")
+                    outcome = TaskOutcome(task.number, 0, f"its worker died {ATTEMPTS} times ({message[:120]})", 0, "")
             if self.waiting and not self.idle:
                 self.idle.append(self.hire())
             while self.idle and self.waiting:
                 self._employ(self.idle.pop())
             return outcome
-        if isinstance(found, str):
-            raise InputError("a worker", f"cannot do its work ({found})", "give all machines the same files")
-        self.times.append(found.time)
+        if isinstance(result, str):
+            raise InputError("a worker", f"cannot do its work ({result})", "give all machines the same files")
+        self.times.append(result.time)
         self._employ(task.worker)
-        return TaskOutcome(**vars(found))
+        return TaskOutcome(**vars(result))
 
     def _employ(self, worker: Any) -> None:
-        """Give a worker the next task, or none."""
+        """Give a worker the next task, or mark it idle."""
         if not self.waiting:
             self.idle.append(worker)
             return
@@ -272,7 +275,7 @@ class _Pool:
         self.running[worker.do.remote(number)] = _Going(worker, number)
 
     def _double(self) -> None:
-        """Give what is slow to workers that are free, the slowest first."""
+        """Give slow tasks to idle workers too, the slowest first."""
         if not (self.doubles and self.idle and self.times):
             return
         limit, now = max(SLOW_SECONDS, SLOW * statistics.median(self.times)), time.monotonic()
@@ -283,11 +286,11 @@ class _Pool:
                 self.running[worker.do.remote(task.number)] = _Going(worker, task.number)
 
     def dismiss(self) -> None:
-        """End what is still being done though nobody waits for it."""
+        """Kill workers whose results are no longer needed."""
         if not self.running:
             return
         with contextlib.suppress(self.ray.exceptions.RayError, ConnectionError):
             for task in self.running.values():
                 self.ray.kill(task.worker)
-            # Until they have ended they may still write.
+            # They may still write files until they have exited.
             self.ray.wait(list(self.running), num_returns=len(self.running), timeout=PULSE)

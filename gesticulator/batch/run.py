@@ -1,7 +1,7 @@
-"""Many recordings: which of them are to be done, in which order, by whom, and what is noted of each.
+"""Batches: which recordings to process, in which order, on which worker, and what to record of each.
 
-Work is divided by seconds of sound, longest first, by the files alone, so every machine divides it alike. Each result
-is written whole or not at all and does not depend on who made it; so any number of workers, any order and any restart
+Work is divided by duration, longest first, from the files alone, so every machine divides it alike. Each result is
+written atomically and does not depend on the worker that made it; so any number of workers, any order and any restart
 give the same bytes.
 """
 
@@ -26,22 +26,22 @@ from gesticulator.batch.manifest import DONE, FAILED, Manifest, ManifestRow, tab
 from gesticulator.cli import PROGRAM
 
 Doing: TypeAlias = "Callable[[int], float]"
-"""Does the recording of that number and gives its seconds of sound; InputError or OSError where it cannot."""
+"""Processes the recording of that number and returns its duration in seconds; raises InputError or OSError."""
 Maker: TypeAlias = "Callable[[], Doing]"
-"""Loads the models. It is called once in each worker, in whose process it must be known by its name."""
+"""Loads the models. It is called once in each worker and must be picklable."""
 READERS = 8
-"""Threads that read recordings before the work."""
+"""Threads that read and hash recordings before processing."""
 _Given = TypeVar("_Given")
 _Found = TypeVar("_Found")
 _MOST_SHARDS = 10**9
 _BYTES_PER_SECOND = 16_000
-"""Of a recording whose header does not tell its length, such as MP3 at 128 kbit/s: only who does what depends on it."""
+"""Assumed for files whose header lacks a duration, such as MP3 at 128 kbit/s; affects only how work is divided."""
 
 
 @dataclass(frozen=True)
 class BatchTask:
-    """A recording to do. number: what `Doing` knows it by; source: its file; outputs: what is made of it; made_with:
-    program, bundle and settings, see `ManifestRow`; fault: why it cannot be done, if that is known."""
+    """A recording to process. number: its index for `Doing`; source: its file; outputs: the files to write; made_with:
+    program, bundle and settings, see `ManifestRow`; fault: why it cannot be processed, if known."""
 
     number: int
     source: Path
@@ -52,11 +52,11 @@ class BatchTask:
 
     @property
     def order(self) -> tuple[float, str]:
-        """Longest first, then by name: the same wherever the folder lies."""
+        """Sort key: longest first, then by name, independent of the folder's location."""
         return -self.seconds, self.source.name
 
     def row(self) -> ManifestRow:
-        """Of it, before it is done. The file is read for its hash."""
+        """Its manifest row before processing; reads the file to hash it."""
         program, bundle, settings = self.made_with
         try:
             digest = file_hash(self.source)
@@ -68,8 +68,8 @@ class BatchTask:
 
 @dataclass(frozen=True)
 class TaskOutcome:
-    """What became of a recording: its number, seconds of sound (0 where it failed), what was wrong, seconds of
-    computing, and which worker did it."""
+    """The outcome of a recording: its number, duration in seconds (0 on failure), error message, computing time in
+    seconds, and worker."""
 
     number: int
     seconds: float
@@ -79,14 +79,13 @@ class TaskOutcome:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def told_seconds(path: Path) -> float:
-    """Seconds of a recording by its header, else guessed by its size; 0 for what is none. MP3 is guessed: its header
-    takes a process to read."""
+def estimated_seconds(path: Path) -> float:
+    """Duration of a recording from its header, else estimated from its size (MP3, whose header takes a process to
+    read); 0 if it cannot be read."""
     from data_module.speech.audio import header_seconds
 
     try:
@@ -96,41 +95,41 @@ def told_seconds(path: Path) -> float:
 
 
 def _read(one: Callable[[_Given], _Found], items: Sequence[_Given]) -> list[_Found]:
-    """Do one thing to all, by several threads: a shared folder answers late, and many at once."""
+    """Apply a function to all items in several threads: a shared folder has high latency but serves many requests."""
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers:
         try:
             return list(readers.map(one, items))
         except BaseException:
-            readers.shutdown(wait=False, cancel_futures=True)  # the rest of 100,000 is not waited for
+            readers.shutdown(wait=False, cancel_futures=True)  # do not wait for the remaining items
             raise
 
 
-def asked_shard(text: str | None) -> tuple[int, int]:
-    """A shard such as 2/8; the whole, 1/1, where none is asked for."""
+def parse_shard(text: str | None) -> tuple[int, int]:
+    """Parse a shard such as 2/8; None means 1/1, all of it."""
     first, mark, last = (text or "1/1").partition("/")
     index, count = whole_number(first, _MOST_SHARDS), whole_number(last, _MOST_SHARDS)
     if not index or not count or index > count:
-        raise InputError(f"--shard {first[:20]}{mark}{last[:20]}", "is no shard", "write it as 1/8 to 8/8")
+        raise InputError(f"--shard {first[:20]}{mark}{last[:20]}", "is not a shard", "write it as 1/8 to 8/8")
     return index, count
 
 
 def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTask]:
-    """The tasks of shard 1 to `count`: the longest goes first, each to the shard that has the least to do."""
+    """The tasks of one shard (1 to `count`): longest first, each goes to the shard with the least work so far."""
     loads = [(0.0, index) for index in range(1, count + 1)]
-    mine = []
+    chosen = []
     for task in sorted(tasks, key=lambda task: task.order):
         load, index = heapq.heappop(loads)
-        # A recording of no length still takes a moment, so they are spread, too.
+        # Recordings of unknown duration still take some time, so they are spread too.
         heapq.heappush(loads, (load + max(task.seconds, 0.1), index))
         if index == shard:
-            mine.append(task)
-    return mine
+            chosen.append(task)
+    return chosen
 
 
 def attempted(doing: Doing, number: int) -> TaskOutcome:
-    """Do a recording; a fault of it is kept."""
+    """Process a recording; an error becomes part of the outcome."""
     begin, seconds, fault = time.perf_counter(), 0.0, ""
     try:
         seconds = doing(number)
@@ -140,7 +139,7 @@ def attempted(doing: Doing, number: int) -> TaskOutcome:
 
 
 def done_in_processes(workers: int, make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
-    """Do them in so many processes of this machine; `InputError` where one of these is killed."""
+    """Process recordings in several local processes; `InputError` if one of them is killed."""
     if workers <= 1 or len(numbers) <= 1:
         yield from done_here(make, numbers)
         return
@@ -148,22 +147,22 @@ def done_in_processes(workers: int, make: Maker, numbers: Sequence[int]) -> Iter
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from concurrent.futures.process import BrokenProcessPool
 
-    # Spawned, not forked: the same on every system, and numpy reads the number of threads anew.
+    # Spawned, not forked: the same on every system, and numpy re-reads the number of threads.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(workers, len(numbers)), context, _begin, (make,)) as pool:
         try:
             for future in as_completed([pool.submit(_do, number) for number in numbers]):
                 yield future.result()
         except BrokenProcessPool:
-            raise InputError("a process", "was ended from outside (perhaps memory ran out)", "do the same again with "
-                             "fewer processes: what is done stays") from None
+            raise InputError("a process", "was killed (perhaps out of memory)", "repeat the command with "
+                             "fewer processes: finished recordings are kept") from None
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
 _doing: Doing | None = None
-"""Of a process of `done_in_processes`."""
+"""The function that processes recordings in a worker of `done_in_processes`."""
 
 
 def _begin(make: Maker) -> None:
@@ -178,7 +177,7 @@ def _do(number: int) -> TaskOutcome:
 
 
 def done_here(make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
-    """Do them in this process, one after the other."""
+    """Process recordings one by one in this process."""
     doing = make()
     for number in numbers:
         yield attempted(doing, number)
@@ -186,29 +185,28 @@ def done_here(make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
 
 def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Sequence[int]], Iterator[TaskOutcome]],
               shard: tuple[int, int] = (1, 1), quiet: bool = False) -> tuple[int, int]:
-    """Do what is missing or changed and note it; how many recordings the shard has, and how many of them are done.
+    """Process recordings that are missing or changed and record them; returns (recordings in the shard, number done).
 
-    outcomes: does recordings by their numbers, the longest given first, in any order. `InputError` where another
-    process holds the manifest.
-    """
+    outcomes: processes recordings by number, given longest first, yielding in any order. `InputError` if another
+    process has locked the manifest. """
     from tqdm import tqdm
 
-    lengths = _read(told_seconds, [task.source for task in tasks])
-    mine = sharded([replace(task, seconds=seconds) for task, seconds in zip(tasks, lengths, strict=True)], *shard)
+    lengths = _read(estimated_seconds, [task.source for task in tasks])
+    chosen = sharded([replace(task, seconds=seconds) for task, seconds in zip(tasks, lengths, strict=True)], *shard)
     with Manifest(manifest) as notes:
         waiting: dict[int, ManifestRow] = {}
-        for task, row in zip(mine, _read(BatchTask.row, mine), strict=True):
+        for task, row in zip(chosen, _read(BatchTask.row, chosen), strict=True):
             before = notes.rows.get(str(task.source))
             if task.fault is not None:
                 notes.add(replace(row, status=FAILED, error=one_line(task.fault)))
                 complain(f"{PROGRAM}: {one_line(task.fault)}")
             elif before is None or before.made_of != row.made_of or not before.stands():
                 waiting[task.number] = row
-        kept = sum(notes.rows[str(task.source)].status == DONE for task in mine
+        unchanged = sum(notes.rows[str(task.source)].status == DONE for task in chosen
                    if task.number not in waiting and task.fault is None)
-        # What was killed may have left something half-written: a run before this one, or a worker of this one.
-        begun = [output for task in mine if task.number in waiting for output in task.outputs]
-        remove_unfinished_of(begun)
+        # A killed run or worker may have left partially written files.
+        outputs = [output for task in chosen if task.number in waiting for output in task.outputs]
+        remove_unfinished_of(outputs)
         with tqdm(total=round(sum(row.seconds for row in waiting.values())), unit=" s of sound",
                   disable=quiet or not sys.stderr.isatty()) as bar:
             for one in outcomes(list(waiting)) if waiting else ():
@@ -218,8 +216,8 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Se
                                   error=one.error, time=one.time, worker=one.worker))
                 if one.error:
                     complain(f"{PROGRAM}: {one.error}")
-        remove_unfinished_of(begun)
-        rows = [notes.rows[str(task.source)] for task in mine]
+        remove_unfinished_of(outputs)
+        rows = [notes.rows[str(task.source)] for task in chosen]
     if not quiet:
-        print(f"{manifest}:\n{table(rows, kept)}", flush=True)
+        print(f"{manifest}:\n{table(rows, unchanged)}", flush=True)
     return len(rows), sum(row.status == DONE for row in rows)

@@ -1,18 +1,18 @@
-"""Idle life: what a body does that does nothing. It breathes, shifts its weight, looks about; no hand is quite still.
+"""Idle motion of a body at rest: it breathes, shifts its weight, looks about, and its hands are never quite still.
 
-A layer over the finished poses, in radians on the exponential maps, that depends on the seed and the second alone: a
-stream and a file get the same, whatever draws the gestures, and a block that is drawn twice breathes alike. What draws
-the next block is shown the poses without it, so it never learns to add life to life.
+A layer over the finished poses, in radians on the exponential maps, that depends only on the seed and the time: stream
+and file are identical, whatever generates the gestures, and a block that is generated twice breathes alike. The
+generator sees the poses without it, so idle motion never accumulates.
 
 Four kinds of movement, all smooth and none periodic:
 
-- noise: sum over n of g_n B((t - t_n) / step), B the cubic B-spline and g_n a normal number, a low-pass of white noise
-  with nothing above about 0.5 / step hertz: sway and the drift of the arms.
+- noise: sum over n of g_n B((t - t_n) / step), with B the cubic B-spline and g_n standard normal: low-passed white
+  noise with nothing above about 0.5 / step hertz. Used for sway and the drift of the arms.
 - breathing: a sine of about 0.25 Hz whose phase wanders with noise.
 - shifts: from one posture to the next, at irregular times, along 1 - (1 + a + a^2 / 2) exp(-a), a = (t - t_n) / tau:
-  a quick start and a slow settling, as the eye leads the head. Small ones of the head and upper back follow each other
-  within a second, so that the head never stands; gaze and weight shift every few seconds.
-- hands that open and close a little along their own bend, where there are fingers.
+  a quick start and a slow settling, as in eye-led head turns. Small shifts of head and upper back follow each other
+  within a second, so that the head never freezes; gaze and weight shift every few seconds.
+- hands, if there are fingers, open and close a little along their own bend.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ HEAD = ("Neck", "Neck1", "Head")
 SIDES = ("Right", "Left")
 
 _BREATHS = 0.25
-"""Hertz: 15 a minute, a standing adult's."""
+"""Breaths per second: 15 a minute, as a standing adult."""
 _BREATH_WANDERS, _BREATH_STEP = 0.1, 5.0
-"""Of a breath, each 5 s: no two last alike."""
+"""Phase noise of breathing: standard deviation in breaths, and its step in seconds."""
 _SPLINE_SPREAD = math.sqrt(151.0 / 315.0)
-"""Standard deviation, over time, of B-spline noise made of standard normal numbers."""
+"""Standard deviation over time of B-spline noise with standard normal coefficients."""
 _SETTLED = 16.0
-"""Time constants after which a shift is over: exp(-16) of it is a hundred thousandth of a degree."""
+"""Time constants after which a shift counts as complete: the rest is below 1e-5 degrees."""
 _TRIES = 8
 _REMEMBERED = 128
-"""Postures before the one that is asked for that are kept, so that hours take no more memory than minutes."""
+"""Postures kept before the requested one, so that memory does not grow with time."""
 
 _FAINT = 0.25
-"""Share of the idle life that is left in speech, where the generator moves the body."""
+"""Share of the idle motion during speech, while the generator moves the body."""
 _HEAD_STANDS, _HEAD_MOVES = 0.025, 0.06
-"""m/s of the generated head up to which there is all of the life, and from which on the faint share alone."""
+"""Speeds of the generated head, m/s: full idle motion below the first, only the faint share above the second."""
 _GAIN_TAU = 0.25
-"""Seconds in which life grows and fades."""
+"""Time constant of fading idle motion in and out, seconds."""
 
 _ALL_BITS = 0xFFFFFFFFFFFFFFFF
 _STEP_OF_BITS = np.uint64(0x9E3779B97F4A7C15)
@@ -61,7 +61,8 @@ Channel = int | NDArray[np.int64]
 
 
 def mixed(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """64 well mixed bits for each number [...] of a channel (splitmix64, Steele et al. 2014): the same everywhere.
+    """64 well mixed bits for each number [...] of a channel (splitmix64, Steele et al. 2014), identical on all
+    machines.
 
     channel: one, or an array that broadcasts with the numbers.
     """
@@ -86,13 +87,12 @@ def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
     """Standard normal numbers for each of `numbers` [...] (Box and Muller)."""
     doubled = 2 * np.asarray(numbers, dtype=np.int64)
     one, two = uniform(seed, channel, doubled), uniform(seed, channel, doubled + 1)
-    drawn: Array = np.sqrt(-2.0 * np.log(one)) * np.cos(2.0 * np.pi * two)
-    return drawn
+    return np.asarray(np.sqrt(-2.0 * np.log(one)) * np.cos(2.0 * np.pi * two))
 
 
 def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) -> Array:
-    """Smooth noise of standard deviation 1 at `times` [T] seconds, one for each of the channels [C], with a normal
-    number every `steps` [C] seconds: [T, C]."""
+    """[T, C] smooth noise of standard deviation 1 at `times` [T] seconds for each channel [C], with one normal
+    coefficient every `steps` [C] seconds."""
     where = np.asarray(times, dtype=np.float64)[:, None] / steps
     first = np.floor(where).astype(np.int64)
     u = where - first
@@ -103,9 +103,9 @@ def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) ->
 
 @dataclass(frozen=True)
 class ShiftStyle:
-    """How something shifts. every: seconds between shifts; jitter: the share of it by which they come early or late, up
-    to 0.5; tau: the time constant, seconds; spread: [D] standard deviation of the postures in each dimension; least,
-    most: how far two in a row lie apart, in these spreads."""
+    """Parameters of shifts. every: seconds between shifts; jitter: the share of it by which they come early or late, up
+    to 0.5; tau: time constant, seconds; spread: [D] standard deviation of the postures in each dimension; least, most:
+    distance between successive postures, in units of spread."""
 
     every: float
     jitter: float
@@ -117,17 +117,17 @@ class ShiftStyle:
 
 @dataclass
 class Shifts:
-    """Postures [D] one after the other from the zero at time 0; at any time, in any order of asking."""
+    """A sequence of postures [D], zero at time 0, that can be evaluated at any time and in any order."""
 
     seed: int
     channel: int
     style: ShiftStyle
     _postures: list[Array] = field(default_factory=list)
     _first: int = 0
-    """The number of the first posture that is remembered."""
+    """Number of the first posture kept."""
 
     def at(self, times: Array) -> Array:
-        """[T, D] for times [T] in seconds, which may not be negative."""
+        """[T, D] at times [T] in seconds, not negative."""
         s = self.style
         times = np.asarray(times, dtype=np.float64)
         last = max(0, math.floor(times.max() / s.every + s.jitter)) + 1
@@ -139,25 +139,23 @@ class Shifts:
         postures = np.array(self._postures[first - self._first:last + 1 - self._first])
         before = self._postures[first - 1 - self._first] if first > 0 else np.zeros(len(s.spread))
         steps = np.diff(postures, axis=0, prepend=before[None])
-        moved: Array = before + done @ steps
-        return moved
+        return np.asarray(before + done @ steps)
 
     def begins(self, numbers: NDArray[np.int64]) -> Array:
         """Seconds at which these shifts [...] begin."""
         s = self.style
-        early_or_late: Array = s.jitter * (2.0 * uniform(self.seed, self.channel, numbers) - 1.0)
-        return (numbers + early_or_late) * s.every
+        return (numbers + s.jitter * (2.0 * uniform(self.seed, self.channel, numbers) - 1.0)) * s.every
 
     def posture(self, number: int) -> Array:
-        """[D] where shift `number` ends."""
+        """[D] the posture at the end of shift `number`."""
         self._extend(number, number)
         return self._postures[number - self._first]
 
     def _extend(self, first: int, last: int) -> None:
-        """The chain of postures, from number `first` to number `last`: each is drawn from the same spread, neither too
-        near the one before nor too far."""
+        """Extend the chain of postures to cover numbers `first` to `last`: each is sampled from the same spread,
+        neither too near the one before nor too far."""
         s, width = self.style, len(self.style.spread)
-        if first < self._first:  # long ago: the chain is made once more
+        if first < self._first:  # already dropped: generate the chain again
             self._postures, self._first = [], 0
         old = min(first, last) - _REMEMBERED - self._first
         if old > _REMEMBERED:
@@ -177,28 +175,28 @@ class Shifts:
 
 
 _HEAD_SHIFT = ShiftStyle(every=0.62, jitter=0.14, tau=0.085, spread=(1.5, 1.5), least=1.4, most=2.2)
-"""Of a unit of pitch and of roll, see `_SHIFTED`: a head that is not looked at moves so about once a second."""
+"""Units of pitch and of roll, see `_SHIFTED`; the head shifts about every 0.6 s."""
 _GAZE = ShiftStyle(every=2.9, jitter=0.35, tau=0.09, spread=(6.0, 2.5), least=0.8, most=2.5)
-"""Degrees of yaw and of pitch."""
+"""Spread in degrees of yaw and of pitch."""
 _WEIGHT = ShiftStyle(every=6.5, jitter=0.35, tau=0.45, spread=(1.0, 0.7, 1.0), least=1.0, most=2.5)
-"""Degrees of the hips' roll, pitch and yaw, from one leg to the other."""
+"""Spread in degrees of the hips' roll, pitch and yaw, as weight moves from one leg to the other."""
 
 _SHIFTED = {"Neck": 1.3, "Neck1": 0.6, "Spine3": 0.2, "Spine2": 0.25, "Spine1": 0.25}
-"""Degrees of a unit of the head's small shifts: the upper back goes with it."""
+"""Degrees per unit of the head's small shifts: the upper back moves too."""
 LOOKED = {"Neck": 0.35, "Neck1": 0.2, "Head": 0.45}
-"""Shares of a gaze shift."""
+"""Share of a gaze shift that each joint turns."""
 _INHALED = {("Spine1", 0): -0.2, ("Spine2", 0): -0.4, ("Neck", 0): 0.35, ("LeftShoulder", 2): 1.0,
             ("RightShoulder", 2): -1.0}
-"""Degrees at the height of a breath, by joint and axis: the chest opens, the shoulders rise, the face stays."""
+"""Degrees at full inhalation, by joint and axis: the chest opens, the shoulders rise, the face stays level."""
 _SWAYED = {("Hips", 2): (1.0, 0), ("Spine", 2): (-0.5, 0), ("Hips", 0): (1.0, 1), ("Spine", 0): (-0.5, 1),
            ("Spine1", 1): (0.8, 2)}
-"""By joint and axis: the share of a weight shift (and of the sway), and which of its dimensions."""
+"""By joint and axis: share of a weight shift (and of the sway), and which of its dimensions."""
 _SWAY, _SWAY_STEP = 0.35, 1.5
-"""Degrees and seconds of the noise that is added to the weight shifts."""
+"""Noise added to the weight shifts: degrees, and step in seconds."""
 _DRIFT = {"Arm": (1.1, 1.2), "ForeArm": (1.6, 1.0), "Hand": (1.8, 0.9)}
-"""Degrees and seconds of the noise on each axis of the arms' joints."""
+"""Noise on each axis of the arm joints: degrees, and step in seconds."""
 _CURL, _CURL_STEP = 2.0, 1.6
-"""Degrees and seconds of the noise by which a hand opens and closes."""
+"""Noise by which a hand opens and closes: degrees, and step in seconds."""
 _SHIFT_CHANNEL, _GAZE_CHANNEL, _WEIGHT_CHANNEL, _BREATH_CHANNEL, _NOISE_CHANNEL = 0, 2, 4, 6, 8
 _DRIFTS = [(side + part, axis, *_DRIFT[part]) for side in SIDES for part in _DRIFT for axis in range(3)]
 _SWAYS, _CURLS = 3, len(SIDES)
@@ -206,29 +204,35 @@ _CHANNELS = np.append(_NOISE_CHANNEL + np.arange(_SWAYS + len(_DRIFTS) + _CURLS)
 _STEPS = np.array([_SWAY_STEP] * _SWAYS + [step for *_, step in _DRIFTS] + [_CURL_STEP] * _CURLS + [_BREATH_STEP])
 
 
+def eased(share: Array) -> Array:
+    """[...] 0 to 1 with zero slope at both ends: 10 s^3 - 15 s^4 + 6 s^5."""
+    s = np.clip(share, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+
+
 def weight_shifts(seed: int) -> Shifts:
-    """The weight from one leg to the other: [3] degrees of the hips' roll (above 0 on the left leg), pitch and yaw."""
+    """Weight shifts from leg to leg: [3] degrees of the hips' roll (positive: on the left leg), pitch and yaw."""
     return Shifts(seed, _WEIGHT_CHANNEL, _WEIGHT)
 
 
 def breath(seed: int, times: Array) -> Array:
-    """-1 (out) to 1 (in), [T], at `times` [T] seconds."""
+    """[T] phase of breathing at `times` [T] seconds, -1 (exhaled) to 1 (inhaled)."""
     return _breathed(seed, times, noise(seed, np.array([_BREATH_CHANNEL]), times, np.array([_BREATH_STEP]))[:, 0])
 
 
 def _breathed(seed: int, times: Array, wander: Array) -> Array:
-    """`breath` with the noise of its phase; breathing out takes longer than breathing in."""
+    """`breath` for given phase noise [T]; exhaling takes longer than inhaling."""
     begins = float(uniform(seed, _BREATH_CHANNEL + 1, np.zeros(1, np.int64))[0])
     phase = 2.0 * np.pi * (_BREATHS * times + _BREATH_WANDERS * wander + begins)
     return np.sin(phase + 0.4 * np.sin(phase))
 
 
 class Idle:
-    """Idle life of a body with these joints, as a function of time: drivers (shifts, gaze, breath, sway, drifts and
-    curls), mixed into the axes of the joints."""
+    """Idle motion of a body as a function of time: drivers (shifts, gaze, breath, sway, drifts and curls) mixed into
+    the axes of the joints."""
 
     def __init__(self, seed: int, joints: Sequence[str], rest: Array) -> None:
-        """seed: any whole number; joints: names; rest: [J, 3] the resting pose, exponential maps (which way fingers
+        """seed: any integer; joints: names; rest: [J, 3] the resting pose as exponential maps (it tells how fingers
         bend)."""
         self.seed = seed
         self._shifts = Shifts(seed, _SHIFT_CHANNEL, _HEAD_SHIFT)
@@ -244,12 +248,11 @@ class Idle:
         breathed = _breathed(self.seed, times, smooth[:, -1])
         drivers = np.concatenate([self._shifts.at(times), self._gaze.at(times), breathed[:, None], sway,
                                   smooth[:, _SWAYS:-1]], axis=1)
-        life: Array = (drivers @ self._mixing).reshape(len(times), -1, 3)
-        return life
+        return (drivers @ self._mixing).reshape(len(times), -1, 3)
 
 
 def _mixing(joints: list[str], rest: Array) -> Array:
-    """[M, J, 3] degrees that each driver turns each axis by."""
+    """[M, J, 3] degrees by which each driver turns each axis."""
     gaze, breath, sway, drift = 2, 4, 5, 5 + _SWAYS
     curl = drift + len(_DRIFTS)
     rows = [(dimension, name, axis, degrees) for name, degrees in _SHIFTED.items()
@@ -275,7 +278,7 @@ def _mixing(joints: list[str], rest: Array) -> Array:
 
 @dataclass
 class _Gain:
-    """A number that follows 0 to 1 without a jump in itself or its slope (critically damped)."""
+    """A gain from 0 to 1 that follows its target with continuous value and slope (critically damped)."""
 
     value: float = 0.0
     slope: float = 0.0
@@ -290,13 +293,13 @@ class _Gain:
 
 
 class LifeLayer:
-    """Idle life over the poses of one performance, frame by frame: wholly where the body rests or its head would stand,
-    else faintly. Head and body fade apart."""
+    """Adds idle motion to the poses of one performance: fully where the body rests or the head would freeze, faintly
+    elsewhere. Head and body fade separately."""
 
     def __init__(self, seed: int, statistics: Statistics, representation: Representation, speaker: int,
                  parts: Sequence[NDArray[np.int64]]) -> None:
-        """seed: of `Idle`; representation: of exponential maps; parts: which dimensions are of the head, and which of
-        the body."""
+        """seed: of `Idle`; representation: of exponential maps; parts: the dimensions of the head, and those of the
+        body."""
         pose = statistics.rest_pose[speaker]
         names = representation.motion(pose[None], 1.0).skeleton.names
         self._idle, self._parts = Idle(seed, names, pose.reshape(-1, 3)), parts
@@ -305,25 +308,25 @@ class LifeLayer:
         self._shown = statistics.normalise(pose, speaker)
         self._gains = [_Gain() for _ in parts]
         self.gains = np.zeros((0, len(parts), 2))
-        """[K, parts, 2] how much of the life there was in each frame of the last block, and its slope."""
+        """[K, parts, 2] gain of the idle motion in each frame of the last block, and its slope."""
 
     def fork(self) -> LifeLayer:
-        """A twin that goes on from here by itself."""
+        """A copy that continues independently."""
         twin = copy.copy(self)
         twin._gains = [copy.copy(gain) for gain in self._gains]
         return twin
 
     def stand_as(self, other: LifeLayer) -> None:
-        """Take over the pose and how much life there is from another of the same speaker."""
+        """Take over pose and gains from another layer of the same speaker."""
         self._gains, self._shown = other.fork()._gains, other._shown
 
     def go_back(self, gains: Array, pose: Array) -> None:
-        """To what was shown: `gains` [parts, 2] of that frame, and its pose [D_m]."""
+        """Return to a frame already shown: its `gains` [parts, 2] and pose [D_m]."""
         self._gains = [_Gain(*gain) for gain in gains.tolist()]
         self._shown = pose.astype(np.float64)
 
     def __call__(self, block: Array, span: Span, rests: Sequence[Flags]) -> Array:
-        """[K, D_m] a block of normalised poses with the life on it; rests: [K] for each part, whether it rests."""
+        """[K, D_m] a block of normalised poses with idle motion added; rests: [K] for each part, whether it rests."""
         times = span.times
         life = self._idle(times).reshape(block.shape) * self._scale
         seconds = span.duration / len(times)
@@ -342,11 +345,10 @@ class LifeLayer:
 
 
 def _head_moves(statistics: Statistics, representation: Representation, speaker: int) -> Array:
-    """[D_m, 3] metres that the head moves by for a unit of each feature, at the resting pose."""
+    """[D_m, 3] metres that the head moves per unit of each feature, at the resting pose."""
     tiny = 1e-3
     rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
     turned = np.concatenate([rest[None], rest + tiny * np.eye(len(rest))])
     motion = representation.motion(statistics.denormalise(turned, speaker), 1.0)
     at = positions_of(motion)[:, motion.skeleton.index("Head")]
-    moves: Array = (at[1:] - at[:1]) / tiny
-    return moves
+    return np.asarray((at[1:] - at[:1]) / tiny)

@@ -1,6 +1,6 @@
-"""Drawn blocks to frames on the clock, as they come: knots, smoothing, joints, and legs where they are asked for.
+"""From sampled blocks to frames at a fixed rate: knots, smoothing, joints, and legs if requested.
 
-A file and a stream go through `MotionPath` block by block, so that both get the same numbers.
+File and stream both go through `MotionPath` block by block, so both get the same numbers.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from gesticulator.body.stance import Stance
 
 HISTORY, LONGEST_HISTORY = 60.0, 600.0
-"""Seconds of what was made that can be taken back, unless more is asked for, and at most: an answer that was delivered
-at once and is played for minutes. A second takes 25 kB."""
+"""Seconds of generated motion that can be taken back: by default, and at most (a long answer delivered at once and
+played over minutes). A second takes 25 kB."""
 
 
 class MotionPath:
-    """Normalised blocks of one performer, one after the other, to motion (RG 4.2.2, 7.1.2)."""
+    """Turns successive normalised blocks of one performer into motion (RG 4.2.2, 7.1.2)."""
 
     def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, prompt: bool = False,
                  shaping: Callable[[Array, Array], Array] | None = None) -> None:
-        """options: of which fps, legs, seated, seed and mirror are taken; prompt: see `KnotPath`; shaping: poses
-        [K, D_m] at seconds [K] -> poses, what knobs make of them."""
+        """options: fps, legs, seated, seed and mirror are used; prompt: see `KnotPath`; shaping: a function of poses
+        [K, D_m] at seconds [K] that applies the style knobs."""
         self._shaping, self._mirrored = shaping, options.mirrored
         self._statistics, self._speaker, self._options = bundle.statistics, speaker, options
         self._representation = representation_of(bundle.config)
@@ -55,29 +55,26 @@ class MotionPath:
 
     @property
     def next(self) -> int:
-        """The number of the next frame."""
         return self._knots.next
 
     @property
     def fps(self) -> float:
-        """Frames per second."""
         return self._knots.fps
 
     @property
     def prompt(self) -> bool:
-        """See `KnotPath`."""
         return self._knots.prompt
 
     @property
     def reach(self) -> float:
-        """Seconds after a frame in which other frames smooth it."""
+        """Seconds after a frame within which later frames affect it (smoothing)."""
         return self._knots.reach
 
     def push(self, times: Array, features: NDArray[np.floating], until: int | None = None) -> Motion | None:
-        """The frames that are certain by more knots: features [K, D_m] at rising times [K] seconds; None for none.
-        Those from number `until` on are kept back for later.
+        """Add knots: features [K, D_m] at rising times [K] seconds; returns the frames now final, or None. Frames from
+        number `until` on are held back.
 
-        Positions of joints make rotations only together, so there all frames come at the end.
+        With joint positions all frames come at the end, because rotations are computed from the whole motion.
         """
         frames = self._knots.push(times, self._poses(times, features), until)
         if self._whole is None:
@@ -86,11 +83,11 @@ class MotionPath:
         return None
 
     def finish(self, duration: float) -> Motion | None:
-        """The frames that are left of so many seconds."""
+        """The remaining frames of a motion of `duration` seconds."""
         return self._motion(np.concatenate([*(self._whole or ()), self._knots.finish(duration)]))
 
     def rewind(self, times: Array, features: NDArray[np.floating], first: int) -> None:
-        """Go back to frame `first`, see `KnotPath.rewind`; features [M, D_m] at times [M] of all that is remembered."""
+        """Go back to frame `first`, see `KnotPath.rewind`; features [M, D_m] at times [M] of the remembered past."""
         self._knots.rewind(times, self._poses(times, features), first)
         self._last = None
         if self._stance is not None:
@@ -127,7 +124,7 @@ class MotionPath:
             from gesticulator.body.stance import seated
 
             body = seated(body)
-        # A quaternion and its negative are one rotation; frame after frame the nearer is taken.
+        # A quaternion and its negative are the same rotation; take the one nearer to the frame before.
         if self._last is not None:
             turned = np.where(np.sum(body.rotations[0] * self._last, axis=-1) < 0, -1.0, 1.0)
             body = replace(body, rotations=body.rotations * turned[:, None])

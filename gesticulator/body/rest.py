@@ -1,18 +1,18 @@
-"""Rest: when the hands have nothing to do, and how they come to it and leave it.
+"""Rest: when the hands rest, and how they go to rest and leave it.
 
-Three questions, each answered from the past and from what is known of the next block (no look-ahead of its own):
+Three decisions, each made from the past and what is known of the next block (no further look-ahead):
 
-1. Is this a pause? `Pauses` turns frames that are quiet into frames of rest: only a silence that lasts counts, and only
-   speech that lasts ends it, so that breaths do not freeze the body and clicks do not wake it.
-2. Is this phrase gestured? `Phrases`: of the runs between pauses as great a share of the time as `activity` says, those
-   first that the gate thinks likeliest.
-3. What does the body do? `Rest`: it stops smoothly, holds for `HOLD` seconds as people keep their hands up in short
-   pauses, then sinks into the resting pose slowly; when it wakes, what the generator draws is joined with the place and
-   the speed that were shown. `Idle` life is laid over it; in speech faintly, and wholly where the head would stand.
+1. Is this a pause? `Pauses` turns quiet frames into frames of rest: only a lasting silence counts, and only lasting
+   speech ends it, so that breaths do not freeze the body and clicks do not wake it.
+2. Is this phrase gestured? `Phrases` selects, among the runs of speech between pauses, a share `activity` of the time,
+   preferring those that the gate scores highest.
+3. What does the body do? `Rest` stops it smoothly, holds for `HOLD` seconds as people keep their hands up in short
+   pauses, then lowers it slowly to the resting pose; on waking, the generated motion is joined to the position and
+   velocity last shown. Idle motion is added: faintly in speech, fully where the head would freeze.
 
 The stop from pose x with velocity v takes T seconds along the cubic that ends at x + v T / 3 with velocity 0, so that
-the speed falls as v (1 - t / T)^2. A hand that is coming down already comes down: its cubic ends at rest, or 2 v T / 3
-on the way there.
+the speed falls as v (1 - t / T)^2. A hand that is already coming down continues down: its cubic ends at rest, or
+2 v T / 3 on the way there.
 """
 
 from __future__ import annotations
@@ -33,59 +33,59 @@ from gesticulator.body.life import HEAD, SIDES, LifeLayer, uniform
 from gesticulator.bundle.features import Flags, Span, Statistics
 
 REAL = 0.42
-"""Seconds of silence that make a pause; a shorter one is a breath, in which gestures go on."""
+"""Least duration of a pause, seconds of silence; a shorter one is a breath, and gestures continue."""
 SEEN = 0.3
-"""Seconds of silence that are enough where it goes on as far as is known."""
+"""Least duration of a silence that still continues at the end of what is known, seconds."""
 WAKES = 0.2
-"""Seconds of sound that end a pause: a click or a lip does not."""
+"""Least duration of sound that ends a pause, seconds: clicks and lip noises do not."""
 LEAD = 0.1
-"""Seconds before the voice at which the body wakes: a hand sets out before the word."""
+"""Seconds before the voice at which the body wakes: hands start before the word."""
 HOLD = 1.6
-"""Seconds that the hands stay where they stopped; in talks they come down in pauses longer than this."""
+"""Seconds that the hands stay where they stopped; in recorded talks they come down in longer pauses."""
 SINKING = 0.065
-"""m/s, the greatest speed of a hand that sinks into rest (0.043 in the mean): with the life on it less than a quarter
-of a hand's mean speed in speech (0.34 to 0.45 m/s)."""
+"""Greatest speed of a hand sinking to rest, m/s (mean 0.043): with idle motion still below a quarter of a hand's mean
+speed in speech (0.34 to 0.45 m/s)."""
 BREAKS_OFF = 0.18
-"""Seconds in which whoever is interrupted stops: within 0.3 s of the word, what was drawn already included."""
+"""Duration of the stop after an interruption, seconds: within 0.3 s of the word, including motion already generated."""
 LETS_DOWN, HANGS = 0.24, 1.15
-"""Seconds after the word from which on her hands go down, so that they are slow still at 0.3 s, and at which they hang:
-as late as 1.2 s allow with what is smoothed, because a hand that is high has 0.4 m to go."""
+"""Seconds after an interrupting word at which the hands start down, still slow at 0.3 s, and at which they hang: as
+late as a limit of 1.2 s allows after smoothing, because a raised hand has 0.4 m to travel."""
 _EVENLY = 0.18
-"""Share of that way in which they get faster, and slower again at its end. Between they go at one speed, 1.2 times the
-mean, where the smooth step of who sinks into rest reaches 1.5."""
+"""Share of that path spent accelerating, and decelerating at its end. Between, the speed is constant, 1.2 times the
+mean, where the smooth step used for sinking reaches 1.5."""
 LONGEST_PHRASE = 3.0
-"""Seconds of speech without a pause after which a new phrase begins (talks: 2.6 s in the mean)."""
+"""Seconds of speech without a pause after which a new phrase begins (mean in recorded talks: 2.6 s)."""
 
 LONGEST_STOP, _SHORTEST_STOP = 0.42, 0.22
-"""Seconds in which a moving hand stops."""
+"""Range of the duration of a stop, seconds."""
 _STOP_WITHIN = 0.12
-"""Metres in which a hand stops, where the shortest stop allows it."""
+"""Stopping distance of a hand, metres, if the shortest stop allows it."""
 _RETRACTS = 0.42
-"""Seconds in which a hand that is on its way to rest arrives there, or stops as near as it may."""
+"""Seconds in which a hand already moving to rest arrives there, or stops as near as `_FARTHEST` allows."""
 _REACH = 0.66
-"""Of speed x time: as far goes a hand whose speed falls as 1 - (t / T)^2, without getting faster first."""
+"""Distance as a share of speed x time for a hand whose speed falls as 1 - (t / T)^2, without accelerating first."""
 _FARTHEST = 0.2
-"""Metres that such a hand still goes."""
+"""Greatest distance that such a hand still travels, metres."""
 _TOWARDS = 0.3, 0.8
-"""Cosines between a hand's velocity and its way to rest: below the first it is not coming down, above the second it
-is."""
+"""Cosines between a hand's velocity and its direction to rest: below the first it is not coming down, above the second
+it is."""
 _LEAST_FADE = 0.2
-"""Seconds in which a join can be made; where a block has less left, the body wakes with the next."""
+"""Least duration of a join, seconds; if a block has less left, the body wakes in the next."""
 _ALWAYS = -1e3
-"""Seconds: who has not begun has rested since then."""
+"""Start time of the initial rest, seconds: long enough ago to be complete."""
 _REPAY = 6.0
-"""Seconds of speech too much or too little in gesture that decide the next phrase for certain."""
+"""Surplus or deficit of gestured speech that decides the next phrase for certain, seconds."""
 _TRUSTED = 4.0
-"""Phrases after which the gate's ranking counts as much as the dice."""
+"""Number of phrases after which the gate's ranking counts as much as the random number."""
 _RANKED = 1000
-"""Phrases before that a phrase is ranked among: most of an hour, and no more memory for a day."""
+"""Number of previous phrases that a phrase is ranked among: most of an hour, with bounded memory."""
 _PATH = 9
 
 
 # ---------------------------------------------------------------------------------------------------- pauses
 
 class Pauses:
-    """Frames of rest from quiet frames, block by block. Before the first block the body rests."""
+    """Frames of rest from quiet frames, block by block. The body rests before the first block."""
 
     def __init__(self) -> None:
         self._resting = True
@@ -99,21 +99,21 @@ class Pauses:
             quiet = np.concatenate([quiet, span.ahead])
             steps = np.concatenate([steps, np.full(len(span.ahead), span.ahead_duration / len(span.ahead))])
         rests = self._rests(quiet, steps, open_end=span.ahead is not None)
-        own = rests[:count].copy()
+        resting = rests[:count].copy()
         trailing = span.quiet[::-1].argmin() if not span.quiet.all() else count
-        self._resting = bool(own[-1])
+        self._resting = bool(resting[-1])
         if self._resting:
             self._quiet_for = 0.0
         else:
             self._quiet_for = (self._quiet_for if trailing == count else 0.0) + trailing * span.duration / count
         wakes = np.flatnonzero(rests[:-1] & ~rests[1:]) + 1
-        for k in wakes:  # a little before the voice
+        for k in wakes:  # wake a little before the voice
             before = np.cumsum(steps[:k][::-1])[::-1] <= LEAD + 1e-9
-            own[np.flatnonzero(before[:count])] = False
-        return own
+            resting[np.flatnonzero(before[:count])] = False
+        return resting
 
     def _rests(self, quiet: Flags, steps: Array, open_end: bool) -> Flags:
-        """open_end: more follows than is known. At the end of a recording silence follows."""
+        """open_end: more sound may follow; at the end of a recording only silence follows."""
         turns = np.flatnonzero(np.diff(quiet)) + 1
         bounds = [0, *turns.tolist(), len(quiet)]
         resting, out = self._resting, np.zeros(len(quiet), bool)
@@ -132,12 +132,11 @@ class Pauses:
 
 
 class Phrases:
-    """Which phrases are gestured, so that a share `activity` of the time of speech is.
+    """Selects which phrases are gestured, so that a share `activity` of speech time is.
 
-    A phrase gets a number q in (0, 1): where the gate's probability at its first block ranks among those of the phrases
-    before, mixed with dice that are keyed by the seed and the phrase's start. It is gestured where q >= 1 - a, with
-    a = activity + (activity x speech so far - gestured so far) / `_REPAY`. 0 is none and 1 is all.
-    """
+    A phrase gets a number q in (0, 1): the rank of the gate's probability at its first block among those of earlier
+    phrases, mixed with a random number keyed by the seed and the phrase's start. It is gestured if q >= 1 - a, with a =
+    activity + (activity x speech so far - gestured so far) / `_REPAY`. Activity 0 is none and 1 is all. """
 
     def __init__(self, activity: float, seed: int) -> None:
         self.activity, self.seed = activity, seed
@@ -147,7 +146,6 @@ class Phrases:
         self._speaks, self._open = False, False
 
     def fork(self) -> Phrases:
-        """A twin that goes on from here by itself."""
         twin = copy.copy(self)
         twin._ranked, twin._order = list(self._ranked), self._order.copy()
         return twin
@@ -170,19 +168,19 @@ class Phrases:
         return self._open
 
     def _begins(self, start: float, score: float) -> bool:
-        # Milliseconds: the start of a block is a time on the sound's own clock.
-        dice = float(uniform(self.seed, 1 << 20, np.array([round(start * 1000)]))[0])
-        rank, weight = dice, 0.0
+        # In milliseconds: the block's start on the clock of the audio.
+        chance = float(uniform(self.seed, 1 << 20, np.array([round(start * 1000)]))[0])
+        rank, weight = chance, 0.0
         if not math.isnan(score):
             if self._ranked:
                 below, at_most = bisect_left(self._ranked, score), bisect_right(self._ranked, score)
-                rank = (below + (at_most - below) * dice) / len(self._ranked)
+                rank = (below + (at_most - below) * chance) / len(self._ranked)
                 weight = len(self._ranked) / (len(self._ranked) + _TRUSTED)
             insort(self._ranked, score)
             self._order.append(score)
             if len(self._order) > _RANKED:
                 del self._ranked[bisect_left(self._ranked, self._order.popleft())]
-        q = weight * rank + (1.0 - weight) * dice
+        q = weight * rank + (1.0 - weight) * chance
         if self.activity in (0.0, 1.0):
             return self.activity == 1.0
         return q >= 1.0 - self.activity - (self.activity * self._spoken - self._gestured) / _REPAY
@@ -192,10 +190,10 @@ class Phrases:
 
 @dataclass
 class _Stop:
-    """A way into rest: from a pose with a velocity at `begin` seconds to a stop, and from there to the resting pose.
+    """A path into rest: from a pose with a velocity at `begin` seconds to a stop, and from there to the resting pose.
 
-    stops_in: [D] seconds, for each dimension; hold: seconds before it sinks; sinks_in: seconds; evenly: at one speed
-    for the most part, not along a smooth step.
+    stops_in: [D] seconds for each dimension; hold: seconds before it sinks; sinks_in: seconds; evenly: sink at mostly
+    constant speed instead of along a smooth step.
     """
 
     begin: float
@@ -212,12 +210,11 @@ class _Stop:
         s = np.minimum((time - self.begin) / self.stops_in, 1.0)
         stopped = _hermite(s, self.pose, self.velocity * self.stops_in, self.stopped)
         u = min(max((time - self.begin - self.hold) / self.sinks_in, 0.0), 1.0)
-        way: Array = stopped + (_even(u) if self.evenly else u * u * (3.0 - 2.0 * u)) * (self.rest - stopped)
-        return way
+        return stopped + (_even(u) if self.evenly else u * u * (3.0 - 2.0 * u)) * (self.rest - stopped)
 
 
 def _even(u: float) -> float:
-    """0 to 1 with a speed that rises evenly over `_EVENLY` of the time, stays, and falls so."""
+    """0 to 1 with a speed that rises linearly over `_EVENLY` of the time, stays constant, and falls likewise."""
     edge, speed = _EVENLY, 1.0 / (1.0 - _EVENLY)
     if u < edge:
         return speed * u * u / (2.0 * edge)
@@ -227,14 +224,14 @@ def _even(u: float) -> float:
 
 
 def _hermite(s: Array | float, start: Array, slope: Array, end: Array) -> Array:
-    """The cubic from `start` with this slope to `end` with slope 0, at s of the way."""
+    """The cubic from `start` with the given slope to `end` with slope 0, at parameter s in 0 to 1."""
     return (2 * s**3 - 3 * s**2 + 1) * start + (s**3 - 2 * s**2 + s) * slope + (3 * s**2 - 2 * s**3) * end
 
 
 @dataclass
 class _Join:
-    """What is added to a generated block after a wake: it takes off the jumps of place and velocity, and is gone at the
-    end of the block."""
+    """Offset added to a generated block after waking: removes the jump in position and velocity and fades to zero by
+    the end of the block."""
 
     begin: float
     end: float
@@ -247,24 +244,23 @@ class _Join:
 
 
 class RestingPart:
-    """Some dimensions of the pose that rest and wake together; in units in which all of them are near 1."""
+    """Dimensions of the pose that rest and wake together, in units in which all are near 1."""
 
     def __init__(self, rest: Array, bounds: Array, way: _Way) -> None:
-        """rest: [D] the resting pose; bounds: [2, D] the least and the most; way: how long it takes."""
+        """rest: [D] the resting pose; bounds: [2, D] smallest and largest values; way: how it stops and sinks."""
         self.rest, self.bounds, self._way = rest, bounds, way
-        self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, np.ones_like(rest),
-                                                rest, 1.0)
+        self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, np.ones_like(rest), rest, 1.0)
         self._join: _Join | None = None
         self._last = [(-1.0, rest), (0.0, rest)]
 
     def step(self, times: Array, generated: Array, rests: Flags) -> Array:
-        """[K, D] what is shown of a generated block [K, D] at `times` [K], resting in the frames `rests` [K]."""
+        """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K]."""
         out = np.empty_like(generated)
         for k, time in enumerate(times):
             if rests[k] and self._stop is None:
                 self._stop, self._join = self._stopping(), None
             elif not rests[k] and self._stop is not None and (k == 0 or times[-1] - self._last[1][0] >= _LEAST_FADE):
-                # Where a generator comes from that heeds its past is where it was; one that does not must be led.
+                # A generator that uses its past starts from the frame before; one that ignores it is extrapolated.
                 before = generated[k - 1] if k else 2.0 * generated[0] - generated[1]
                 self._join = self._joining(before, generated[k], float(time), float(times[-1]))
                 self._stop = None
@@ -277,8 +273,8 @@ class RestingPart:
         return out
 
     def break_off(self, last: list[tuple[float, Array]], word: float) -> None:
-        """Stop and go to rest at once, from the last two times and poses (the way since then did not happen). word:
-        seconds at which she was interrupted, a little before."""
+        """Stop and go to rest at once from the last two times and poses (later motion is discarded). word: time of the
+        interruption in seconds, a little earlier."""
         self._last, self._join = last, None
         now, pose = last[1]
         stopped = np.clip(pose + self._velocity() * BREAKS_OFF / 3.0, *self.bounds)
@@ -287,8 +283,7 @@ class RestingPart:
 
     def _velocity(self) -> Array:
         (before, one), (now, two) = self._last
-        velocity: Array = (two - one) / (now - before)
-        return velocity
+        return (two - one) / (now - before)
 
     def _stopping(self) -> _Stop:
         (_, _), (now, pose) = self._last
@@ -303,13 +298,13 @@ class RestingPart:
 
 
 class _Way:
-    """How a part stops and sinks: as told by its hands, or, for a part without hands, as slowly as it may."""
+    """How a part stops and sinks: by the speed of its hands or, without hands, in the longest time."""
 
     def __init__(self, hands_of: _Hands | None = None) -> None:
         self._hands_of = hands_of
 
     def stop(self, pose: Array, velocity: Array, rest: Array) -> tuple[Array, Array]:
-        """Where it stops, [D], and in how many seconds, [D], from a pose with a velocity."""
+        """The pose where it stops [D] and the durations in seconds [D], from a pose with a velocity."""
         seconds = np.full(len(pose), LONGEST_STOP)
         if self._hands_of is None:
             return pose + velocity * seconds / 3.0, seconds
@@ -330,18 +325,18 @@ class _Way:
         return stopped, seconds
 
     def sink_seconds(self, pose: Array, rest: Array) -> float:
-        """Seconds in which no hand is faster than `SINKING` on the straight way from a pose to the resting pose."""
+        """Duration in seconds of the straight path from a pose to rest such that no hand exceeds `SINKING`."""
         if self._hands_of is None:
             return 2.0
         share = np.linspace(0.0, 1.0, _PATH)[:, None]
         steps = np.linalg.norm(np.diff(self._hands_of(pose + share * (rest - pose)), axis=0), axis=-1)
-        # At the middle of the smooth step the way is gone 1.5 times as fast as in the mean.
+        # The smooth step peaks at 1.5 times its mean speed.
         return max(1.5 * float(steps.max()) * (_PATH - 1) / SINKING, 1.0)
 
 
 class _Hands:
-    """Where the hands are, the right first, from the dimensions of the body without the head. arms: of each side's arm
-    and fingers, which of these dimensions they are."""
+    """Positions of the hands, the right first, from the dimensions of the body without the head. arms: for each side,
+    the indices of the dimensions of arm and fingers."""
 
     def __init__(self, representation: Representation, statistics: Statistics, speaker: int, columns: NDArray[np.int64]
                  ) -> None:
@@ -353,7 +348,7 @@ class _Hands:
         self.arms = [np.flatnonzero([name.startswith(side) for name in names]) for side in SIDES]
 
     def __call__(self, features: Array) -> Array:
-        """[M, 2, 3] metres of features [M, D] of the part."""
+        """[M, 2, 3] hand positions in metres for features [M, D] of the part."""
         poses = np.repeat(self._statistics.rest_pose[self._speaker][None], len(features), axis=0)
         whole = self._statistics.normalise(poses, self._speaker)
         whole[:, self._columns] = features
@@ -363,8 +358,8 @@ class _Hands:
 
 @dataclass(frozen=True)
 class RestKnots:
-    """The last frames that were shown, as `Rest` must know them to go on from there: times [M] seconds, poses [M, D_m]
-    without the life, and gains [M, 2, 2], how much of the life there was of head and body, and its slope."""
+    """The last frames shown, from which `Rest` continues: times [M] seconds, poses [M, D_m] without idle motion, and
+    gains [M, 2, 2] of the idle motion of head and body with their slopes."""
 
     times: Array
     poses: NDArray[np.float32]
@@ -372,16 +367,15 @@ class RestKnots:
 
 
 class Rest:
-    """Rest and life of one performance, block by block.
+    """Rest and idle motion of one performance, block by block.
 
-    For each block first `hear`, which says whether anything is to be done on it, then `step` with what the generator
-    drew, which gives what it is to be shown as its past, then `alive`, which gives what the audience is shown.
-    """
+    For each block call `hear`, which tells whether it needs generating; then `step` with the generated block, which
+    returns the block that becomes the generator's past; then `alive`, which returns the block to show. """
 
     def __init__(self, statistics: Statistics, representation: Representation, speaker: int, activity: float, seed: int
                  ) -> None:
-        """representation: of exponential maps; activity: share of the time of speech in gesture; seed: of the dice and
-        of the idle life."""
+        """representation: of exponential maps; activity: share of speech time that is gestured; seed: of the choice of
+        phrases and of the idle motion."""
         rest_pose = statistics.rest_pose[speaker]
         names = representation.motion(rest_pose[None], 1.0).skeleton.names
         turned = np.repeat([name in HEAD for name in names], 3)
@@ -396,7 +390,7 @@ class Rest:
         self._span: Span | None = None
 
     def fork(self) -> Rest:
-        """A twin that goes on from here by itself."""
+        """A copy that continues independently."""
         twin = copy.copy(self)
         twin._life = self._life.fork()
         twin._parts = [(columns, copy.copy(part)) for columns, part in self._parts]
@@ -404,13 +398,13 @@ class Rest:
         return twin
 
     def stand_as(self, other: Rest) -> None:
-        """Take over where the body is and how it moves from the rest of another performance by the same speaker."""
+        """Take over position and velocity of the body from another performance by the same speaker."""
         self._parts = other.fork()._parts
         self._life.stand_as(other._life)
 
     def hear(self, span: Span, score: float = math.nan, still: Flags | None = None) -> bool:
-        """True where the hands have nothing to do for half of the block or more. score: the gate's probability; still:
-        [K] frames in which the hands are told to rest."""
+        """Analyse a block; True if the hands rest for half of it or more. score: the gate's probability; still: [K]
+        frames in which the hands must rest."""
         pause = self._pauses.step(span)
         gestured = self._phrases.step(span, pause, score)
         self._span = span
@@ -420,16 +414,16 @@ class Rest:
 
     @property
     def rests_wholly(self) -> bool:
-        """Whether the body rests in every frame of the block that was heard last: what is drawn of it is not shown."""
+        """Whether the body rests in every frame of the last block, so that a generated block would not be shown."""
         return all(bool(rests.all()) for rests in self._rests)
 
     def rest(self, span: Span) -> None:
-        """Instead of `hear`: nothing is to be heard, and nothing to be done."""
+        """Instead of `hear`, for a block without sound: rest throughout."""
         self._pauses, self._span = Pauses(), span
         self._rests = [np.ones(len(span.quiet), bool)] * 2
 
     def break_off(self, shown: RestKnots, word: float) -> None:
-        """Go back to what was shown last, and to rest from there at once; word: see `RestingPart.break_off`."""
+        """Go back to the last frames shown and go to rest from there; word: see `RestingPart.break_off`."""
         for columns, part in self._parts:
             part.break_off([(float(time), pose[columns].astype(np.float64))
                             for time, pose in zip(shown.times[-2:], shown.poses[-2:], strict=True)], word)
@@ -437,11 +431,11 @@ class Rest:
 
     @property
     def gains(self) -> Array:
-        """[K, 2, 2] how much of the life there was in each frame of the last block, see `RestKnots`."""
+        """[K, 2, 2] gains of the idle motion in each frame of the last block, see `RestKnots`."""
         return self._life.gains
 
     def step(self, generated: Array) -> Array:
-        """[K, D_m] the block as it goes on, for one that was generated [K, D_m], both normalised, without the life."""
+        """[K, D_m] a generated block [K, D_m] with rest applied, both normalised, without idle motion."""
         assert self._span is not None, "hear comes first"
         out = np.empty_like(generated, dtype=np.float64)
         for (columns, part), rests in zip(self._parts, self._rests, strict=True):
@@ -449,6 +443,6 @@ class Rest:
         return out
 
     def alive(self, block: Array) -> Array:
-        """[K, D_m] the block of `step` with the idle life on it."""
+        """[K, D_m] the block of `step` with idle motion added."""
         assert self._span is not None, "hear comes first"
         return self._life(block, self._span, self._rests)

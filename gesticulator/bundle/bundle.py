@@ -1,10 +1,10 @@
-"""A bundle: one folder that holds everything inference needs.
+"""A bundle: one folder with everything that inference needs.
 
 `bundle.json` (format, versions, settings, skeleton, data fingerprint and licence, figures, SHA-256 of every file),
 `MODEL_CARD.md` and `*.safetensors` in half precision. It is written to a temporary folder, synced and renamed. An
-unknown format, a foreign skeleton, a file that is not what its hash says and a file of weights that is not listed are
-refused by name. A model is opened when it is asked for, so that drawing one gesture reads no reward model; its shapes
-are compared with the settings before memory is taken for it.
+unknown format, a different skeleton, a file with a wrong hash and an unlisted file of weights are rejected with the
+name of the file. Each model is loaded when it is first used, so generating one gesture reads no reward model; its
+tensor shapes are compared with the settings before memory is allocated.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import numpy as np
 import torch
@@ -43,15 +43,10 @@ from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
 
 if TYPE_CHECKING:
-    from data_module.speech.speech_encoder import SpeechEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
-    from interpreters.advantage import Critics
     from interpreters.base import Interpreter
-    from interpreters.cql import QNetwork
-    from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
-    from interpreters.reward import RewardEnsemble
     from interpreters.statistical import StatisticalInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
@@ -62,28 +57,30 @@ if TYPE_CHECKING:
 
 __all__ = ["Bundle", "load"]
 
+P = TypeVar("P")
 SHIPPED = Path(__file__).parents[1] / "assets" / "bundle"
-"""The bundle that comes with the package."""
+"""The bundle shipped with the package."""
 _NO_BLOCKS = "holds RACER's own codec, without lexicon, generator and style"
 _STATISTICS = "statistics"
 
 
 @dataclass(frozen=True)
 class TextSource:
-    """The word encoder that the interpreters were trained on. width: d_t + 1, with the flag of the empty word."""
+    """The word encoder that the interpreters were trained with. width: d_t + 1, including the flag of the empty
+    word."""
 
     encoder: str
     width: int
 
     @classmethod
     def of(cls, config: Config, width: int) -> TextSource | None:
-        """None where no text was read."""
+        """From the settings; None without text."""
         return cls(config.text.encoder, width) if config.text.encoder and width else None
 
 
 @dataclass(frozen=True)
 class BlockModels:
-    """What a bundle of blocks at the beat cannot do without."""
+    """The models that a bundle of beat-aligned blocks requires."""
 
     lexicon: BlockLexicon
     generator: Generator | FlowGenerator
@@ -91,17 +88,26 @@ class BlockModels:
     style: StyleInterpreter | None
 
 
+class _Part(Generic[P]):
+    """An attribute of `Bundle` that loads the part of the same name; None if the bundle lacks it."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, bundle: Bundle, owner: type | None = None) -> P | None:
+        # Not `Mapping.get`, which would hide a KeyError raised while loading.
+        return cast("P", bundle.parts[self.name]) if self.name in bundle.parts else None
+
+
 @dataclass(frozen=True)
 class Bundle:
-    """Trained models and all that goes with them.
+    """Trained models with their settings and statistics.
 
-    parts: the models by name (`gesticulator.bundle.models.part_table`); of a bundle that was read, each is opened when
-    it is asked for. vectors: [S, D_s] the codebook; rest_distances: [speakers, S] how far each lexeme is from standing
-    still in the speaker's resting pose, in the codebook's (squared) distance. silent: the silent lexemes. frequencies:
-    [speakers, S] how often each uses each lexeme, and transitions: [S, S] what follows what, on the training split.
-    text: where the word vectors come from. provenance: what the weights were trained on, in plain values; figures:
-    stage -> its figures on the validation split.
-    """
+    parts: the models by name (`gesticulator.bundle.models.part_table`); in a bundle read from disk each is loaded when
+    it is first used. vectors: [S, D_s] the codebook; rest_distances: [speakers, S] squared distance of each lexeme, in
+    the codebook, from standing still in the speaker's resting pose. silent: the silent lexemes. frequencies: [speakers,
+    S] of each lexeme, and transitions: [S, S] between lexemes, on the training split. text: the source of the word
+    vectors. provenance: the training data, in plain values; figures: stage -> its validation figures. """
 
     config: Config
     statistics: Statistics
@@ -115,90 +121,53 @@ class Bundle:
     figures: dict[str, Any]
     text: TextSource | None = None
 
-    def _part(self, name: str) -> nn.Module | None:
-        """A part, opened; not `Mapping.get`, to which a KeyError on the way would look like absence."""
-        return self.parts[name] if name in self.parts else None  # noqa: SIM401
-
-    # The parts, by attribute: those that every bundle of blocks has, and those that may be absent.
     @property
     def lexicon(self) -> Tokens:
-        """What names gestures."""
+        """The gesture vocabulary: a lexicon of blocks, or RACER's codec."""
         return cast("Tokens", self.parts["lexicon"])
 
-    @property
-    def generator(self) -> Generator | FlowGenerator | None:
-        """What draws blocks at the beat; None in a bundle of RACER's own."""
-        return cast("Generator | FlowGenerator | None", self._part("generator"))
-
-    @property
-    def interpreter(self) -> LstmInterpreter | None:
-        """The lexeme interpreter that hears alone."""
-        return cast("LstmInterpreter | None", self._part("interpreter"))
-
-    @property
-    def interpreter_text(self) -> LstmInterpreter | None:
-        """The lexeme interpreter that reads the words too."""
-        return cast("LstmInterpreter | None", self._part("interpreter_text"))
-
-    @property
-    def style(self) -> StyleInterpreter | None:
-        """The style interpreter that hears alone; None where the generator takes no style codes."""
-        return cast("StyleInterpreter | None", self._part("style"))
-
-    @property
-    def style_text(self) -> StyleInterpreter | None:
-        """The style interpreter that reads the words too."""
-        return cast("StyleInterpreter | None", self._part("style_text"))
-
-    @property
-    def encoder(self) -> SpeechEncoder | None:
-        """The speech levels."""
-        return cast("SpeechEncoder | None", self._part("encoder"))
-
-    @property
-    def gate(self) -> ActivityGate | None:
-        """Whether to gesture at all."""
-        return cast("ActivityGate | None", self._part("gate"))
-
-    @property
-    def q_network(self) -> QNetwork | None:
-        """RACER's Q-network."""
-        return cast("QNetwork | None", self._part("q_network"))
-
-    @property
-    def advantage(self) -> Critics | None:
-        """What lexemes are worth beyond the behaviour policy's own."""
-        return cast("Critics | None", self._part("advantage"))
-
-    @property
-    def reward(self) -> RewardEnsemble | None:
-        """The reward that taught the policies; None unless it was added (`JUDGES`)."""
-        return cast("RewardEnsemble | None", self._part("reward"))
-
-    @property
-    def reward_judge(self) -> RewardEnsemble | None:
-        """The reward that judges them; None unless it was added (`JUDGES`)."""
-        return cast("RewardEnsemble | None", self._part("reward_judge"))
+    generator = _Part["Generator | FlowGenerator"]()
+    """Generates blocks at the beat; None in a bundle of RACER's codec."""
+    interpreter = _Part["LstmInterpreter"]()
+    """The audio-only lexeme interpreter."""
+    interpreter_text = _Part["LstmInterpreter"]()
+    """The lexeme interpreter that also reads the words."""
+    style = _Part["StyleInterpreter"]()
+    """The audio-only style interpreter; None if the generator takes no style codes."""
+    style_text = _Part["StyleInterpreter"]()
+    """The style interpreter that also reads the words."""
+    encoder = _Part["SpeechEncoder"]()
+    """The speech encoder."""
+    gate = _Part["ActivityGate"]()
+    """Decides whether a block is gestured."""
+    q_network = _Part["QNetwork"]()
+    """RACER's Q-network."""
+    advantage = _Part["Critics"]()
+    """The value of lexemes relative to the behaviour policy."""
+    reward = _Part["RewardEnsemble"]()
+    """The reward that trained the policies; None unless it was added (`JUDGES`)."""
+    reward_judge = _Part["RewardEnsemble"]()
+    """The reward that evaluates them; None unless it was added (`JUDGES`)."""
 
     def with_parts(self, **changes: nn.Module | None) -> Bundle:
-        """A copy with other parts; None takes one out. A part that is not opened yet stays so."""
+        """A copy with other parts; None removes one. Parts that are not loaded yet stay so."""
         return replace(self, parts=ChangedParts(self.parts, changes))
 
     @property
     def block_models(self) -> BlockModels:
-        """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's own."""
+        """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's codec."""
         if not self.system.blocks or not (self.generator and self.interpreter):
             raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
         return BlockModels(cast("BlockLexicon", self.lexicon), self.generator, self.interpreter, self.style)
 
     @cached_property
     def system(self) -> System:
-        """What names gestures, what draws them, and what follows from that."""
+        """The kind of lexicon and generator, and what follows from them."""
         return system_of(self.config)
 
     @property
     def code_width(self) -> int:
-        """d_z, 0 where the generator takes no style codes."""
+        """d_z; 0 if the generator takes no style codes."""
         return self.config.generator.style_width if self.config.generator.styled else 0
 
     @property
@@ -208,14 +177,12 @@ class Bundle:
 
     @property
     def interpreters(self) -> tuple[str, ...]:
-        """Names of the interpreters that it holds; the first is taken when none is named."""
+        """Names of the available interpreters; the first is the default."""
         return tuple(name for name, entry in entries().items() if not entry.part or entry.part in self.parts)
 
     def interpreter_named(self, name: str, text: bool = False) -> Interpreter:
-        """The lexeme interpreter of that name; with `text`, the one that reads the words where there is one.
-
-        InputError lists those that the bundle has.
-        """
+        """The lexeme interpreter of that name; with `text`, the variant that reads the words, if any. InputError lists
+        the available names."""
         if name not in self.interpreters:
             raise InputError(f"interpreter {name}", "is not in the bundle",
                              f"choose among {', '.join(self.interpreters)}")
@@ -228,7 +195,7 @@ class Bundle:
 
     @property
     def levels(self) -> Levels | None:
-        """What low, mid and high mean for each feature of style; None where the models hear no control."""
+        """The values of low, mid and high for each style feature; None if the models take no controls."""
         return self.statistics.levels if self.config.generator.use_control else None
 
     @property
@@ -237,24 +204,24 @@ class Bundle:
         return self.statistics.speakers
 
     def statistical(self) -> StatisticalInterpreter:
-        """The speech-blind interpreter over the same lexicon."""
+        """The speech-independent interpreter over the same lexicon."""
         from interpreters.statistical import StatisticalInterpreter
 
         return StatisticalInterpreter(self.frequencies, self.transitions, self.config.statistical)
 
     def rest_feature(self, speaker: int) -> Tensor:
-        """[D_m] the speaker's resting pose as the models see it."""
+        """[D_m] the speaker's resting pose, normalised."""
         return rest_feature(self.statistics, speaker, self.vectors.device)
 
     def rest_lexeme(self, speaker: int) -> int:
-        """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); any lexeme where none is
-        silent, as in RACER's codec."""
+        """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); any lexeme if none is silent, as
+        in RACER's codec."""
         allowed = self.silent if len(self.silent) else np.arange(len(self.vectors))
         return int(allowed[int(self.rest_distances[speaker][allowed].argmin())])
 
 
 def rest_feature(statistics: Statistics, speaker: int, device: torch.device | None = None) -> Tensor:
-    """[D_m] a speaker's resting pose as the models see it."""
+    """[D_m] a speaker's resting pose, normalised."""
     rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
     return torch.as_tensor(rest, dtype=torch.float32, device=device)
 
@@ -269,7 +236,7 @@ def rest_distances(tokens: Tokens, statistics: Statistics) -> NDArray[np.float32
 # ------------------------------------------------------------------------------------------------------------ writing
 
 def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
-    """What `statistics.safetensors` holds."""
+    """The contents of `statistics.safetensors`."""
     s = bundle.statistics
     arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation, "bounds": s.bounds,
               "frequencies": bundle.frequencies, "transitions": bundle.transitions,
@@ -284,13 +251,13 @@ def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
 
 
 def _half(module: nn.Module) -> dict[str, Tensor]:
-    # The table of style codes belongs to the training blocks; nothing at inference looks into it ("styles.").
+    # The table of style codes ("styles.") belongs to the training blocks and is not used at inference.
     return {key: (value.half() if value.is_floating_point() else value).contiguous().cpu()
             for key, value in module.state_dict().items() if not key.startswith("styles.")}
 
 
 def save(bundle: Bundle, path: str | Path, card: str) -> None:
-    """Write a bundle whole or not at all; a bundle that is already there is replaced, anything else is left alone."""
+    """Write a bundle atomically; an existing bundle is replaced, any other folder is left alone."""
     def write(folder: Path) -> None:
         for name, module in bundle.parts.items():
             if name in JUDGES:
@@ -304,28 +271,23 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
             "config": to_dict(bundle.config), "speakers": list(bundle.speakers),
             "silent_lexemes": bundle.silent.tolist(), "lexicon_hash": lexicon_hash(bundle.vectors),
             "text": {"encoder": bundle.text.encoder, "width": bundle.text.width} if bundle.text else None,
-            "audio_levels": 2 if _two_levels(bundle) else 1,
+            "audio_levels": 1 if np.array_equal(bundle.statistics.low.mean, bundle.statistics.high.mean) else 2,
             "provenance": bundle.provenance, "figures": bundle.figures})
 
     replace_folder(Path(path), write)
 
 
-def _two_levels(bundle: Bundle) -> bool:
-    low, high = bundle.statistics.low, bundle.statistics.high
-    return len(low.mean) != len(high.mean) or not np.array_equal(low.mean, high.mean)
-
-
 def required(config: Config) -> tuple[str, ...]:
-    """Parts that a bundle of these settings cannot do without."""
+    """Parts that a bundle of these settings requires."""
     system = system_of(config)
     return "lexicon", *system.drawing.parts, *(("style",) if system.blocks and config.generator.styled else ())
 
 
 def load(path: str | Path) -> Bundle:
-    """Open a bundle; InputError for one that is broken, foreign or not what its hashes say.
+    """Open a bundle; InputError if it is broken, of another format, or does not match its hashes.
 
-    The settings, the statistics and the codebook are read at once; a model when it is asked for, which may raise
-    InputError in its turn.
+    The settings, the statistics and the codebook are read at once; each model when it is first used, which may raise
+    InputError as well.
     """
     folder = Path(path)
     index = read_index(folder)
@@ -350,11 +312,11 @@ def load(path: str | Path) -> Bundle:
                   StoredParts(weights, replace(sizes, vectors=vectors)), index["provenance"], index["figures"], text)
 
 
-def _text_source(folder: Path, found: dict[str, Any] | None) -> TextSource | None:
-    if found is None:
+def _text_source(folder: Path, entry: dict[str, Any] | None) -> TextSource | None:
+    if entry is None:
         return None
-    encoder, width = found.get("encoder"), found.get("width")
-    if set(found) != {"encoder", "width"} or not isinstance(encoder, str) or type(width) is not int \
+    encoder, width = entry.get("encoder"), entry.get("width")
+    if set(entry) != {"encoder", "width"} or not isinstance(encoder, str) or type(width) is not int \
             or not 0 < width <= 2**16:
         raise InputError(folder / INDEX, "holds something else than it should under text", "copy the bundle again")
     return TextSource(encoder, width)
@@ -362,7 +324,7 @@ def _text_source(folder: Path, found: dict[str, Any] | None) -> TextSource | Non
 
 def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[str, ...]
                 ) -> tuple[Statistics, dict[str, NDArray[np.float64]]]:
-    """The statistics, and the arrays that are beside them in the file."""
+    """The statistics, and all arrays of their file."""
     tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
     motion, count, size = representation_of(config).width, len(speakers), codebook_shape(config)[0]
     wanted = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),

@@ -10,18 +10,18 @@ if TYPE_CHECKING:
 
 def _words(bundle: Bundle) -> str:
     if bundle.text is None:
-        return ("It hears the voice and does not know what is said: pointing and negation come at times the sound "
+        return ("It uses the voice only and does not understand words: pointing and negation come at times the sound "
                 "suggests, not words.")
-    return (f"What is said counts only where a transcript is given; its words are read by `{bundle.text.encoder}`, an "
-            "English model. Without one, pointing and negation come at times the sound suggests.")
+    return (f"Words matter only if a transcript is given; they are encoded by `{bundle.text.encoder}`, an "
+            "English model. Without a transcript, pointing and negation come at times the sound suggests.")
 
 
 def model_card(bundle: Bundle) -> str:
-    """Markdown: what the weights were trained on, what they do, and what they cannot do."""
+    """The model card as Markdown: training data, validation figures and limits."""
     p, c = bundle.provenance, bundle.config
     hours = p["hours"]
-    figures = "\n".join(f"| {stage} | {name} | {value:.4g} |" for stage, own in bundle.figures.items()
-                        for name, value in own.items())
+    figures = "\n".join(f"| {stage} | {name} | {value:.4g} |" for stage, values in bundle.figures.items()
+                        for name, value in values.items())
     return f"""# Model card
 
 Preset `{c.name}`. Speech in, upper-body gesture of a {c.motion.joints}-joint character out, after

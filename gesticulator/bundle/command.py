@@ -1,5 +1,4 @@
-"""`gesticulator bundle`: inspect a bundle, edit its silent lexemes, upgrade an old one. Heavy modules are imported when
-the verb is run."""
+"""`gesticulator bundle`: inspect a bundle, edit its silent lexemes, upgrade an old one."""
 
 from __future__ import annotations
 
@@ -22,21 +21,21 @@ def _arguments(p: argparse.ArgumentParser) -> None:
     upgrade.add_argument("out", type=Path, metavar="NEW")
 
 
-def _run(asked: argparse.Namespace) -> int:
-    if asked.what == "silent":
-        return silent.run(asked)
-    if asked.what == "upgrade":
+def _run(args: argparse.Namespace) -> int:
+    if args.what == "silent":
+        return silent.run(args)
+    if args.what == "upgrade":
         from gesticulator.bundle.upgrade import upgrade
 
-        upgrade(asked.bundle, asked.out)
-        print(f"{asked.out}: written from {asked.bundle}; its weights and the motion that they make are the same")
+        upgrade(args.bundle, args.out)
+        print(f"{args.out}: written from {args.bundle}; weights and generated motion are unchanged")
         return 0
-    print(_inspected(asked.bundle, asked.settings))
+    print(_inspected(args.bundle, args.settings))
     return 0
 
 
 def _inspected(given: str | None, settings: bool) -> str:
-    """What `bundle inspect` prints. Every part is opened, so what is broken is found here."""
+    """The output of `bundle inspect`. Every part is opened, so a broken one is found here."""
     from data_module.layers import parameter_count
     from gesticulator.bundle.bundle import SHIPPED, load
     from gesticulator.bundle.files import read_index
@@ -66,12 +65,12 @@ def _inspected(given: str | None, settings: bool) -> str:
 
 def _short(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{name} {_short(own)}" for name, own in value.items())
+        return ", ".join(f"{name} {_short(inner)}" for name, inner in value.items())
     return ", ".join(map(str, value)) or "none" if isinstance(value, list) else str(value)
 
 
 def _settings(tree: dict[str, Any], path: str = "") -> list[str]:
-    """Each setting as one would write it after --set."""
+    """Each setting as an argument of --set."""
     out = []
     for name, value in tree.items():
         out += _settings(value, f"{path}{name}.") if isinstance(value, dict) else [f"  {path}{name}={value}"]

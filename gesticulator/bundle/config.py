@@ -1,4 +1,4 @@
-"""The settings of a bundle: one tree of the parts' settings, each with its range and its reason."""
+"""The settings of a bundle: a tree of the settings of its parts, each with its range and its reason."""
 
 from __future__ import annotations
 
@@ -50,79 +50,79 @@ __all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticCo
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How long and how a stage is trained."""
+    """Training length and optimiser of a stage."""
 
     steps: Steps
-    """Updates of the weights; 0 leaves the stage out where it can be left out."""
+    """Number of weight updates; 0 omits an optional stage."""
     batch: Count
-    """Windows (or blocks) a step."""
+    """Windows (or blocks) per step."""
     rate: Positive = 3e-4
-    """Learning rate of Adam at its highest; 3e-4 is the papers' (RG 7.1.2)."""
+    """Peak learning rate of Adam; 3e-4 is that of the papers (RG 7.1.2)."""
     betas: Annotated[tuple[float, float], SettingRange(0.0, 0.9999)] = (0.9, 0.999)
-    """Of Adam: how slowly the mean and the square of the gradient are forgotten."""
+    """Adam's decay rates of the running mean and square of the gradient."""
     schedule: Annotated[str, SettingChoice(("constant", "cosine"))] = "constant"
-    """"constant", or "cosine": a warm-up of 2 % of the steps, then a fall to 1 % of the rate."""
+    """"constant", or "cosine": warm-up over 2 % of the steps, then decay to 1 % of the rate."""
     clip: NotNegative = 1.0
-    """Largest gradient norm; 0 leaves gradients alone."""
+    """Largest gradient norm; 0 does not clip."""
     weight_decay: Share = 0.0
-    """Of AdamW; 0 is Adam."""
+    """Weight decay of AdamW; 0 is Adam."""
     validations: Count = 10
-    """How often the stage is validated along the way, the end included."""
+    """Number of validations during training, including one at the end."""
     patience: Natural = 0
-    """Validations in a row without a better figure after which training stops; the weights of the best one are kept.
-    0 trains to the end and keeps the last. For stages that have a figure to watch: interpreters, style and gate."""
+    """Validations in a row without improvement after which training stops; the best weights are kept. 0 trains to the
+    end and keeps the last. For stages with a validation figure to watch: interpreters, style and gate."""
 
 
 @dataclass(frozen=True)
 class FrontEndConfig:
-    """Which audio front end, and its size."""
+    """The audio front end and its size."""
 
     name: str = "mel"
-    """"mel"; "vqwav2vec", the stack that the speech stages train; "fairseq:PATH", a published checkpoint of it;
+    """"mel"; "vqwav2vec", the model trained by the speech stages; "fairseq:PATH", a published checkpoint of it;
     "hf:NAME", hidden layers of a speech model of transformers."""
     bands: Width = 80
-    """Mel bands, of "mel" alone."""
+    """Number of mel bands, for "mel" only."""
     layers: Annotated[tuple[int, ...], SettingRange(0, 1000)] = ()
-    """Which layers are the low and the high level; empty for the front end's own (2 and 8 of the stack)."""
+    """Layers used as the low and the high level; empty for the front end's default (2 and 8 of "vqwav2vec")."""
 
 
 @dataclass(frozen=True)
 class TextConfig:
-    """What is read of the words."""
+    """Encoding of the words."""
 
     encoder: str = ""
-    """The word encoder: "minilm", any BERT by name or folder, or nothing: then every path is audio-only."""
+    """Word encoder: "minilm", any BERT by name or folder, or empty for audio only."""
     bridge: NotNegative = 0.15
-    """Seconds: a shorter gap between words belongs to the nearer one."""
+    """Gaps between words shorter than this, in seconds, belong to the nearer word."""
 
 
 @dataclass(frozen=True)
 class ControlConfig:
-    """Style editing: one generator for all features, taught with whole and single features left out (RG 7.2.1)."""
+    """Style editing: one generator for all style features, trained with all or some of them omitted (RG 7.2.1)."""
 
     window: Positive = 4.0
-    """Seconds over which a feature is averaged."""
+    """Averaging window of a feature, seconds."""
     free: Share = 0.4
-    """Share of training windows where nothing is asked."""
+    """Share of training windows without any control."""
     asked: Share = 0.5
-    """Chance of each feature to be asked for in the others."""
+    """Probability that each feature is controlled in the other windows."""
     features: Annotated[tuple[str, ...], SettingChoice(FEATURES)] = ("height", "speed", "radius")
-    """Those that may be asked for; one alone is the paper's form."""
+    """Features that can be controlled; the paper uses one at a time."""
 
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """How motion is brought to numbers."""
+    """Representation of motion as numbers."""
 
     least_deviation: Positive = 0.05
-    """Radians (or metres): a dimension that varies less is scaled by this instead, so stillness is not blown up."""
+    """Smallest scale of a dimension, radians (or metres), so that the noise of still joints is not amplified."""
     representation: Annotated[str, SettingChoice(("rotations", "positions"))] = "rotations"
-    """"rotations": exponential maps of the joints; "positions": ten joints in space, as TED has them."""
+    """"rotations": exponential maps of the joints; "positions": positions of ten joints, as in the TED data set."""
     joints: Annotated[int, SettingChoice((16, 46))] = 16
-    """Of "rotations": the papers' upper body of 16 joints, or 46 with those of the fingers."""
+    """For "rotations": the upper body of 16 joints used in the papers, or 46 with fingers."""
     smoothing: Annotated[float, SettingRange(0.0, 10.0)] = 0.05
-    """Seconds, the standard deviation of the Gaussian over the finished motion: one frame at 20 fps, cut off at two
-    frames either side (kernel size 5, RG 7.1.2)."""
+    """Standard deviation of the Gaussian that smooths the finished motion, seconds: one frame at 20 fps, truncated at
+    two frames on either side (kernel size 5, RG 7.1.2)."""
 
 
 @dataclass(frozen=True)
@@ -130,21 +130,21 @@ class SilenceConfig:
     """The silent period hint and the silent augmentation (RG 6.4.1)."""
 
     hint: bool = True
-    """Teach the lexeme interpreter the silent lexeme nearest to a silent block's own."""
+    """In silent blocks, train the lexeme interpreter on the silent lexeme nearest to the block's own."""
     augmentation: Annotated[float, SettingRange(0.0, 0.9)] = 0.05
-    """Share of inserted silent blocks in the generator's training set; 0 turns it off."""
+    """Share of inserted silent blocks in the generator's training set; 0 inserts none."""
     longest_insert: Count = 10
-    """Blocks of the longest run of silence that is inserted (5 s at most)."""
+    """Longest inserted run of silence, in blocks (5 s at most)."""
     mask: bool = True
-    """At inference let silent blocks choose among silent lexemes only."""
+    """At inference, silent blocks choose among silent lexemes only."""
     rest_decay: Share = 0.5
-    """At inference, from the third quiet block in a row on, the share of the way to the block's mean pose that a block
-    goes; the small swings that the generator would repeat in every block of a rest are left out. 0 leaves them in."""
+    """At inference, from the third quiet block in a row, how far each block is pulled to its mean pose (0 to 1). It
+    removes small swings that the generator would repeat during rest; 0 keeps them."""
     lexemes: Annotated[tuple[int, ...], SettingRange(0, 65535)] = ()
-    """The silent lexemes by hand; empty finds them."""
+    """Silent lexemes given by hand; empty detects them."""
     rest: Annotated[str, SettingChoice(("decay", "life"))] = "decay"
-    """At inference: "decay", what `rest_decay` says and a gate that opens block by block; "life", rest is decided at
-    the first frame of a real pause and phrase by phrase, and the body that rests lives (`gesticulator.body.rest`)."""
+    """At inference: "decay" uses `rest_decay` and gates block by block; "life" decides rest at the first frame of a
+    pause and phrase by phrase, and adds idle motion (`gesticulator.body.rest`)."""
 
 
 NOT_TRAINED = FitSettings(steps=0, batch=1)
@@ -152,92 +152,92 @@ NOT_TRAINED = FitSettings(steps=0, batch=1)
 
 @dataclass(frozen=True)
 class Schedules:
-    """How long each stage is trained."""
+    """Training schedule of each stage."""
 
     lexicon: FitSettings
-    """The lexicon, or RACER's own codec."""
+    """The lexicon, or RACER's codec."""
     generator: FitSettings
     interpreter: FitSettings
-    """The lexeme interpreter that hears alone."""
+    """The audio-only lexeme interpreter."""
     style: FitSettings
     speech: FitSettings = NOT_TRAINED
-    """Contrastive predictive coding on speech alone."""
+    """Contrastive predictive coding on audio only."""
     contrast: FitSettings = NOT_TRAINED
-    """Eq. 1 on speech with text."""
+    """The contrastive loss between audio and text (RG Eq. 1)."""
     gate: FitSettings = NOT_TRAINED
-    """Whether to gesture at all on a block; without steps there is no gate."""
+    """The gate, which decides whether a block is gestured; 0 steps: no gate."""
     interpreter_text: FitSettings = NOT_TRAINED
-    """The lexeme interpreter that reads the words, when it begins as the audio-only one; without steps it is trained
-    from nothing, as the audio-only one is."""
+    """The lexeme interpreter with text, if initialised from the audio-only one; 0 steps: trained from scratch like that
+    one."""
     reward: FitSettings = NOT_TRAINED
     """Each of RACER's two reward models."""
     cql: FitSettings = NOT_TRAINED
-    """RACER's Q-network; without steps there are no reward models either."""
+    """RACER's Q-network; 0 steps: no reward models either."""
     advantage: FitSettings = NOT_TRAINED
     """The critics of the advantage interpreter."""
     others: dict[str, dict[str, Any]] = field(default_factory=dict, hash=False)
-    """By stage, what differs from the stage's own schedule, for stages that this tree does not name."""
+    """Stage -> changes to its default schedule, for stages of other packages."""
 
 
 UNTOLD = -1.0
-"""Guidance on the lexeme at which it is left out."""
+"""Lexeme guidance that means without lexeme."""
 
 
 @dataclass(frozen=True)
 class SelectionConfig:
-    """How a lexeme is chosen from an interpreter's scores when the command does not say."""
+    """Default sampling of lexemes and blocks."""
 
     temperature: NotNegative = 0.0
-    """0 takes the best (the paper); above, one is drawn from softmax(scores / temperature)."""
+    """0 takes the best lexeme (as in the paper); otherwise one is sampled from softmax(scores / temperature)."""
     q_temperature: NotNegative = 0.0
-    """The same for the Q-network, whose scores are Q values: 0 is RACER's own greedy choice."""
+    """Temperature for the Q-network, whose scores are Q values: 0 is RACER's greedy choice."""
     beta: Annotated[float, SettingRange(0.0, 20.0)] = 1.0
-    """Of `--interpreter advantage`: how far lexemes are drawn to what they are worth. One that is worth a standard
-    deviation more than the behaviour policy's mean is e^beta times as likely; 0 is the behaviour policy itself. Chosen
-    on the validation split by the judge, not by the reward that taught (`gesticulator probe racer --split val`)."""
+    """For `--interpreter advantage`: how strongly the advantage biases the choice. A lexeme whose advantage is one
+    standard deviation above the behaviour policy's mean is e^beta times as likely; 0 is the behaviour policy itself.
+    Chosen on the validation split with the judging reward, not the one trained on (`gesticulator probe racer --split
+    val`)."""
     top: Natural = 0
-    """Draw among the best `top` only; 0 for all."""
+    """Sample among the best `top` only; 0 for all."""
     guidance: Annotated[float, SettingRange(0.0, 100.0)] = 5.0
-    """How far what is asked of the style is followed: 1 takes what the models make of it, more goes on in the direction
-    from what they would do unasked to what they do asked (they were taught both)."""
+    """Guidance on the style controls: 1 is the conditional prediction, more extrapolates from the unconditional
+    prediction through it (the models are trained on both)."""
     audio_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 1.5
-    """Of the flow head: how far to go on in the direction from what it would draw unheard to what it draws; 0 draws
-    what it draws."""
+    """Flow head: guidance on the audio, extrapolating from the prediction without audio; 0 adds none."""
     interpreter_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
-    """How far the scores of lexemes go beyond those without sound, s + g (s - s without sound), where the interpreter
-    was taught with sound left out (`interpreter.audio_dropout`)."""
+    """Guidance g of lexeme scores, s + g (s - s without audio), for interpreters trained with audio dropout
+    (`interpreter.audio_dropout`)."""
     lexeme_guidance: Annotated[float, SettingRange(UNTOLD, 20.0)] = 0.5
-    """The same for the lexeme; at -1 (`UNTOLD`) nothing of it is told."""
+    """Flow head: guidance on the lexeme; -1 (`UNTOLD`) removes the lexeme."""
     history: Share = 1.0
-    """Of the flow head: how far it goes by how the body moved before, from v without it (0) to v (1), where it was
-    taught without (`generator.history_dropout`)."""
+    """Flow head: weight of past motion, from v without history (0) to v (1), for heads trained with history dropout
+    (`generator.history_dropout`)."""
     trunk_guidance: Share = 1.0
-    """What part of any guidance torso and head follow: guidance makes large turns of them larger than people's."""
+    """Share of all guidance applied to torso and head: full guidance makes their large turns larger than people's."""
     noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.95
-    """Of the flow head: deviation of the noise that drawing starts from; below 1 is calmer."""
+    """Flow head: standard deviation of the initial noise; below 1 is calmer."""
     trunk_noise: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
-    """What the noise of torso and head is multiplied by."""
+    """Factor on the noise of torso and head."""
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
-    """Of Heun's method, from noise to a block."""
+    """Steps of Heun's method from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
-    """Blocks that the flow head draws at once, of which one that shows the lexeme is kept, or else one that comes
-    nearest to showing it; of several the one most in time (`timing`), or the first."""
+    """Candidate blocks sampled by the flow head. One that shows the lexeme is kept, or else the nearest to it; among
+    several the best by `timing`, or the first."""
     timing: NotNegative = 0.0
-    """Of the candidates that show the lexeme: how much it counts that the hands brake at the onsets of the sound; 0
-    does not look (`gesticulator.drawing.candidates`)."""
+    """Weight, among candidates that show the lexeme, of hands decelerating at audio onsets; 0 ignores it
+    (`gesticulator.drawing.candidates`)."""
     seam: NotNegative = 0.0
-    """How much it counts beside `timing` that a candidate joins on to the block before without a jolt."""
+    """Weight, relative to `timing`, of a smooth join to the block before."""
     as_asked: NotNegative = 0.0
-    """How much it counts, beside `timing`, that a candidate does what is asked of the hands, a spread of training each;
-    it then need only be among the five lexemes nearest to it."""
+    """Weight, relative to `timing`, of following the style controls, in standard deviations of training; the candidate
+    then only needs to be among its five nearest lexemes."""
     activity: Share = 1.0
-    """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of the time of
-    speech that is gestured."""
+    """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of speech time
+    that is gestured."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Everything that shapes a bundle."""
+    """All settings of a bundle."""
 
     name: str
     schedules: Schedules
@@ -254,27 +254,27 @@ class Config:
     style: StyleConfig = field(default_factory=StyleConfig)
     gate: GateConfig = field(default_factory=GateConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
-    """The reward that teaches a policy."""
+    """The reward that trains a policy."""
     judge: RewardConfig = field(default_factory=RewardConfig)
-    """The reward that judges one: other recordings, seeds and sizes."""
+    """The reward that evaluates one: other recordings, seeds and sizes."""
     episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
     cql: QConfig = field(default_factory=QConfig)
     advantage: CriticConfig = field(default_factory=CriticConfig)
     tokens: Annotated[str, SettingChoice(("lexicon", "racer"))] = "lexicon"
-    """What names gestures: "lexicon", block by block at the beat, and a generator draws them; or "racer", RACER's own
-    codec at a fixed rate, which decodes them itself."""
+    """Gesture vocabulary: "lexicon", one lexeme per block at the beat, rendered by a generator; or "racer", RACER's
+    codec at a fixed rate, which decodes its tokens itself."""
     racer: RacerConfig = field(default_factory=RacerConfig)
     silence: SilenceConfig = field(default_factory=SilenceConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
     others: dict[str, Any] = field(default_factory=dict, hash=False)
-    """Settings of trained interpreters that this tree does not name, by section: others.NAME={} has one trained with
-    its defaults, others.NAME.width=64 changes one of them."""
+    """Settings of interpreters of other packages, by section: others.NAME={} trains one with its defaults,
+    others.NAME.width=64 changes one of them."""
     default_speaker: str = ""
-    """Whose habits are taken when nobody is named; the first performer when empty or unknown."""
+    """Speaker used if none is given; the first performer if empty or unknown."""
     window: Width = 8
-    """Generated blocks in a training window: 4 s at 8 blocks of 0.5 s (RG 7.1.2)."""
+    """Blocks per training window: 4 s at 8 blocks of 0.5 s (RG 7.1.2)."""
     seed: Annotated[int, SettingRange(0, 2**31 - 1)] = 1
-    """Every stage draws its own seed from this one and its name, so a stage more changes no other."""
+    """Each stage derives its seed from this one and its name, so adding a stage changes no other."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "others", {name: _other(name, value) for name, value in self.others.items()})
@@ -282,7 +282,7 @@ class Config:
         if not self.lexicon.widths:
             raise InputError("lexicon.widths", "is empty", "give the channels of one convolution at least")
         if self.silence.rest == "life" and self.motion.representation != "rotations":
-            raise InputError("silence.rest=life", "turns joints",
+            raise InputError("silence.rest=life", "needs joint rotations",
                              "use motion.representation=rotations, or silence.rest=decay")
         if self.tokens == "racer" and (self.rhythm.beats.rule != "even" or self.rhythm.frames != FRAMES):
             raise InputError("tokens=racer", "needs blocks of eight frames at a fixed rate",
@@ -290,16 +290,16 @@ class Config:
 
 
 def section(config: Config, name: str) -> Any:
-    """The settings of one interpreter, by the name of its section; None where these settings have none."""
-    return getattr(config, name) if name in {own.name for own in fields(config)} else config.others.get(name)
+    """The settings of an interpreter by the name of its section; None if these settings lack it."""
+    return getattr(config, name) if name in {entry.name for entry in fields(config)} else config.others.get(name)
 
 
 def _other(name: str, value: Any) -> Any:
-    """The settings of an interpreter of `Config.others`, of its own class; InputError for one that is not known."""
+    """The settings of an interpreter in `Config.others` as an instance of its class; InputError if it is unknown."""
     kinds = {entry.settings: entry for entry in entries().values()
-             if entry.part and entry.settings not in {own.name for own in fields(Config)}}
+             if entry.part and entry.settings not in {known.name for known in fields(Config)}}
     if name not in kinds:
-        raise InputError(f"others.{name}", "is no interpreter with settings of its own",
+        raise InputError(f"others.{name}", "is not an interpreter with settings of its own",
                          f"known here: {', '.join(kinds) or 'none'}")
     kind = kinds[name].load_model().Settings
     settings = from_dict(kind, value) if isinstance(value, Mapping) else value

@@ -1,12 +1,12 @@
-"""What the models see and hear, as numbers: speech in blocks and features, poses normalised, and both ways back.
+"""The numbers that the models take: speech as blocks of features and normalised poses, with their inverses.
 
-Training and inference go through the same functions, so both hear the same. `Statistics` is measured once, on the
-training split, and travels in the bundle.
+Training and inference use the same functions. `Statistics` is measured once, on the training split, and stored in the
+bundle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
 
 CONTROL_WIDTH = 2 * len(controls.FEATURES)
-"""2 F: what is asked of each feature, and whether it is asked."""
+"""2 F: the target of each style feature, and whether it is given."""
 LEAST_MOVEMENT = 1e-6
-"""Normalised units between the bounds of a dimension that moves. One that does not has bounds a rounding error apart
-(1e-27 to 1e-15 were met), one that does has more than 0.1."""
+"""Least distance between the bounds of a moving dimension, normalised. The bounds of a still one differ by rounding
+errors (1e-27 to 1e-15 were observed), those of a moving one by more than 0.1."""
 _LEAST_SPREAD = 1e-4
 _CHUNK = 256
 """Blocks encoded at a time, which bounds the memory for an hour of speech."""
@@ -41,9 +41,9 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Normaliser:
-    """Zero mean and unit spread per dimension, fitted once and kept with the model.
+    """Zero mean and unit standard deviation per dimension, fitted once and stored with the model.
 
-    mean, spread: [D]. A dimension that never moves has spread 1, so it becomes 0 and comes back exactly.
+    mean, spread: [D]. A dimension that never moves has spread 1, so it becomes 0 and is restored exactly.
     """
 
     mean: Array
@@ -51,7 +51,7 @@ class Normaliser:
 
     @classmethod
     def fit(cls, values: NDArray[np.floating], mask: NDArray[np.bool_] | None = None) -> Normaliser:
-        """From values [..., D]; `mask` [...] picks the rows that count."""
+        """From values [..., D]; `mask` [...] selects rows."""
         rows = values[mask] if mask is not None else values.reshape(-1, values.shape[-1])
         if len(rows) == 0:
             raise ValueError("a normaliser needs a row at least")
@@ -73,7 +73,7 @@ class Normaliser:
 
     @classmethod
     def from_dict(cls, arrays: Mapping[str, Array]) -> Normaliser:
-        """The inverse of `to_dict`; KeyError or ValueError where the arrays are not a normaliser's."""
+        """The inverse of `to_dict`; KeyError or ValueError for invalid arrays."""
         mean, spread = (np.asarray(arrays[name], dtype=np.float64) for name in ("mean", "spread"))
         if mean.ndim != 1 or mean.shape != spread.shape or not (spread > 0).all():
             raise ValueError("mean and spread must be [D], spread positive")
@@ -82,15 +82,13 @@ class Normaliser:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What turns poses and features into numbers near 1, measured on the training split.
+    """Normalisation of poses and features, measured on the training split.
 
     speakers: names in order. mean_pose: [speakers, D_m] vectors of the representation; rest_pose: [speakers, D_m] the
-    same in silence. deviation: [D_m]. bounds: [2, D_m] the least and the most of the normalised training data, but for
-    one frame in a thousand at either end. low, high: normalisers of the audio features. quiet_low, quiet_high:
-    [3K, d] the normalised features of a settled silence. levels: the features of style that can be asked for.
-    A pose becomes (pose - mean_pose[speaker]) / deviation: without the speaker's own mean every lexeme would be a
-    speaker.
-    """
+    same in silence. deviation: [D_m]. bounds: [2, D_m] range of the normalised training data without one frame in a
+    thousand at either end. low, high: normalisers of the audio features. quiet_low, quiet_high: [3K, d] normalised
+    features of settled silence. levels: of the style features that can be controlled. A pose becomes (pose -
+    mean_pose[speaker]) / deviation: without each speaker's own mean, lexemes would encode speakers. """
 
     speakers: tuple[str, ...]
     mean_pose: Array
@@ -105,16 +103,15 @@ class Statistics:
 
     @property
     def present(self) -> Tensor:
-        """[D_m] 1 where any training motion ever moved, 0 for joints that no source has."""
+        """[D_m] 1 for dimensions that ever move in training, 0 for joints absent from all sources."""
         return torch.as_tensor(self._moves, dtype=torch.float32)
 
     @property
     def _moves(self) -> NDArray[np.bool_]:
-        moves: NDArray[np.bool_] = self.bounds[1] - self.bounds[0] > LEAST_MOVEMENT
-        return moves
+        return np.asarray(self.bounds[1] - self.bounds[0] > LEAST_MOVEMENT)
 
     def normalise(self, poses: Array, speaker: int) -> Array:
-        """Vectors [..., D_m] to normalised features, exactly 0 in what never moves."""
+        """Vectors [..., D_m] to normalised features, exactly 0 in dimensions that never move."""
         return (poses - self.mean_pose[speaker]) / self.deviation * self._moves
 
     def denormalise(self, features: Array, speaker: int) -> Array:
@@ -123,13 +120,14 @@ class Statistics:
 
 
 def control_rows(levels: controls.Levels, values: Array, given: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """[..., 2 F] of features in their units [..., F] and which are asked for [..., F]: standardised, 0 where free."""
+    """[..., 2 F] control inputs from targets in their units [..., F] and which are given [..., F]: standardised, 0 if
+    not given."""
     scaled = (values - levels.mean) / levels.spread * given
     return np.concatenate([scaled, np.broadcast_to(given, scaled.shape)], axis=-1).astype(np.float32)
 
 
 def representation_of(config: Config) -> Representation:
-    """How motion becomes numbers under these settings; InputError for a name that is unknown."""
+    """The motion representation of these settings; InputError for an unknown name."""
     name = config.motion.representation
     if name not in REPRESENTATIONS:
         raise InputError("motion.representation", f"is {name!r}", f"choose among {', '.join(REPRESENTATIONS)}")
@@ -140,11 +138,12 @@ def representation_of(config: Config) -> Representation:
 
 @dataclass(frozen=True)
 class SpeechFeatures:
-    """blocks: N of them. low, high: [N, 3K, d + 1] features of the block before, the block and the block after; the
+    """The speech of N blocks. low, high: [N, 3K, d + 1] features of the block before, the block and the block after;
+    the
     last column is the logarithm of each block's duration over the longest allowed (time-scaling hides the tempo).
-    text: [N, 3K, d_t + 1] word vectors on the same windows, the last column the flag of the empty word; None in the
-    audio-only path. quiet: [N, K] whether each frame lies in a pause; None where only whole blocks are known to.
-    onsets: of each block, [n] seconds from its start to its end, both included; None where nobody listened for them."""
+    text: [N, 3K, d_t + 1] word vectors on the same windows, the last column the flag of the empty word; None for audio
+    only. quiet: [N, K] whether each frame lies in a pause; None if silence is known per block only. onsets: of each
+    block, [n] seconds from its start to its end, inclusive; None if they were not detected."""
 
     blocks: Blocks
     low: Features
@@ -157,13 +156,13 @@ class SpeechFeatures:
         return len(self.blocks)
 
     def block(self, i: int) -> SpeechBlock:
-        """What is known when block i is drawn."""
+        """Everything known when block i is generated."""
         blocks, count = self.blocks, len(self.blocks)
         three = (max(i - 1, 0), i, min(i + 1, count - 1))
-        before, own, after = (float(blocks.edges[n + 1] - blocks.edges[n]) for n in three)
+        before, during, after = (float(blocks.edges[n + 1] - blocks.edges[n]) for n in three)
         was, now, then = (bool(blocks.silent[n]) for n in three)
         quiet = [np.full(blocks.frames, blocks.silent[n]) if self.quiet is None else self.quiet[n] for n in three[1:]]
-        return SpeechBlock(i, float(blocks.edges[i]), float(blocks.edges[i + 1]), (before, own, after),
+        return SpeechBlock(i, float(blocks.edges[i]), float(blocks.edges[i + 1]), (before, during, after),
                            (was, now, then), self.low[i], self.high[i], None if self.text is None else self.text[i],
                            quiet[0], quiet[1] if i + 1 < count else None, BeatFlag(int(blocks.flags[i])),
                            onsets=np.zeros(0) if self.onsets is None else self.onsets[i])
@@ -171,8 +170,8 @@ class SpeechFeatures:
 
 @dataclass(frozen=True)
 class Span:
-    """What is known of the sound of a block and of the one after it. start, duration: seconds; quiet: [K] whether each
-    frame lies in silence; ahead: [K] the same of the next block, and how many seconds it lasts, None at the end."""
+    """Silence in a block and the next. start, duration: seconds; quiet: [K] whether each frame is silent; ahead: [K]
+    the same for the next block, and its duration in seconds; None at the end."""
 
     start: float
     duration: float
@@ -182,21 +181,19 @@ class Span:
 
     @property
     def times(self) -> Array:
-        """[K] seconds of the block's frames; the last lies on its end."""
+        """[K] times of the block's frames in seconds; the last is its end."""
         count = len(self.quiet)
         return self.start + self.duration * np.arange(1, count + 1) / count
 
 
 @dataclass(frozen=True)
 class SpeechBlock:
-    """What is known of the speech of a block when it is drawn; all that a performance needs of it.
+    """The speech around a block, as known when it is generated.
 
     number: from 0. start, end: seconds; flag: of the beat at its end. durations, silent: of the block before, the block
     and the block after (its own where there is none). low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K]
-    whether each frame lies in a pause; ahead: [K] the same of the block after, None where the speech ends. foreseen:
-    the block after is what was heard of it when it was not known yet. onsets: [n] seconds from its start to its end,
-    both included.
-    """
+    whether each frame lies in a pause; ahead: [K] the same for the block after, None at the end. foreseen: the block
+    after is a prediction from its beginning. onsets: [n] seconds from its start to its end, inclusive. """
 
     number: int
     start: float
@@ -214,15 +211,12 @@ class SpeechBlock:
 
     @property
     def span(self) -> Span:
-        """What is known of its silence when it is drawn."""
-        _, own, after = self.durations
-        if self.ahead is None:
-            return Span(self.start, own, self.quiet)
-        return Span(self.start, own, self.quiet, self.ahead, after)
+        _, duration, after = self.durations
+        return Span(self.start, duration, self.quiet, self.ahead, 0.0 if self.ahead is None else after)
 
 
 def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:
-    """The audio front end that the settings name; encoder: the bundle's own, for "vqwav2vec"."""
+    """The audio front end of the settings; encoder: that of the bundle, for "vqwav2vec"."""
     rhythm = config.rhythm
     return front_end(
         config.front_end.name, bands=config.front_end.bands, frames=3 * rhythm.frames,
@@ -245,28 +239,18 @@ def three_blocks(rows: NDArray, empty: NDArray) -> NDArray:
     return np.concatenate([padded[:-2], padded[1:-1], padded[2:]], axis=1)
 
 
-def _encoded(parts: Iterator[tuple[slice, Samples]], reference: Array, front: FrontEnd) -> tuple[Features, Features]:
-    low, high = [], []
-    for part, windows in parts:
-        levels = front.encode(windows, reference[part])
-        low.append(levels.low)
-        high.append(levels.high)
-    first = np.concatenate(low)
-    return first, first if low[0] is high[0] else np.concatenate(high)
-
-
 def encode(stretched: Samples, reference: Array, durations: Array, config: Config, front: FrontEnd
            ) -> tuple[Features, Features]:
-    """Low and high level [N, 3K, d + 1] of blocks already stretched to one length, [N, L]."""
+    """Low and high level [N, 3K, d + 1] of blocks stretched to one length [N, L]; one array for both if they are
+    equal."""
     windows = block_module.windows_of(stretched)
-    parts = ((slice(at, at + _CHUNK), windows[at:at + _CHUNK]) for at in range(0, len(windows), _CHUNK))
-    return _with_tempo(*_encoded(parts, reference, front), durations, config)
-
-
-def _with_tempo(low: Features, high: Features, durations: Array, config: Config) -> tuple[Features, Features]:
+    levels = [front.encode(windows[at:at + _CHUNK], reference[at:at + _CHUNK])
+              for at in range(0, len(windows), _CHUNK)]
     tempo = tempo_column(durations, config.rhythm.beats.d_max, config.rhythm.frames)
-    first = np.concatenate([low, tempo], axis=-1)
-    return first, first if high is low else np.concatenate([high, tempo], axis=-1)
+    low = np.concatenate([np.concatenate([level.low for level in levels]), tempo], axis=-1)
+    if levels[0].low is levels[0].high:
+        return low, low
+    return low, np.concatenate([np.concatenate([level.high for level in levels]), tempo], axis=-1)
 
 
 def word_table(vectors: NDArray[np.floating], width: int) -> Features:

@@ -1,13 +1,14 @@
-"""The folder of a bundle: its list (`bundle.json`), its files of weights, and their hashes.
+"""The folder of a bundle: its index (`bundle.json`), its weight files, and their hashes.
 
-What is read here is checked first: the format, what the list must hold, the size, hash and shapes of each file. A
-folder is written to a temporary one, synced and renamed, so that it is there whole or not at all.
+Everything read is checked first: the format, the content of the index, and size, hash and shapes of each file. A
+folder is written to a temporary one, synced and renamed, so that it is complete or absent.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import platform
 import shutil
@@ -28,21 +29,21 @@ from data_module.types import Skeleton
 from gesticulator.version import __version__
 
 FORMAT = 6
-"""Format 5 had another flow head; format 4 knew no lexicon of movements, no flow head and no fingers; format 3 had
-other names of settings and tensors and no resting distances (see `gesticulator.bundle.upgrade`)."""
+"""Format 5 had a different flow head; format 4 had no lexicon of movements, flow head or fingers; format 3 had other
+names of settings and tensors and no resting distances (see `gesticulator.bundle.upgrade`)."""
 OLDER = (1, 2, 3, 4, 5)
-"""Formats that `gesticulator bundle upgrade` can bring to this one."""
+"""Formats that `gesticulator bundle upgrade` can convert."""
 INDEX = "bundle.json"
 CARD = "MODEL_CARD.md"
 TIED = "lexicon_hash"
-"""Where a file of weights keeps the hash of the codebook that it was trained over."""
+"""Metadata key of a weight file: the hash of the codebook that it was trained with."""
 ENDING = ".safetensors"
 _LARGEST_INDEX = 16 * 2**20
-"""Bytes: a list of files, settings and figures is a thousand times smaller."""
+"""Largest index, bytes: real ones are a thousand times smaller."""
 _HEADER = 2**20
-"""Bytes that the header of a file of weights may take beside its tensors."""
+"""Largest header of a weight file, bytes."""
 _LARGEST_STATISTICS = 256 * 2**20
-"""Bytes: the transition matrix of 8,192 lexemes."""
+"""Largest statistics file, bytes: the transition matrix of 8,192 lexemes."""
 _MOST_SPEAKERS = 10_000
 
 
@@ -52,7 +53,7 @@ def lexicon_hash(vectors: Tensor) -> str:
 
 
 def write_index(folder: Path, index: dict[str, Any]) -> None:
-    """Write `bundle.json` with the hashes of all files that are there."""
+    """Write `bundle.json` with the hashes of all files in the folder."""
     skeleton = _skeleton_of(index["config"])
     index = {"format": FORMAT,
              "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
@@ -65,15 +66,14 @@ def write_index(folder: Path, index: dict[str, Any]) -> None:
 
 
 def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
-    """Put what `write(folder)` writes in the place of a bundle, whole or not at all; InputError for anything else that
-    is there."""
+    """Replace a bundle atomically by what `write(folder)` writes; InputError if anything but a bundle is there."""
     if target.exists() and not (target / INDEX).is_file() and not (target.is_dir() and not any(target.iterdir())):
         raise InputError(target, "exists and is not a bundle", "choose another path")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
     try:
         write(temporary)
-        temporary.chmod(0o755)  # mkdtemp and safetensors keep others out; a bundle is there to be shared
+        temporary.chmod(0o755)  # mkdtemp and safetensors restrict access to the owner
         for file in temporary.iterdir():
             file.chmod(0o644)
             _sync(file)
@@ -91,9 +91,9 @@ def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Have the disk hold a file (or a folder's list of files) before it is relied on."""
+    """Flush a file, or the entries of a folder, to disk."""
     if path.is_dir() and os.name == "nt":
-        return  # Windows opens no folders
+        return  # Windows cannot open folders
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -102,17 +102,18 @@ def _sync(path: Path) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file; InputError for anything else, however it is broken."""
+    """A JSON object from a file; InputError for anything else."""
     return read_object(path, "copy the bundle again", _LARGEST_INDEX)
 
 
 _KINDS: dict[str, Any] = {"config": dict, "skeleton": dict, "speakers": list, "silent_lexemes": list, "files": dict,
                           "provenance": dict, "figures": dict, "audio_levels": int, "text": (dict, type(None))}
-"""What `bundle.json` must hold."""
+"""Required entries of `bundle.json` and their types."""
 
 
 def read_index(path: str | Path) -> dict[str, Any]:
-    """`bundle.json`, after the checks that need no weights; InputError for one that is broken or foreign."""
+    """`bundle.json`, checked as far as possible without the weights; InputError if it is broken or of another
+    format."""
     folder = Path(path)
     file = folder / INDEX
     if not folder.exists():
@@ -135,9 +136,9 @@ def read_index(path: str | Path) -> dict[str, Any]:
             ("silent_lexemes", all(type(n) is int and 0 <= n < 2**31 for n in index["silent_lexemes"])),
             ("audio_levels", index["audio_levels"] in (1, 2)),
             ("files", _strings(index["files"].values())),
-            ("figures", all(isinstance(own, dict) for own in index["figures"].values()))) if not fine]
+            ("figures", all(isinstance(value, dict) for value in index["figures"].values()))) if not fine]
     if wrong:
-        raise InputError(file, f"holds something else than it should under {', '.join(wrong)}",
+        raise InputError(file, f"has invalid values under {', '.join(wrong)}",
                          "copy the bundle again")
     if index["skeleton"].get("names") != list(_skeleton_of(index["config"]).names):
         raise InputError(file, "was trained on another skeleton", "train it again")
@@ -145,7 +146,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
 
 
 def _skeleton_of(config: Mapping[str, Any]) -> Skeleton:
-    """The character that settings as they stand in a file draw: older ones do not say, and mean the papers' joints."""
+    """The skeleton of stored settings; older ones do not name it and mean the papers' 16 joints."""
     motion = config.get("motion")
     joints = motion.get("joints") if isinstance(motion, Mapping) else None
     return CHARACTERS[joints] if type(joints) is int and joints in CHARACTERS else CHARACTER
@@ -156,10 +157,10 @@ def _strings(values: Any) -> bool:
 
 
 class Weights:
-    """The files of a bundle, each checked when it is read: listed, of the listed hash, of the right shapes, finite."""
+    """The weight files of a bundle; each is checked when it is read: listed, hash, shapes, finite values."""
 
     def __init__(self, folder: Path, listed: Mapping[str, str]) -> None:
-        """InputError when a listed file is missing, or when there are weights that the list leaves out."""
+        """InputError if a listed file is missing or a weight file is not listed."""
         self.folder, self.listed = folder, listed
         for name in listed:
             if Path(name).name != name or not (folder / name).is_file():
@@ -172,7 +173,7 @@ class Weights:
         return f"{name}{ENDING}" in self.listed
 
     def tensor(self, name: str, key: str, shape: tuple[int, ...]) -> Tensor:
-        """One tensor of a file, which must have this shape, in single precision."""
+        """One tensor of a file in single precision; its shape must match."""
         file = self._listed(name)
         digest = hashlib.sha256()
         with file.open("rb") as stream:
@@ -204,11 +205,10 @@ class Weights:
              ) -> dict[str, Tensor]:
         """The tensors of a file in single precision.
 
-        shapes: what they must be; None for a file whose shapes are checked by its reader. tied: the hash of the
-        codebook that the file must have been trained over.
-        """
+        shapes: the expected shapes; None if the caller checks them. tied: hash of the codebook that the file must have
+        been trained with. """
         file = self._listed(name)
-        largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * _size(s) for s in shapes.values())
+        largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * math.prod(s) for s in shapes.values())
         if file.stat().st_size > largest:
             raise InputError(file, "is larger than the settings say", "train it again")
         data = file.read_bytes()
@@ -227,11 +227,11 @@ class Weights:
 
 
 _BROKEN = (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError)
-"""What reading a file of tensors may end in."""
+"""Exceptions raised by reading a damaged file of tensors."""
 
 
 def _finite(file: Path, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Tensors in single precision; InputError where one holds NaN or infinity."""
+    """Tensors in single precision; InputError for NaN or infinity."""
     broken = next((key for key, value in tensors.items() if not bool(torch.isfinite(value).all())), None)
     if broken is not None:
         raise InputError(file, f"holds values that are no numbers ({broken})", "train it again")
@@ -249,13 +249,6 @@ def _header(file: Path, data: bytes) -> dict[str, Any]:
 def _shapes_of(header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
     return {key: tuple(value["shape"]) if isinstance(value, dict) and isinstance(value.get("shape"), list) else ()
             for key, value in header.items() if key != "__metadata__"}
-
-
-def _size(shape: tuple[int, ...]) -> int:
-    size = 1
-    for length in shape:
-        size *= length
-    return size
 
 
 def _difference(found: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> str:

@@ -1,7 +1,7 @@
-"""Every model of a bundle, constructed here and nowhere else: by training, and by whoever opens a bundle.
+"""Constructs every model of a bundle, for training and for loading.
 
-What a model is shaped by besides the settings is measured on the data, and travels as `Sizes`. A model's module is
-imported by the function that builds it, so whoever opens one part of a bundle imports that part alone.
+Model shapes that depend on the data and not on the settings are passed as `Sizes`. Each model's module is imported by
+the function that builds it, so that loading one part imports only that part.
 """
 
 from __future__ import annotations
@@ -36,13 +36,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Sizes:
-    """What shapes the models besides their settings.
+    """Model dimensions that depend on the data.
 
-    motion: D_m; low, high: widths d + 1 of the two levels of audio, the log duration included; two_levels: they are
-    not one and the same; speakers: P; text: d_t + 1, 0 without words; present: [D_m] 1 where the training motion ever
-    moved; vectors: [S, D_s] the codebook, where there is one already; silent: the silent lexemes; training_blocks:
-    how many style codes are learned, 0 at inference, where the generator has no table of them.
-    """
+    motion: D_m; low, high: widths d + 1 of the two audio levels, including the log duration; two_levels: whether they
+    differ; speakers: P; text: d_t + 1, 0 without words; present: [D_m] 1 for dimensions that ever move in training;
+    vectors: [S, D_s] the codebook, if there is one; silent: the silent lexemes; training_blocks: number of learned
+    style codes, 0 at inference, where the generator has no table of them. """
 
     config: Config
     motion: int
@@ -63,26 +62,26 @@ class Sizes:
 
     @property
     def lexemes(self) -> Tensor:
-        """[S, D_s] the codebook; ValueError before there is one."""
+        """[S, D_s] the codebook; ValueError if there is none yet."""
         if self.vectors is None:
             raise ValueError("this model is built over a codebook, and there is none yet")
         return self.vectors
 
     @property
     def block_audio(self) -> int:
-        """Width of what the reward models hear: both levels where there are two, the log duration once."""
+        """Audio width of the reward models: both levels if they differ, the log duration once."""
         return self.low + self.high - 1 if self.two_levels else self.low
 
 
 def encoder(sizes: Sizes) -> SpeechEncoder:
-    """The speech levels (RG 4.1.3)."""
+    """The speech encoder (RG 4.1.3)."""
     from data_module.speech.speech_encoder import SpeechEncoder
 
     return SpeechEncoder(sizes.config.encoder)
 
 
 def parts_of_body(config: Config) -> dict[str, tuple[int, ...]]:
-    """Part of the body -> its numbers of D_m under these settings."""
+    """Body part -> its indices in D_m under these settings."""
     from data_module.motion.movement import body_parts
     from data_module.motion.skeletons import CHARACTERS
 
@@ -104,19 +103,19 @@ def lexicon(sizes: Sizes) -> Lexicon | MovementLexicon:
 
 
 def codec(sizes: Sizes) -> RacerCodec:
-    """RACER's own codec (RACER 4.1)."""
+    """RACER's codec (RACER 4.1)."""
     from lexicon.racer import RacerCodec
 
     return RacerCodec(sizes.config.racer, sizes.motion, sizes.present)
 
 
 def tokens(sizes: Sizes) -> Lexicon | MovementLexicon | RacerCodec:
-    """What names gestures under these settings."""
+    """The lexicon or codec of these settings."""
     return lexicon(sizes) if system_of(sizes.config).blocks else codec(sizes)
 
 
 def generator(sizes: Sizes) -> Generator | FlowGenerator:
-    """G, E_M, E_A and, while it is trained, the style codes (RG 5.2); or its form with a sampling head."""
+    """G, E_M, E_A and, in training, the style codes (RG 5.2); or the variant with a flow head."""
     from generator.model import Generator, GeneratorWidths
 
     config = sizes.config
@@ -131,17 +130,8 @@ def generator(sizes: Sizes) -> Generator | FlowGenerator:
     return Generator(config.generator, widths, sizes.training_blocks, sizes.present)
 
 
-def style(sizes: Sizes) -> StyleInterpreter:
-    """The style interpreter that hears alone (RG 6.2, 6.3)."""
-    return _style_interpreter(sizes, False)
-
-
-def style_text(sizes: Sizes) -> StyleInterpreter:
-    """The style interpreter that reads the words too (RG 6.2)."""
-    return _style_interpreter(sizes, True)
-
-
-def _style_interpreter(sizes: Sizes, reads: bool) -> StyleInterpreter:
+def style(sizes: Sizes, reads: bool = False) -> StyleInterpreter:
+    """The style interpreter, audio-only (RG 6.3) or also reading the words (RG 6.2)."""
     from interpreters.lstm import StyleInterpreter
 
     config = sizes.config.style
@@ -150,19 +140,19 @@ def _style_interpreter(sizes: Sizes, reads: bool) -> StyleInterpreter:
 
 
 def gate(sizes: Sizes) -> ActivityGate:
-    """Whether to gesture at all on a block."""
+    """The gate, which decides whether a block is gestured."""
     from interpreters.gate import ActivityGate
 
     return ActivityGate(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers)
 
 
 def reward(sizes: Sizes) -> RewardEnsemble:
-    """E_m and E_u of several models (RACER 4.2): what teaches a policy."""
+    """The ensemble of E_m and E_u that trains a policy (RACER 4.2)."""
     return _reward(sizes, sizes.config.reward)
 
 
 def reward_judge(sizes: Sizes) -> RewardEnsemble:
-    """The same of other sizes: what judges a policy."""
+    """An ensemble of other sizes that evaluates a policy."""
     return _reward(sizes, sizes.config.judge)
 
 
@@ -176,8 +166,8 @@ def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
 
 @dataclass(frozen=True)
 class BundlePart:
-    """A part of a bundle. file: without the ending; build: the model, untrained; tied: its weights are worthless over
-    another codebook than they were trained on."""
+    """A part of a bundle. file: without the suffix; build: returns the untrained model; tied: whether its weights are
+    valid only for the codebook that they were trained with."""
 
     file: str
     build: Callable[[Sizes], nn.Module]
@@ -186,18 +176,19 @@ class BundlePart:
 
 PARTS = {"encoder": BundlePart("speech_encoder", encoder), "lexicon": BundlePart("lexicon", tokens),
          "generator": BundlePart("generator", generator), "style": BundlePart("style_interpreter", style),
-         "style_text": BundlePart("style_interpreter_text", style_text), "gate": BundlePart("gate", gate)}
-"""The parts beside the lexeme interpreters; only the lexicon is never absent."""
+         "style_text": BundlePart("style_interpreter_text", partial(style, reads=True)),
+         "gate": BundlePart("gate", gate)}
+"""The parts other than lexeme interpreters; only the lexicon is always present."""
 
 
 def part_table() -> dict[str, BundlePart]:
-    """Every part that a bundle may have, those of the lexeme interpreters by their entries."""
+    """Every part that a bundle may have, including those of all registered lexeme interpreters."""
     return {**PARTS, **{part: BundlePart(file, partial(_interpreter, entry, part), entry.tied)
                         for entry in entries().values() for part, file in entry.files.items()}}
 
 
 def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
-    """The weights of a lexeme interpreter, for speech with words or without."""
+    """The model of a lexeme interpreter, with or without text."""
     settings = section(sizes.config, entry.settings)
     if entry.text_part and part != entry.text_part:
         settings = settings.without_text()
@@ -208,7 +199,6 @@ def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
 
 
 def build(part: str, sizes: Sizes) -> Any:
-    """The model of a part, untrained."""
     return part_table()[part].build(sizes)
 
 
@@ -226,13 +216,12 @@ def codebook_shape(config: Config) -> tuple[int, int]:
 
 
 def codebook_name(config: Config) -> str:
-    """The tensor of the codebook in the lexicon's file."""
+    """Name of the codebook tensor in the lexicon's file."""
     return system_of(config).naming.codebook
 
 
 def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
-    """The shape of every tensor of a part, found without taking memory for one; InputError where the settings do not
-    go together."""
+    """The shape of every tensor of a part, computed without allocating memory; InputError for inconsistent settings."""
     on_meta = replace(sizes, present=sizes.present.to("meta"),
                       vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
     try:

@@ -1,4 +1,4 @@
-"""The parts of a bundle: the models by name, each opened when it is asked for first."""
+"""The parts of a bundle: the models by name, each loaded when it is first used."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from gesticulator.bundle.files import Weights, lexicon_hash
 from gesticulator.bundle.models import Sizes, part_table, shapes
 
 JUDGES = ("reward", "reward_judge")
-"""Models that teach and judge a policy and play nothing: they stay in the work folder of the training, and whoever
-measures adds them to an opened bundle (`with_parts`). A bundle that is written leaves them out."""
+"""Models that train and evaluate a policy and are not used at inference: they stay in the work folder of the training;
+evaluation adds them to an opened bundle (`with_parts`). Saving a bundle omits them."""
 
 
 class ChangedParts(Mapping[str, nn.Module]):
-    """Parts with some of them replaced or taken out; the others are asked for only when they are wanted."""
+    """Parts with some replaced or removed; the others are loaded only when used."""
 
     def __init__(self, parts: Mapping[str, nn.Module], changes: Mapping[str, nn.Module | None]) -> None:
         unknown = sorted(set(changes) - {*part_table(), *JUDGES})
@@ -41,7 +41,7 @@ class ChangedParts(Mapping[str, nn.Module]):
 
 
 class StoredParts(Mapping[str, nn.Module]):
-    """The models of a bundle on disk, each opened when it is asked for first."""
+    """The models of a bundle on disk, each loaded when it is first used."""
 
     def __init__(self, weights: Weights, sizes: Sizes) -> None:
         self._weights, self._sizes = weights, sizes

@@ -1,17 +1,15 @@
-"""`gesticulator bundle silent [BUNDLE]`: which lexemes count as stillness, seen and edited by hand (RG 6.4.1).
+"""`gesticulator bundle silent [BUNDLE]`: list and edit the silent lexemes (RG 6.4.1).
 
-Training finds the silent lexemes by itself. A look at the lexicon (`gesticulator draw lexicon`) may say otherwise, and
-then the list is changed here. `bundle.json` alone is rewritten; the weights and their hashes stay as they are. What
-reads the list at inference follows at once: the choice in silent blocks, the resting lexeme, the blocks that the gate
-closes. What was taught with the old list stays: the hint in the lexeme interpreter, and the gate.
-"""
+Training detects the silent lexemes. After inspecting the lexicon (`gesticulator draw lexicon`) the list can be changed
+here. Only `bundle.json` is rewritten; weights and hashes stay. Inference uses the new list at once: the choice in
+silent blocks, the resting lexeme, the blocks that the gate closes. What was trained with the old list stays: the hint
+in the lexeme interpreter, and the gate. """
 
 from __future__ import annotations
 
 import argparse
 import json
 import shutil
-import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,11 +18,11 @@ from data_module.errors import InputError
 from data_module.files import write_text
 
 FOUND = "silent_lexemes_found"
-"""In the provenance of a bundle that was edited: the list that training found."""
+"""Key in the provenance of an edited bundle: the list detected by training."""
 
 
 def numbers(text: str) -> tuple[int, ...]:
-    """Lexeme numbers from "3, 7,9"; InputError for what is no number."""
+    """Lexeme numbers from "3, 7,9"; InputError for anything else."""
     try:
         return tuple(int(part) for part in text.replace(",", " ").split())
     except ValueError:
@@ -33,11 +31,10 @@ def numbers(text: str) -> tuple[int, ...]:
 
 def edited(silent: Iterable[int], size: int, *, chosen: Iterable[int] | None = None, add: Iterable[int] = (),
            remove: Iterable[int] = ()) -> tuple[int, ...]:
-    """The silent lexemes after an edit, in order: `chosen` instead of them, or with `add` and without `remove`.
+    """The silent lexemes after an edit, sorted: `chosen` instead of them, or with `add` and without `remove`.
 
-    size: S. InputError for a number outside 0 to S - 1, for a set that is empty (silence would have no lexeme) and for
-    one that holds the whole lexicon (speech would have none).
-    """
+    size: S. InputError for a number outside 0 to S - 1, for an empty set (silence would have no lexeme) and for the
+    whole lexicon (speech would have none). """
     start = set(silent) if chosen is None else set(chosen)
     unknown = sorted(n for n in {*start, *add, *remove} if not 0 <= n < size)
     if unknown:
@@ -54,7 +51,7 @@ def edited(silent: Iterable[int], size: int, *, chosen: Iterable[int] | None = N
 
 
 def silent_of(index: dict[str, Any], folder: Path) -> tuple[tuple[int, ...], int]:
-    """The silent lexemes of `bundle.json` and how many lexemes there are; InputError when they do not make sense."""
+    """The silent lexemes of `bundle.json` and the size of the lexicon; InputError if they are inconsistent."""
     try:
         size, silent = int(index["config"]["lexicon"]["size"]), tuple(index["silent_lexemes"])
         return edited(silent, size), size
@@ -64,7 +61,7 @@ def silent_of(index: dict[str, Any], folder: Path) -> tuple[tuple[int, ...], int
 
 
 def rewrite(folder: Path, silent: Iterable[int]) -> None:
-    """Put a new list into a bundle's `bundle.json`, whole or not at all; the list of training is kept beside it."""
+    """Put a new list into `bundle.json`, atomically; the list detected by training is kept in the provenance."""
     from gesticulator.bundle.files import read_index
 
     index = read_index(folder)
@@ -74,23 +71,20 @@ def rewrite(folder: Path, silent: Iterable[int]) -> None:
 
 
 def rewritten_copy(folder: Path, target: Path, silent: Iterable[int]) -> None:
-    """A copy of a bundle with another list, whole or not at all; InputError when `target` is there already."""
+    """A copy of a bundle with another list, written atomically; InputError if `target` exists."""
+    from gesticulator.bundle.files import replace_folder
+
     if target.exists():
         raise InputError(target, "exists", "choose another path for the copy")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
-    try:
+
+    def write(temporary: Path) -> None:
         shutil.copytree(folder, temporary, dirs_exist_ok=True)
         rewrite(temporary, silent)
-        temporary.chmod(0o755)  # mkdtemp keeps others out; a bundle is there to be shared
-        temporary.rename(target)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+
+    replace_folder(target, write)
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
-    """What the command takes."""
     p.add_argument("bundle", nargs="?", metavar="BUNDLE", help="folder of the bundle (default: the shipped one)")
     p.add_argument("--set", metavar="3,7,9", help="use exactly these")
     p.add_argument("--automatic", action="store_true", help="restore those that training detected")
@@ -99,17 +93,17 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--out", type=Path, metavar="DIR", help="write an edited copy here instead of changing BUNDLE")
 
 
-def run(asked: argparse.Namespace) -> int:
-    """List or edit; InputError for what cannot be."""
+def run(args: argparse.Namespace) -> int:
+    """List or edit the silent lexemes; InputError for invalid arguments."""
     from gesticulator.bundle.bundle import SHIPPED
     from gesticulator.bundle.files import read_index
 
-    folder = Path(asked.bundle) if asked.bundle else SHIPPED
+    folder = Path(args.bundle) if args.bundle else SHIPPED
     index = read_index(folder)
     before, size = silent_of(index, folder)
-    add, remove = numbers(asked.add), numbers(asked.remove)
-    chosen = None if asked.set is None else numbers(asked.set)
-    if asked.automatic:
+    add, remove = numbers(args.add), numbers(args.remove)
+    chosen = None if args.set is None else numbers(args.set)
+    if args.automatic:
         if chosen is not None:
             raise InputError("--automatic", "cannot go with --set", "give one of them")
         chosen = _found(index, folder)
@@ -117,26 +111,26 @@ def run(asked: argparse.Namespace) -> int:
         raise InputError("--set or --automatic", "cannot go with --add or --remove",
                          "give the whole list, or the changes")
     if chosen is None and not add and not remove:
-        if asked.out is not None:
+        if args.out is not None:
             raise InputError("--out", "has nothing to write", "give --set, --add or --remove too")
         print(line(before, size))
         return 0
     after = edited(before, size, chosen=chosen, add=add, remove=remove)
-    if asked.out is not None:
-        rewritten_copy(folder, asked.out, after)
+    if args.out is not None:
+        rewritten_copy(folder, args.out, after)
     elif folder.resolve() == SHIPPED.resolve():
-        raise InputError(folder, "comes with the package and is left as it is",
+        raise InputError(folder, "is shipped with the package and is not changed",
                          "add --out DIR for an edited copy, and use that")
     else:
         rewrite(folder, after)
     gone, come = sorted(set(before) - set(after)), sorted(set(after) - set(before))
     print(f"{line(after, size)} (new: {_listed(come)}; no longer: {_listed(gone)})")
-    print(f"taught anew with these: gesticulator train ... --set 'silence.lexemes={list(after)}'")
+    print(f"to train with these: gesticulator train ... --set 'silence.lexemes={list(after)}'")
     return 0
 
 
 def _found(index: dict[str, Any], folder: Path) -> tuple[int, ...]:
-    """The list of training: the one beside the edited list, or the list itself where nothing was edited."""
+    """The list detected by training."""
     return silent_of({**index, "silent_lexemes": index["provenance"].get(FOUND, index["silent_lexemes"])}, folder)[0]
 
 

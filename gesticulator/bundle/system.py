@@ -1,8 +1,8 @@
-"""The systems that a bundle may be: what names gestures, what draws them, and what follows from that.
+"""The kinds of systems that a bundle may hold: its lexicon, its generator, and what follows from them.
 
-`system_of` chooses one by the settings. Whoever needs to know asks the system, not the settings: so a further lexicon
-or generator is one more value here. The classes that draw lie above bundles: `gesticulator.drawing` has one for each
-`Drawing`.
+`system_of` derives the system from the settings. Other code asks the system, not the settings, so another lexicon or
+generator is one more value here. The classes that generate blocks are in higher packages: `gesticulator.drawing` has
+one for each `Drawing`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Naming:
-    """What names the gesture of a block.
+    """A kind of lexicon.
 
-    stage: the one that trains it. codebook: the tensor of its code vectors. blocks: it names blocks at the beat one by
-    one, so that a block can be drawn anew; else all codes are decoded together. in_context: what a name shows depends
-    on the block before. knows_silence: some of its names are silent.
-    """
+    stage: the stage that trains it. codebook: the tensor of its code vectors. blocks: it labels blocks at the beat one
+    by one, so that a block can be generated again; otherwise all codes are decoded together. in_context: what a lexeme
+    shows depends on the block before. knows_silence: some of its lexemes are silent. """
 
     stage: str
     codebook: str
@@ -32,9 +31,9 @@ class Naming:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What draws blocks. name: of it. parts: of a bundle, beside the lexicon, that it cannot do without. idle: stages
-    that it has no use for. samples: it draws a lexeme in several ways. styled: it is taught style codes, one for each
-    training block."""
+    """A kind of generator. name: its name. parts: required parts of a bundle besides the lexicon. idle: training stages
+    that it does not use. samples: it can render a lexeme in several ways. styled: it is trained with style codes, one
+    for each training block."""
 
     name: str
     parts: tuple[str, ...] = ()
@@ -48,7 +47,7 @@ POSES = Naming("lexicon", "quantizer.vectors")
 MOVEMENTS = Naming("lexicon", "vectors", in_context=True)
 """The lexicon of movements."""
 CODES = Naming("codec", "quantizer.vectors", blocks=False, knows_silence=False)
-"""RACER's own codec at a fixed rate (RACER 4.1)."""
+"""RACER's codec at a fixed rate (RACER 4.1)."""
 
 REGRESSION = Drawing("regression", ("generator", "interpreter"), frozenset(("codec",)), styled=True)
 """The paper's generator with style codes (RG 5.2)."""
@@ -56,13 +55,13 @@ FLOW = Drawing("flow", ("generator", "interpreter"), frozenset(("codec",)), samp
 """The generator with a flow head, which samples."""
 DECODED = Drawing("decoded", ("q_network",), frozenset(
     ("lexicon", "generator", "interpreter", "interpreter_text", "style", "style_text", "gate", "advantage")))
-"""Nothing beside the codec, which decodes its codes (RACER 5.2)."""
+"""No generator: the codec decodes its codes (RACER 5.2)."""
 
 
 @dataclass(frozen=True)
 class System:
-    """What a bundle is. naming, drawing: see there. lives: rest is decided phrase by phrase, and the body that rests
-    lives (silence.rest=life)."""
+    """The kind of a bundle. naming: its lexicon; drawing: its generator; lives: rest is decided phrase by phrase, with
+    idle motion (silence.rest=life)."""
 
     naming: Naming
     drawing: Drawing
@@ -70,26 +69,25 @@ class System:
 
     @property
     def blocks(self) -> bool:
-        """Blocks are named and drawn one by one, with a generator and a lexeme interpreter."""
+        """Blocks are labelled and generated one by one, with a generator and a lexeme interpreter."""
         return self.naming.blocks
 
     @property
     def varies(self) -> bool:
-        """The same lexemes can be drawn in another manner."""
+        """The same lexemes can be rendered in different ways."""
         return self.drawing.samples
 
     @property
     def streams(self) -> bool:
-        """It knows how to rest without speech, so that a stream can go on for ever."""
+        """It can rest without speech, so that a stream can continue indefinitely."""
         return self.blocks and self.lives
 
     def uses(self, stage: str) -> bool:
-        """Whether a training stage of this name has a place in it."""
+        """Whether it uses the training stage of this name."""
         return stage not in self.drawing.idle
 
 
 def system_of(config: Config) -> System:
-    """The system that these settings make."""
     lives = config.silence.rest == "life"
     if config.tokens == "racer":
         return System(CODES, DECODED, lives)

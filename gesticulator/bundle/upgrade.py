@@ -1,7 +1,7 @@
-"""Bundles of formats 1 to 5 brought to format 6, without training: names change, and resting distances are added.
+"""Upgrade bundles of formats 1 to 5 to format 6 without training: names change, and resting distances are added.
 
-The weights stay as they are, bit by bit, and so does the motion that comes of them. A flow head of format 5 is refused:
-its numbers meant something else.
+The weights stay the same bit by bit, and so does the generated motion. A flow head of format 5 is rejected: its numbers
+had another meaning.
 """
 
 from __future__ import annotations
@@ -28,25 +28,23 @@ from gesticulator.bundle.system import system_of
 
 SETTINGS = {("silence", "settle"): "rest_decay", ("interpreter", "text_reading"): "text_head",
             ("interpreter", "reading_dropout"): "text_head_dropout"}
-"""Settings that were renamed in format 4 (later formats only have more of them): group and old name -> new name."""
+"""Settings renamed in format 4 (later formats only added some): group and old name -> new name."""
 TENSORS = {"lexeme_interpreter_text": ("reading.", "text_head.")}
-"""File -> how the names of its tensors began, and begin now."""
+"""File -> old and new prefix of the names of its tensors."""
 FIGURES = {"cross_entropy": "nll"}
 STAGES = {"cql": "q_network"}
 
 
 def upgrade(source: Path, target: Path) -> None:
-    """Write the bundle of format 1 to 5 in `source` as one of format 6 to `target`, whole or not at all.
-
-    InputError for a bundle of another format, or one that is not what its hashes say.
-    """
+    """Convert the bundle of format 1 to 5 in `source` to format 6 in `target`, atomically. InputError for a bundle of
+    another format or with wrong hashes."""
     index = read_json(source / INDEX)
     if index.get("format") not in OLDER or isinstance(index.get("format"), bool):
         raise InputError(source, f"has format {str(index.get('format'))[:20]}", "only formats 1 to 5 can be upgraded")
     try:
         if system_of(settings_of(index["config"])).drawing.samples:
-            raise InputError(source, f"has the flow head of format {index['format']}, and today's draws otherwise",
-                             "train it again, or keep the program of its time")
+            raise InputError(source, f"has the flow head of format {index['format']}, which is not supported any more",
+                             "train it again, or keep the older program")
         files: dict[str, str] = index["files"]
         for name, expected in files.items():
             if Path(name).name != name or hashlib.sha256((source / name).read_bytes()).hexdigest() != expected:
@@ -59,7 +57,7 @@ def upgrade(source: Path, target: Path) -> None:
 
 
 def settings_of(found: dict[str, Any]) -> Config:
-    """The settings of an older bundle under the names of today."""
+    """The settings of an older bundle under their current names."""
     renamed = {group: dict(value) if isinstance(value, dict) else value for group, value in found.items()}
     for (group, old), new in SETTINGS.items():
         if old in renamed.get(group, {}):
@@ -88,8 +86,8 @@ def _write(source: Path, index: dict[str, Any], folder: Path) -> None:
     if "rest_distances" not in tensors:
         tensors = {**tensors, "rest_distances": torch.as_tensor(rest_distances(tokens, statistics))}
     save_file(tensors, folder / "statistics.safetensors")
-    figures = {STAGES.get(stage, stage): {FIGURES.get(name, name): value for name, value in own.items()}
-               for stage, own in index["figures"].items()}
+    figures = {STAGES.get(stage, stage): {FIGURES.get(name, name): value for name, value in values.items()}
+               for stage, values in index["figures"].items()}
     if (folder / CARD).is_file():
         card = (folder / CARD).read_text(encoding="utf-8")
         for old, new in (*FIGURES.items(), *STAGES.items()):
@@ -103,7 +101,7 @@ def _write(source: Path, index: dict[str, Any], folder: Path) -> None:
 
 
 def _poses(tensors: dict[str, torch.Tensor], speakers: tuple[str, ...]) -> Statistics:
-    """As much of the statistics as the resting pose needs."""
+    """The statistics needed for the resting pose."""
     from gesticulator.bundle.features import Normaliser
 
     arrays = {key: value.double().numpy() for key, value in tensors.items()}
@@ -113,12 +111,12 @@ def _poses(tensors: dict[str, torch.Tensor], speakers: tuple[str, ...]) -> Stati
 
 
 def _levels(source: Path, index: dict[str, Any], config: Config, tensors: dict[str, torch.Tensor]) -> int:
-    """One level of audio or two: the reward models' weights know, or else the normalisers."""
+    """Number of audio levels (1 or 2), from the reward model's weights or else the normalisers."""
     if "audio_levels" in index:
         return int(index["audio_levels"])
     if "reward.safetensors" in index["files"]:
         with safe_open(source / "reward.safetensors", framework="pt") as opened:
-            heard = opened.get_slice("read_audio.weight").get_shape()[1] // config.rhythm.frames
-        return 1 if heard == len(tensors["low_mean"]) else 2
+            width = opened.get_slice("read_audio.weight").get_shape()[1] // config.rhythm.frames
+        return 1 if width == len(tensors["low_mean"]) else 2
     same = len(tensors["low_mean"]) == len(tensors["high_mean"])
     return 1 if same and bool((tensors["low_mean"] == tensors["high_mean"]).all()) else 2

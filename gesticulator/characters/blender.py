@@ -1,6 +1,6 @@
-"""Blender, where it is installed, as a process of its own: what it imports and exports needs no code of ours.
+"""Runs scripts in Blender, in a separate process.
 
-It is either a Python that has the `bpy` wheel (this one, or another), or the program `blender`.
+Blender is either a Python with the `bpy` wheel (this one, or another), or the program `blender`.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from pathlib import Path
 from data_module.errors import InputError
 
 VARIABLE = "GESTICULATOR_BLENDER"
-"""Environment variable that names the Blender, or the Python with bpy, to use."""
+"""Environment variable with the path of the Blender, or the Python with bpy, to use."""
 SECONDS = 1800
-"""The longest that a job may take: an hour of motion takes some minutes."""
+"""Time limit of a job, seconds: an hour of motion takes some minutes."""
 _ADVICE = (f'pip install "gesticulator[fbx]" (Python 3.11), or install Blender, or name one in {VARIABLE}')
 
 
 def blender() -> list[str] | None:
-    """The beginning of a command that runs a Python script in Blender, up to the script's path; None without one."""
+    """The start of a command that runs a Python script in Blender, up to the script's path; None without Blender."""
     named = os.environ.get(VARIABLE)
     if named:
         return _command(named)
@@ -33,7 +33,7 @@ def blender() -> list[str] | None:
 
 
 def check_blender(subject: Path) -> list[str]:
-    """The command of `blender`; `InputError` about `subject` where there is none."""
+    """The command of `blender`; `InputError` about `subject` if Blender is not installed."""
     command = blender()
     if command is None:
         raise InputError(subject, "needs Blender, which is not installed", _ADVICE)
@@ -48,9 +48,9 @@ def _command(program: str) -> list[str]:
 
 
 def run_in_blender(subject: Path, script: Path, *arguments: str) -> str:
-    """Run a script in Blender; what it printed. `InputError` about `subject` where there is no Blender or it failed.
+    """Run a script in Blender; returns its output. `InputError` about `subject` without Blender or if it fails.
 
-    Strings are hashed the same in every run (PYTHONHASHSEED), since Blender's FBX numbers its objects by hashes.
+    PYTHONHASHSEED is fixed because Blender's FBX exporter numbers objects by hashes of strings.
     """
     command = check_blender(subject)
     whole = [*command, str(script), *(["--"] if "--background" in command else []), *arguments]
@@ -61,8 +61,8 @@ def run_in_blender(subject: Path, script: Path, *arguments: str) -> str:
     except OSError as error:
         raise InputError(command[0], f"cannot be run ({error.strerror or error})", _ADVICE) from None
     except subprocess.TimeoutExpired:
-        raise InputError(subject, f"was not done by Blender in {SECONDS} s", "give a shorter recording") from None
+        raise InputError(subject, f"took Blender more than {SECONDS} s", "give a shorter recording") from None
     if done.returncode:
-        said = (done.stderr or done.stdout).strip().splitlines()
-        raise InputError(subject, f"was refused by Blender ({said[-1] if said else 'no message'})", _ADVICE)
+        messages = (done.stderr or done.stdout).strip().splitlines()
+        raise InputError(subject, f"was rejected by Blender ({messages[-1] if messages else 'no message'})", _ADVICE)
     return done.stdout

@@ -1,4 +1,4 @@
-"""Characters in BVH files, and motion written onto them in the file's own joints, channels, units and axes."""
+"""Characters in BVH files, and BVH files of their motion with the same joints, channels, units and axes."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from data_module.types import Array
 from gesticulator.characters.rig import Character
 
 DEFAULT_CHANNELS = ("Zrotation", "Xrotation", "Yrotation")
-"""What is written for a joint of a character whose file is no BVH, or that has no channels of rotation in it."""
+"""Channels of a joint that has no rotation channels in its file."""
 PLACES = ("Xposition", "Yposition", "Zposition")
 
 
 def read_bvh_character(path: str | os.PathLike[str]) -> Character:
-    """The skeleton of a BVH file, in its own units and axes.
+    """The skeleton of a BVH file, in the file's units and axes. `InputError` if the file is not BVH.
 
-    Its rest pose is that of all angles zero, as the format means it. Where that is no pose of a body (some tools write
-    every offset along one axis, and the body stands only by the angles of the first frame), the first frame is taken
-    as the pose to align with (`Character.bind`). `InputError` where the file is no BVH.
-    """
+    The rest pose has all angles zero, as the format defines it. If that is not a pose of a body (some tools write every
+    offset along one axis, and only the angles of the first frame make the body stand), the first frame is used as the
+    pose to align with (`Character.bind`). """
     motion, channels = bvh.read_hierarchy(path)
     skeleton = motion.skeleton
     n = len(skeleton)
@@ -40,21 +39,20 @@ def read_bvh_character(path: str | os.PathLike[str]) -> Character:
 
 
 def _is_a_line(places: Array) -> bool:
-    """Whether nodes lie along one line: hanging arms leave a body three times as wide, offsets along one axis half."""
+    """Whether all nodes lie near a line: a body with hanging arms is three times as wide as the limit, single-axis
+    offsets half."""
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     return bool(spread[1] < 0.15 * spread[0])
 
 
 def write_character_bvh(path: str | os.PathLike[str], character: Character, rotations: Array,
                         placed: tuple[int, Array] | None, fps: float) -> None:
-    """Write a motion of a BVH character's own nodes, whole or not at all: her hierarchy, order of channels, units and
-    axes are those of her file. `read_bvh_character` and `data_module.motion.bvh.read_bvh` read it.
+    """Write a motion of a BVH character atomically, with the hierarchy, channel order, units and axes of its file.
 
-    rotations: [T, N, 4] local; placed: a node and its local translation [T, 3], None where all stay as at rest;
-    fps: frames per second. ValueError for a character of another format.
-    """
+    rotations: [T, N, 4] local; placed: a node and its local translation [T, 3], None if all stay at rest; fps: frames
+    per second. ValueError for a character of another format. """
     if character.kind != "bvh":
-        raise ValueError(f"a {character.kind} character has no BVH hierarchy of her own")
+        raise ValueError(f"a {character.kind} character has no BVH hierarchy")
     frames, n = len(rotations), len(character)
     below: list[list[int]] = [[] for _ in range(n)]
     for node, parent in enumerate(character.parents):
@@ -74,30 +72,30 @@ def write_character_bvh(path: str | os.PathLike[str], character: Character, rota
 
 
 def _channels(character: Character, node: int, placed: int) -> tuple[str, ...]:
-    """The file's own channels, with those that the motion needs and the file lacks."""
-    own = character.channels[node] if character.channels else ()
-    turns = tuple(name for name in own if name.endswith("rotation"))
-    places = tuple(name for name in own if name.endswith("position"))
+    """The file's channels, plus those that the motion needs and the file lacks."""
+    names = character.channels[node] if character.channels else ()
+    turns = tuple(name for name in names if name.endswith("rotation"))
+    places = tuple(name for name in names if name.endswith("position"))
     if sorted(turns) != sorted(DEFAULT_CHANNELS):
-        own = (*places, *DEFAULT_CHANNELS)
+        names = (*places, *DEFAULT_CHANNELS)
     if (node == 0 or node == placed) and len(places) < 3:
-        own = (*PLACES, *(name for name in own if name.endswith("rotation")))
-    return own
+        names = (*PLACES, *(name for name in names if name.endswith("rotation")))
+    return names
 
 
 def _values(character: Character, node: int, channels: tuple[str, ...], turns: Array, places: Array | None
             ) -> list[Array]:
-    """The columns [T] of a node's channels; a place that the motion does not tell is that at rest."""
+    """The columns [T] of a node's channels; places None: the translation at rest."""
     order = "".join(name[0] for name in channels if name.endswith("rotation"))
     angles = np.degrees(np.unwrap(rotation.to_euler(turns, order), axis=0))
-    still = np.broadcast_to(character.translations[node], (len(turns), 3))
-    there = still if places is None else places
-    return [there[:, PLACES.index(name)] if name in PLACES else angles[:, order.index(name[0])] for name in channels]
+    if places is None:
+        places = np.broadcast_to(character.translations[node], (len(turns), 3))
+    return [places[:, PLACES.index(name)] if name in PLACES else angles[:, order.index(name[0])] for name in channels]
 
 
 def _describe(character: Character, node: int, below: list[list[int]], channels: list[tuple[str, ...]],
               lines: list[str], order: list[int]) -> None:
-    """The hierarchy as text, and the order in which its joints stand; without recursion, for trees of any depth."""
+    """Append the hierarchy as text and the order of its joints; iterative, for trees of any depth."""
     todo: list[tuple[int, int, bool]] = [(node, 0, False)]
     while todo:
         at, depth, done = todo.pop()
@@ -121,7 +119,7 @@ def _triple(values: Array) -> str:
 
 
 def turns_of(matrices: Array) -> Array:
-    """[..., 3, 3] the rotations of matrices [..., 4, 4] without their scale: the nearest, by singular values."""
+    """[..., 3, 3] the nearest rotations to matrices [..., 4, 4], by singular value decomposition."""
     left, _, right = np.linalg.svd(matrices[..., :3, :3])
     left[..., :, 2] *= np.sign(np.linalg.det(left @ right))[..., None]
     return left @ right

@@ -1,10 +1,9 @@
-"""Hands kept out of a trunk that is wider than ours.
+"""Keeps hands out of a trunk that is wider than that of the default character.
 
-The same directions of bones bring hands to other places on other bodies: what passes a slim waist by a hand's breadth
-ends inside a stout one, and a child's short arms fold into her chest. Where one of her hands would be nearer to the
-trunk than ours is, or inside it, the arm is bent until it is as far outside as ours (and no farther than `MARGIN`).
-How near is measured by the same function on both, and it changes without jumps, so the repair does, too.
-"""
+The same bone directions bring hands to other places on other bodies: a hand that passes a slim waist at a hand's
+breadth ends inside a stout one. If a hand is nearer to the character's trunk than the default character's hand is to
+its own, or inside it, the arm is bent until the distances agree (up to `MARGIN`). Both distances are computed by the
+same continuous function, so the correction is continuous too. """
 
 from __future__ import annotations
 
@@ -20,25 +19,25 @@ from gesticulator.characters.inverse_kinematics import Limbs, bend
 from gesticulator.characters.mapping import SIDES
 
 MARGIN = 0.03
-"""Metres from the trunk beyond which a hand of an adult is left alone, in the scale of her arms."""
+"""Metres from the trunk beyond which a hand is not corrected, for an adult; scaled by the length of the arms."""
 OURS = (0.145, 0.115)
-"""Metres, half the width and half the depth of our own trunk: a slim adult's."""
+"""Half the width and half the depth of the default character's trunk, metres: a slim adult."""
 _HEIGHTS = 12
-"""Slices of the trunk that are measured on the skin."""
+"""Number of slices in which the trunk is measured on the mesh."""
 _OUTER = 98.0
-"""Percentile of the skin's points of a slice that counts as its surface: a belt's buckle is no belly."""
+"""Percentile of the vertices of a slice taken as its surface, to ignore belt buckles."""
 _STEPS = 5
-"""Times that a hand is pushed outwards: the first push goes along the shortest way, which the next one corrects."""
+"""Iterations of pushing a hand outwards; each corrects the direction of the one before."""
 _ARM_LENGTH = 0.53
-"""Metres of our upper arm and forearm."""
+"""Length of the default character's upper arm and forearm, metres."""
 
 
 @dataclass(frozen=True)
 class Trunk:
     """An elliptic column from the hips to the neck.
 
-    steps: [H] heights along it, 0 at the hips and 1 at the neck; width, depth: [H] metres, half the width and half the
-    depth there; ahead: [H] metres by which the middle of the flesh lies before the line of the bones.
+    steps: [H] heights along it, 0 at the hips and 1 at the neck; width, depth: [H] half width and half depth, metres;
+    ahead: [H] metres by which the middle of the body lies ahead of the line of the bones.
     """
 
     steps: Array
@@ -47,25 +46,24 @@ class Trunk:
     ahead: Array
 
     def distance(self, points: Array, hips: Array, neck: Array, chest: Array) -> tuple[Array, Array]:
-        """[T] metres from the surface (negative inside) and [T, 3] the way out, for points [T, 3].
+        """[T] metres from the surface (negative inside) and [T, 3] the outward direction, for points [T, 3].
 
-        hips, neck: [T, 3] the ends of the column; chest: [T, 3, 3] her axes there (columns left, up, ahead). Above and
-        below the column its ends are rounded off.
-        """
+        hips, neck: [T, 3] the ends of the column; chest: [T, 3, 3] the character's axes there (columns left, up,
+        ahead). The ends of the column are rounded. """
         axis = neck - hips
         length = np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
         up = axis / length
         left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
         left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
         fore = np.cross(left, up)
-        own = points - hips
-        along = np.sum(own * up, axis=-1)
+        local = points - hips
+        along = np.sum(local * up, axis=-1)
         nearest = np.clip(along, 0.0, length[:, 0])
         share = nearest / length[:, 0]
         width, depth, ahead = (np.interp(share, self.steps, column) for column in (self.width, self.depth, self.ahead))
-        x, z = np.sum(own * left, axis=-1), np.sum(own * fore, axis=-1) - ahead
-        # Exactly 0 between the ends. A remainder of rounding (1e-17 m) would count as "above the column", where a point
-        # is at most as near as its end: a hand deep inside would be taken for one on the surface.
+        x, z = np.sum(local * left, axis=-1), np.sum(local * fore, axis=-1) - ahead
+        # Exactly 0 between the ends: a rounding error (1e-17 m) would count as above the column, where the distance is
+        # never negative, and a hand deep inside would seem to be on the surface.
         beyond = np.abs(along - nearest)
         radius = np.hypot(x, z)
         # The ellipse's radius in the direction of the point.
@@ -76,20 +74,19 @@ class Trunk:
 
 
 def plain_trunk(width: float, depth: float) -> Trunk:
-    """A column of one width and depth (halves, metres)."""
+    """A column of constant half width and half depth, metres."""
     return Trunk(np.array([0.0, 1.0]), np.full(2, width), np.full(2, depth), np.zeros(2))
 
 
-def her_trunk(body: Body) -> Trunk:
-    """A character's: as the user tells it, else measured on her skin, else ours in the scale of her skeleton."""
+def trunk_of(body: Body) -> Trunk:
+    """The trunk of a character: given by the user, else measured on its mesh, else scaled by its skeleton."""
     if body.mapping.torso is not None:
         return plain_trunk(*body.mapping.torso)
-    measured = _measured(body)
-    return measured if measured is not None else _scaled(body)
+    return _measured(body) or _scaled(body)
 
 
 def _scaled(body: Body) -> Trunk:
-    """By the width of the shoulders and the length of the trunk: all that a skeleton tells."""
+    """The default trunk scaled by the width of the shoulders and the length of the trunk."""
     joints, places = body.mapping.joints, body.rest_places
     shoulders = float(np.linalg.norm(places[joints["LeftArm"]] - places[joints["RightArm"]]))
     trunk = float(np.linalg.norm(places[joints["Head"]] - places[joints["Hips"]]))
@@ -98,22 +95,22 @@ def _scaled(body: Body) -> Trunk:
 
 
 _SHOULDERS, _TRUNK = 0.36, 0.62
-"""Metres from shoulder to shoulder, and from hips to head, of our character."""
+"""Distances from shoulder to shoulder and from hips to head of the default character, metres."""
 
 
 def _measured(body: Body) -> Trunk | None:
-    """The column around the skin that hips, spine and chest move; None where there is too little of it."""
+    """The column around the vertices moved by hips, spine and chest; None if there are too few."""
     character, mapping = body.character, body.mapping
     if not len(character.flesh):
         return None
-    own = np.zeros(len(character), dtype=bool)
-    own[[mapping.joints["Hips"], *mapping.spine]] = True
+    trunk = np.zeros(len(character), dtype=bool)
+    trunk[[mapping.joints["Hips"], *mapping.spine]] = True
     limbs = np.zeros(len(character), dtype=bool)
     limbs[[node for name, node in mapping.joints.items() if name not in ("Hips",)]] = True
     limbs[list(mapping.neck)] = True
-    for node, parent in enumerate(character.parents):  # what hangs on the trunk and is no limb moves with it
-        own[node] |= parent >= 0 and own[parent] and not limbs[node]
-    points = character.flesh[own[character.flesh_nodes]] @ body.axes.T * body.unit
+    for node, parent in enumerate(character.parents):  # children of the trunk other than limbs move with it
+        trunk[node] |= parent >= 0 and trunk[parent] and not limbs[node]
+    points = character.flesh[trunk[character.flesh_nodes]] @ body.axes.T * body.unit
     if len(points) < 30:
         return None
     hips, neck = (places @ body.axes.T * body.unit for places in _bind_ends(body))
@@ -149,14 +146,15 @@ def _bind_ends(body: Body) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Pose:
-    """Our own joints over T frames: joint -> [T, 3, 3] world rotations and [T, 3] places, metres."""
+    """The joints of the default skeleton over T frames: joint -> [T, 3, 3] world rotations and [T, 3] positions,
+    metres."""
 
     turns: Mapping[str, Array]
     places: Mapping[str, Array]
 
 
 def pose_of(motion: Motion) -> Pose:
-    """Where a motion's joints are and how they are turned."""
+    """World rotations and positions of a motion's joints."""
     skeleton = motion.skeleton
     flat = Rotation.from_quat(motion.rotations.reshape(-1, 4), scalar_first=True).as_matrix()
     local = flat.reshape(*motion.rotations.shape[:2], 3, 3)
@@ -172,7 +170,7 @@ def pose_of(motion: Motion) -> Pose:
 
 
 def our_distances(ours: Pose) -> dict[str, Array]:
-    """Side -> [T] metres that our wrist and knuckles, whichever is nearer, are from our trunk; negative inside."""
+    """Side -> [T] metres from the default character's trunk to the nearer of wrist and knuckles; negative inside."""
     trunk = plain_trunk(*OURS)
     column = ours.places["Hips"], ours.places["Neck"], ours.turns["Spine3"]
     return {side: np.min([trunk.distance(ours.places[side + name], *column)[0] for name in ("Hand", "HandMiddle1")
@@ -180,12 +178,12 @@ def our_distances(ours: Pose) -> dict[str, Array]:
 
 
 def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
-    """Bend the arms in `turns` where a hand would be nearer to her trunk than ours is to ours.
+    """Bend the arms in `turns` where a hand would be nearer to the character's trunk than on the default character.
 
-    A hand that is inside our own trunk is left as deep: what the source does wrong is not put right here.
+    A hand inside the default character's trunk stays as deep: errors of the source motion are not corrected here.
     """
     joints = body.mapping.joints
-    trunk, near = her_trunk(body), our_distances(ours)
+    trunk, near = trunk_of(body), our_distances(ours)
     chest = ours.turns["Spine3"]
     neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
     hips = np.zeros_like(neck)
@@ -203,7 +201,7 @@ def push_out(turns: dict[int, Array], limbs: Limbs, chain: tuple[int, int, int],
              column: tuple[Trunk, Array, Array, Array]) -> None:
     """Bend an arm in `turns` where one of its points is nearer to the trunk than `wanted` [T] metres.
 
-    chain: shoulder, elbow, wrist; column: the trunk with the arguments of `Trunk.distance`.
+    chain: shoulder, elbow, wrist; column: the trunk and the arguments of `Trunk.distance`.
     """
     trunk, *place = column
     for _ in range(_STEPS):
@@ -220,13 +218,13 @@ def push_out(turns: dict[int, Array], limbs: Limbs, chain: tuple[int, int, int],
 
 
 class OurLimbs:
-    """Our own skeleton as `bend` wants it: nodes are its joints."""
+    """The default skeleton as `Limbs`: its nodes are its joints."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
 
     def place(self, turns: Mapping[int, Array], node: int) -> Array:
-        """[T, 3] where a joint is, from the hips; turns: joint -> [T, 3, 3] its world rotation."""
+        """[T, 3] position of a joint relative to the hips; turns: joint -> [T, 3, 3] its world rotation."""
         above = self.skeleton.parents[node]
         if above < 0:
             return np.zeros((1, 3))
@@ -234,11 +232,10 @@ class OurLimbs:
 
 
 def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
-    """A motion on our own skeleton, the root at the origin, with hands kept as far from the trunk as `near` says.
+    """A motion on the default skeleton, root at the origin, with hands kept at the distances `near` from the trunk.
 
-    near: side -> [T] metres, as of `our_distances`; beyond `MARGIN` a hand is free. Frames without need stay as they
-    are, bit for bit.
-    """
+    near: side -> [T] metres, as from `our_distances`; beyond `MARGIN` a hand is free. Frames that need no correction
+    are unchanged bit for bit. """
     names, pose = motion.skeleton.index, pose_of(motion)
     turns = {joint: pose.turns[name] for joint, name in enumerate(motion.skeleton.names)}
     column = plain_trunk(*OURS), pose.places["Hips"], pose.places["Neck"], pose.turns["Spine3"]

@@ -1,8 +1,8 @@
-"""Run inside Blender: the largest armature of an FBX file is told as JSON.
+"""Run inside Blender: write the largest armature of an FBX file as JSON.
 
     python fbx_child.py IN.fbx OUT.json
 
-It imports nothing of ours: Blender has a Python of its own.
+It imports nothing from this package: Blender has its own Python.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 
-def tell(source: str, target: str) -> None:
-    """Import the file into an empty scene, and write its armature's object and bones, parents first."""
+def export_armature(source: str, target: str) -> None:
+    """Import the file into an empty scene and write its armature object and bones, parents first."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -42,4 +42,4 @@ def _rows(matrix: Any) -> list[float]:
 
 if __name__ == "__main__":
     given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
-    tell(given[0], given[1])
+    export_armature(given[0], given[1])

@@ -1,9 +1,9 @@
-"""The frames of a character's bones: which way each points and is rolled, in the axes of its own node.
+"""Measures the bones of a character: the direction and roll of each bone in the axes of its node.
 
-`measure` gives, for each node that is moved, the joint of ours that it follows and the constant C of
-`gesticulator.characters.retarget` (1). It needs no rest pose of any kind: where a bone points in its node's axes is the
-same in all poses. Only how a bone without a palm or a bent hinge is rolled must be taken from the pose that the mesh
-was bound in, where it is what the shortest turn from a T-pose makes of it.
+`measure` gives, for each moved node, the joint of the default skeleton that it follows and the constant C of
+`gesticulator.characters.retarget` (1). It needs no particular rest pose: the direction of a bone in its node's axes is
+the same in all poses. Only the roll of a bone without a palm or a bent hinge is taken from the pose that the mesh was
+bound in, by the shortest rotation from a T-pose.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from data_module.motion.skeletons import FINGERS, WHOLE_BODY
 from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.bvh_rig import turns_of
-from gesticulator.characters.mapping import SIDES, RigMapping
+from gesticulator.characters.mapping import SIDES, RigMapping, ancestors
 from gesticulator.characters.rig import Character
 
 _UPRIGHT = np.radians(30.0)
-"""An axis of the file within this of the way from hips to head is up; a body that leans more lies or hangs."""
+"""An axis of the file within this angle of the direction from hips to head is up; otherwise the body lies or hangs."""
 _SQUARE = np.radians(8.0)
-"""A body that faces along an axis of the file within this faces along it: shoulders are never quite level."""
+"""A body that faces within this angle of an axis of the file faces along it: shoulders are never exactly level."""
 _BENT = np.radians(15.0)
-"""A joint that is bent by more than this at bind shows the axis of its hinge."""
+"""A joint bent by more than this in the bind pose defines the axis of its hinge."""
 _LEANS, _LOOKS, _SHRUGS = np.radians(20.0), np.radians(35.0), np.radians(40.0)
-"""How far trunk, neck and clavicle may point other than ours before it is taken for a pose: less is her build."""
+"""Deviations of trunk, neck and clavicle from the default skeleton above which they count as a pose; less is build."""
 _LENGTH = 0.6
-"""Metres from hips to head of an adult."""
+"""Distance from hips to head of an adult, metres."""
 _SUNK = 0.2
-"""Share of her height that the feet of a BVH character are under 0, for her to be meant standing on 0."""
+"""Share of the height that the feet of a BVH character must be below 0 for the character to be lifted onto 0."""
 _AHEAD, _DOWN = float(np.cos(np.radians(50.0))), float(np.cos(np.radians(60.0)))
-"""How near thighs are to straight ahead, and shins to down, where somebody sits."""
+"""Cosines between the thighs and straight ahead, and the shins and down, above which a character sits."""
 _KNUCKLES = (("Index", "Pinky"), ("Index", "Ring"), ("Middle", "Pinky"), ("Index", "Middle"), ("Middle", "Ring"))
-"""Fingers whose first joints give the direction across the palm, the best first."""
+"""Pairs of fingers whose first joints give the direction across the palm, the best first."""
 
 
 @dataclass(frozen=True)
 class BoneSegment:
-    """A node that is moved: G(t) = R(t) C, where R(t) is the world rotation of our `joint`, or what lies `share` of
-    the way from there to that of `other`. constant: C, [3, 3], from the node's axes to ours."""
+    """A moved node: G(t) = R(t) C, where R(t) is the world rotation of the default skeleton's `joint`, or interpolated
+    by `share` towards that of `other`. constant: C, [3, 3], from the node's axes to ours."""
 
     node: int
     joint: str
@@ -55,14 +55,13 @@ class BoneSegment:
 
 @dataclass(frozen=True)
 class Body:
-    """A character, measured in our axes (Y up, facing +Z, left +X) and in metres.
+    """A character measured in our axes (Y up, facing +Z, left +X) and in metres.
 
-    axes: [3, 3] rows are her left, up and forward in the file's axes: ours = axes @ file's * unit.
-    unit: metres per unit of her world. lift: metres by which she must be lifted to stand on the floor.
-    rest_places: [N, 3] the nodes at rest; rest_turns: [N, 3, 3] from the nodes' axes to ours at rest; local_turns:
-    [N, 3, 3] the same to their parents' axes. offsets: [N, 3] metres from each node's parent, in the parent's axes.
-    leg_ratio: her leg's length by ours.
-    """
+    axes: [3, 3] rows are the character's left, up and forward in the file's axes: ours = axes @ file's * unit.
+    unit: metres per unit of the character's world. lift: metres that the character is lifted to stand on the floor.
+    rest_places: [N, 3] positions of the nodes at rest; rest_turns: [N, 3, 3] from the nodes' axes to ours at rest;
+    local_turns: [N, 3, 3] the same to their parents' axes. offsets: [N, 3] metres from each node's parent, in the
+    parent's axes. leg_ratio: length of the character's leg relative to ours. """
 
     character: Character
     mapping: RigMapping
@@ -79,7 +78,7 @@ class Body:
 
     @property
     def sits(self) -> bool:
-        """Whether she sits in the pose that her file stands in: thighs ahead and about level, shins down."""
+        """Whether the character sits in the rest pose of its file: thighs ahead and about level, shins down."""
         def way(above: str, below: str) -> Array:
             bone = self.rest_places[self.mapping.joints[below]] - self.rest_places[self.mapping.joints[above]]
             return np.asarray(bone / max(float(np.linalg.norm(bone)), 1e-9))
@@ -89,17 +88,13 @@ class Body:
             for side in SIDES)
 
     def place(self, turns: Mapping[int, Array], node: int) -> Array:
-        """[T, 3] where a node under the hips is, from the hips, metres; turns: node -> [T, 3, 3] its axes to ours.
-
-        Nodes that are not in `turns` stand to their parents as they do at rest.
-        """
+        """[T, 3] position of a node below the hips, relative to the hips, metres; turns: node -> [T, 3, 3] its axes to
+        ours. Nodes not in `turns` keep their rest rotation relative to their parents."""
         hips = self.mapping.joints["Hips"]
-        way = [node]
-        while way[-1] != hips:
-            way.append(self.character.parents[way[-1]])
+        line = [node, *ancestors(self.character.parents, node)]
         turn = turns[hips] if hips in turns else self.rest_turns[hips][None]
         place = np.zeros((1, 3))
-        for at in reversed(way[:-1]):
+        for at in reversed(line[:line.index(hips)]):
             place = place + turn @ self.offsets[at]
             turn = turns[at] if at in turns else turn @ self.local_turns[at]
         return place
@@ -110,7 +105,7 @@ def _matrix(quaternion: Array) -> Array:
 
 
 def measure(character: Character, mapping: RigMapping) -> Body:
-    """A character's body; `InputError` where bones have no length."""
+    """Measure a character; `InputError` if required bones have no length."""
     bind = shape.bind_matrices(character)
     axes = _axes(character, mapping, bind[:, :3, 3])
     rest, turns, local = character.world_matrices()[:, :3, 3], character.world_turns(), character.local_turns()
@@ -122,8 +117,7 @@ def measure(character: Character, mapping: RigMapping) -> Body:
     rig = _Rig(character, mapping, axes @ (turns if character.bind is None else turns_of(bind)), offsets)
     segments = (*rig.trunk(), *rig.arms(), *rig.legs())
     legs = frozenset(mapping.joints[name] for name in skeletons.LEG_JOINTS if name in mapping.joints)
-    lift = 0.0
-    ratio = 1.0
+    lift, ratio = 0.0, 1.0
     if mapping.legs:
         ratio = float(np.mean([rig.length(side + "Leg") + rig.length(side + "Foot") for side in SIDES])
                       / (np.linalg.norm(_OURS["LeftLeg"]) + np.linalg.norm(_OURS["LeftFoot"])))
@@ -131,18 +125,18 @@ def measure(character: Character, mapping: RigMapping) -> Body:
         height = float(places[mapping.joints["Head"], 1]) - lowest
         if character.kind == "bvh" and lowest < -_SUNK * height:
             ankle = float(np.mean([places[mapping.joints[side + "Foot"], 1] for side in SIDES]))
-            # A file that tells neither toes nor tips says nothing of the height of an ankle: that of ours, in scale.
+            # Without toes or tips the height of the ankle is unknown: use that of the default skeleton, scaled.
             lift = -min(lowest, ankle - _ANKLE * ratio)
     return Body(character, mapping, axes, unit, lift, places, axes @ turns, local, offsets, ratio, segments, legs)
 
 
 _OURS = {name: WHOLE_BODY.offsets[index] for index, name in enumerate(WHOLE_BODY.names)}
 _ANKLE = 0.08
-"""Metres from the floor to our ankle."""
+"""Height of the default skeleton's ankle above the floor, metres."""
 
 
 def _unit(mapping: RigMapping, rest: Array) -> float:
-    """Metres per unit: 1, 0.01 or 0.001, whichever makes hips to head most like an adult's."""
+    """Metres per unit: 1, 0.01 or 0.001, whichever brings the distance from hips to head nearest to an adult's."""
     chain = [mapping.joints["Hips"], *mapping.spine, *mapping.neck, mapping.joints["Head"]]
     length = float(np.linalg.norm(np.diff(rest[chain], axis=0), axis=1).sum())
     if length <= 0:
@@ -151,11 +145,10 @@ def _unit(mapping: RigMapping, rest: Array) -> float:
 
 
 def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
-    """[3, 3] her left, up and forward in the file's axes, from where her joints are in the bind pose."""
+    """[3, 3] the character's left, up and forward in the file's axes, from its joints in the bind pose."""
     joints = mapping.joints
     up = _unit_vector(character, places[joints["Head"]] - places[joints["Hips"]], "hips and head")
-    axis = np.zeros(3)
-    axis[np.argmax(np.abs(up))] = np.sign(up[np.argmax(np.abs(up))])
+    axis = _nearest_axis(up)
     known = {"glb": [0.0, 1.0, 0.0], "fbx": [0.0, 0.0, 1.0]}.get(character.kind)
     if known is not None and up @ np.array(known) > 0.5:
         up = np.array(known)
@@ -167,11 +160,16 @@ def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
             across = places[joints["Left" + part]] - places[joints["Right" + part]]
             left = left + (across - (across @ up) * up)
     left = _unit_vector(character, left, "both shoulders")
-    axis = np.zeros(3)
-    axis[np.argmax(np.abs(left))] = np.sign(left[np.argmax(np.abs(left))])
+    axis = _nearest_axis(left)
     if left @ axis > np.cos(_SQUARE) and abs(axis @ up) < 1e-9:
         left = axis
     return np.stack([left, up, np.cross(left, up)])
+
+
+def _nearest_axis(vector: Array) -> Array:
+    axis = np.zeros(3)
+    axis[np.argmax(np.abs(vector))] = np.sign(vector[np.argmax(np.abs(vector))])
+    return axis
 
 
 def _unit_vector(character: Character, vector: Array, what: str) -> Array:
@@ -182,7 +180,7 @@ def _unit_vector(character: Character, vector: Array, what: str) -> Array:
 
 
 def frame(along: Array, across: Array) -> Array:
-    """[3, 3] columns: `along`, what of `across` is at right angles to it, and their cross product."""
+    """[3, 3] columns: the direction of `along`, of the part of `across` orthogonal to it, and their cross product."""
     first = along / np.linalg.norm(along)
     second = across - (across @ first) * first
     second = second / np.linalg.norm(second)
@@ -190,7 +188,7 @@ def frame(along: Array, across: Array) -> Array:
 
 
 def _turn(a: Array, b: Array) -> Array:
-    """[3, 3] the shortest turn from the direction a to b."""
+    """[3, 3] the shortest rotation from direction a to b."""
     return _matrix(rotation.between(a, b))
 
 
@@ -199,49 +197,46 @@ def _angle(a: Array, b: Array) -> float:
 
 
 class _Rig:
-    """The bones of a character in the bind pose, in our axes, beside ours at rest."""
+    """The bones of a character in the bind pose, in our axes, compared with the default skeleton at rest."""
 
     def __init__(self, character: Character, mapping: RigMapping, bind: Array, offsets: Array) -> None:
         self.character, self.mapping, self.joints = character, mapping, mapping.joints
         self.bind, self._offsets, self._local = bind, offsets, character.local_turns()
 
     def way(self, above: int, below: int) -> Array | None:
-        """[3] metres from a node to one under it, in the upper's axes; None where it is not under it."""
-        line = [below]
-        while line[-1] != above:
-            parent = self.character.parents[line[-1]]
-            if parent < 0:
-                return None
-            line.append(parent)
+        """[3] metres from a node to a descendant, in the axes of the first; None if it is not a descendant."""
+        line = [below, *ancestors(self.character.parents, below)]
+        if above not in line:
+            return None
         place, turn = np.zeros(3), np.eye(3)
-        for at in reversed(line[:-1]):
+        for at in reversed(line[:line.index(above)]):
             place = place + turn @ self._offsets[at]
             turn = turn @ self._local[at]
         return place
 
     def length(self, name: str) -> float:
-        """Metres from the joint above to the joint `name`."""
+        """Metres from the parent joint to the joint `name`."""
         above = WHOLE_BODY.names[WHOLE_BODY.parents[WHOLE_BODY.index(name)]]
         way = self.way(self.joints[above], self.joints[name])
         return 0.0 if way is None else float(np.linalg.norm(way))
 
     def bone(self, name: str, below: str) -> Array:
-        """[3] from joint to joint in the bind pose, in our axes."""
+        """[3] metres from joint to joint in the bind pose, in our axes."""
         node = self.joints[name]
         way = self.way(node, self.joints[below])
         if way is None or np.linalg.norm(way) < 1e-6:
-            raise InputError(self.character.path, f"has {name} and {below} in one place, or not one under the other",
+            raise InputError(self.character.path, f"has {name} and {below} in one place, or one is not above the other",
                              "check the mapping")
         return self.bind[node] @ way
 
     def _segment(self, name: str, change: Array) -> BoneSegment:
-        """change: [3, 3] the turn from her bind pose to our rest pose, of this bone."""
+        """change: [3, 3] rotation of this bone from the character's bind pose to our rest pose."""
         return BoneSegment(self.joints[name], name, change @ self.bind[self.joints[name]])
 
     # ------------------------------------------------------------------------------------------------ the trunk
 
     def trunk(self) -> list[BoneSegment]:
-        """Hips, spine, neck and head. Spine and neck follow ours by where they are between hips, chest and head."""
+        """Hips, spine, neck and head. Spine and neck follow ours by their position between hips, chest and head."""
         joints, bind = self.joints, self.bind
         out = [BoneSegment(joints["Hips"], "Hips", bind[joints["Hips"]])]
         chest_change = self._chest_change()
@@ -250,14 +245,14 @@ class _Rig:
         steps = np.cumsum([0.0, *(np.linalg.norm(_OURS[name]) for name in ours[1:])])
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
             if node != self.mapping.spine[-1] and self._carries_legs(node):
-                share = 0.0  # what carries the legs is of the hips
+                share = 0.0  # a node that carries the legs moves with the hips
             change = _matrix(rotation.from_exponential_map(share * chest_change))
             out.append(BoneSegment(node, *_place_among(ours, steps / steps[-1], share, change @ bind[node])))
         look = self._head_change()
         chain = [*self.mapping.neck, joints["Head"]]
         shares = self._shares(chain)
         for node, low, high in zip(self.mapping.neck, shares, shares[1:], strict=False):
-            # A neck of one joint bends where ours, of two, bends on average: by the middle of its bone.
+            # A neck of one joint bends like the average of our two, taken at the middle of its bone.
             out.append(BoneSegment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (low + high) / 2.0,
                                                    look @ bind[node])))
         return [*out, BoneSegment(joints["Head"], "Head", look @ bind[joints["Head"]])]
@@ -267,7 +262,7 @@ class _Rig:
                    if side + "UpLeg" in self.joints)
 
     def _shares(self, chain: Sequence[int]) -> list[float]:
-        """[0 .. 1] where the nodes of a chain lie along it."""
+        """Position of each node along a chain, 0 to 1."""
         ways = [self.way(above, below) for above, below in zip(chain, chain[1:], strict=False)]
         lengths = [0.0 if way is None else float(np.linalg.norm(way)) for way in ways]
         steps = np.cumsum([0.0, *lengths])
@@ -275,16 +270,14 @@ class _Rig:
                 for place, step in enumerate(steps)]
 
     def _bind_place(self, node: int) -> Array:
-        """[3] from the hips in the bind pose."""
-        hips = self.joints["Hips"]
-        line = [node]
-        while line[-1] != hips:
-            line.append(self.character.parents[line[-1]])
+        """[3] metres from the hips in the bind pose."""
+        line = [node, *ancestors(self.character.parents, node)]
+        line = line[:line.index(self.joints["Hips"]) + 1]
         return np.sum([self.bind[above] @ self._offsets[below]
                        for below, above in zip(line, line[1:], strict=False)], axis=0) if len(line) > 1 else np.zeros(3)
 
     def _chest_change(self) -> Array:
-        """[3] log of the turn from the bind pose of her chest to ours at rest; zero where she stands upright."""
+        """[3] rotation vector from the bind pose of the chest to ours at rest; zero if the character is upright."""
         top = self.mapping.neck[0] if self.mapping.neck else self.joints["Head"]
         spine = self._bind_place(top)
         across = self._bind_place(self.joints["LeftArm"]) - self._bind_place(self.joints["RightArm"])
@@ -307,9 +300,9 @@ class _Rig:
         out: list[BoneSegment] = []
         for side, sign in (("Left", 1.0), ("Right", -1.0)):
             if side + "Shoulder" in self.joints:
-                own, ours = self.bone(side + "Shoulder", side + "Arm"), _OURS[side + "Arm"]
-                out.append(self._segment(side + "Shoulder", _turn(own, ours) if _angle(own, ours) > _SHRUGS
-                                         else np.eye(3)))
+                bone, ours = self.bone(side + "Shoulder", side + "Arm"), _OURS[side + "Arm"]
+                out.append(self._segment(side + "Shoulder",
+                                         _turn(bone, ours) if _angle(bone, ours) > _SHRUGS else np.eye(3)))
             upper, lower = self.bone(side + "Arm", side + "ForeArm"), self.bone(side + "ForeArm", side + "Hand")
             ours_upper, ours_lower = _OURS[side + "ForeArm"], _OURS[side + "Hand"]
             hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
@@ -321,24 +314,24 @@ class _Rig:
                 hand = frame(ours_along, ours_back) @ frame(along, back).T
             else:
                 fore = _change(lower, hinge, ours_lower, down)
-                # A hand without fingers is rolled as its forearm is.
+                # A hand without fingers has the roll of its forearm.
                 hand = _turn(fore @ along, ours_along) @ fore
             out += [self._segment(side + "ForeArm", fore), self._segment(side + "Hand", hand)]
             out += self._fingers(side, along, back, ours_back, hand)
         return out
 
     def _palm(self, side: str, sign: float, forearm: Array) -> tuple[Array, Array | None, Array, Array]:
-        """Along her hand and out of its back in the bind pose (None without fingers), and the same of ours."""
-        found = [finger for finger in FINGERS[1:] if f"{side}Hand{finger}1" in self.joints]
-        pair = next((pair for pair in _KNUCKLES if set(pair) <= set(found)), None)
+        """Direction along the hand and out of its back in the bind pose (None without fingers), and those of ours."""
+        fingers = [finger for finger in FINGERS[1:] if f"{side}Hand{finger}1" in self.joints]
+        pair = next((pair for pair in _KNUCKLES if set(pair) <= set(fingers)), None)
         hand, ours_back = self.joints[side + "Hand"], np.array([0.0, 1.0, 0.0])
-        if not found:
+        if not fingers:
             tips = [self.way(hand, node) for node, parent in enumerate(self.character.parents) if parent == hand]
             tips += [tip * self._tip_unit(hand) for node, tip in self.character.tips.items() if node == hand]
             long = [self.bind[hand] @ tip for tip in tips if tip is not None and np.linalg.norm(tip) > 1e-3]
             along = long[0] if len(long) == 1 and _angle(long[0], forearm) < np.radians(60.0) else forearm
             return along, None, np.array([sign, 0.0, 0.0]), ours_back
-        middle = "Middle" if "Middle" in found else found[0]
+        middle = "Middle" if "Middle" in fingers else fingers[0]
         along = self.bone(side + "Hand", f"{side}Hand{middle}1")
         ours_along = _OURS[f"{side}Hand{middle}1"]
         if pair is None:
@@ -349,12 +342,12 @@ class _Rig:
                 sign * np.cross(_OURS[first] - _OURS[last], ours_along))
 
     def _tip_unit(self, node: int) -> float:
-        """Metres per unit of the numbers in a node's own axes (BVH, where nothing is scaled)."""
-        own = float(np.linalg.norm(self.character.translations[node]))
-        return float(np.linalg.norm(self._offsets[node])) / own if own > 1e-9 else 1.0
+        """Metres per unit of a node's local coordinates (BVH, where nothing is scaled)."""
+        length = float(np.linalg.norm(self.character.translations[node]))
+        return float(np.linalg.norm(self._offsets[node])) / length if length > 1e-9 else 1.0
 
     def _fingers(self, side: str, along: Array, back: Array | None, ours_back: Array, hand: Array) -> list[BoneSegment]:
-        """The joints of the fingers; each bone points as ours does, its back where the hand's back is."""
+        """The finger joints; each bone points like ours, its back towards the back of the hand."""
         out = []
         for finger in FINGERS:
             before: Array | None = None
@@ -375,7 +368,8 @@ class _Rig:
         return out
 
     def _phalanx(self, name: str, before: Array | None) -> Array | None:
-        """[3] along a finger's bone in the bind pose: to the next joint, to its tip, else as the bone before it."""
+        """[3] direction of a finger bone in the bind pose: to the next joint or its tip, else that of the bone
+        before."""
         node, following = self.joints[name], name[:-1] + str(int(name[-1]) + 1)
         ways = [self.way(node, self.joints[following])] if following in self.joints else [
             self.way(node, child) for child, parent in enumerate(self.character.parents) if parent == node]
@@ -387,7 +381,7 @@ class _Rig:
     # ------------------------------------------------------------------------------------------------ legs
 
     def legs(self) -> list[BoneSegment]:
-        """Thighs, shins, feet and toes; a foot stands flat in the bind pose, whatever the height of its heel."""
+        """Thighs, shins, feet and toes; a foot is flat in the bind pose, whatever the height of its heel."""
         out: list[BoneSegment] = []
         for side in SIDES:
             if any(side + part not in self.joints for part in ("UpLeg", "Leg", "Foot")):
@@ -411,8 +405,8 @@ class _Rig:
 
 
 def _change(bone: Array, across: Array | None, ours: Array, ours_across: Array) -> Array:
-    """[3, 3] the turn from a bone of hers in the bind pose to ours at rest: bone onto bone, and what is across onto
-    what is across ours. Without it (or with one along the bone) the shortest turn."""
+    """[3, 3] rotation from a bone in the bind pose to ours at rest that maps bone to bone and `across` to ours; the
+    shortest rotation if `across` is None or parallel to the bone."""
     if across is None or np.linalg.norm(across) < 1e-9 or abs(np.cos(_angle(bone, across))) > 0.95 \
             or abs(np.cos(_angle(ours, ours_across))) > 0.95:
         return _turn(bone, ours)
@@ -421,7 +415,7 @@ def _change(bone: Array, across: Array | None, ours: Array, ours_across: Array) 
 
 def _place_among(ours: Sequence[str], steps: Array, share: float, constant: Array
                  ) -> tuple[str, Array, str, float]:
-    """The fields of a `BoneSegment` that lies at `share` among joints of ours at `steps`: (joint, C, other, share)."""
+    """The fields (joint, C, other, share) of a `BoneSegment` at position `share` among our joints at `steps`."""
     place = int(np.clip(np.searchsorted(steps, share, side="right") - 1, 0, len(ours) - 1))
     if place == len(ours) - 1:
         return ours[place], constant, "", 0.0

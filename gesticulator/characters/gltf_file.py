@@ -1,8 +1,7 @@
-"""The one reader of glTF 2.0: GLB, VRM, and .gltf with its buffers and pictures beside it or inside.
+"""The reader of glTF 2.0: GLB, VRM, and .gltf with buffers and images embedded or in separate files.
 
-Everything that the rig's reader and the writer rely on is checked when a file is opened, before memory is taken for it:
-lists are lists of objects, every index names something, every accessor lies in its view, every view in its buffer. What
-is not known here is kept as it was read.
+Everything that later code relies on is checked when a file is opened, before memory is allocated: lists are lists of
+objects, every index is valid, every accessor lies in its view, every view in its buffer. Unknown content is preserved.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import os
 import re
 import struct
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from urllib.parse import unquote
 
 import numpy as np
@@ -25,34 +24,33 @@ from data_module.files import read_bytes
 from data_module.json_files import parse_json
 
 LARGEST = 1 << 31
-"""Bytes (2 GiB) of a file, and of all files beside it together: characters of films have some hundreds of MB of
-textures."""
+"""Largest size of a file, and of all its separate files together, bytes (2 GiB): film characters have some hundreds of
+MB of textures."""
 AGAIN = "export it again as GLB"
-"""What to do with a broken file."""
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
 _VERSION = 2
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _UNSIGNED = (5121, 5123, 5125)
 _SHAPES = {"SCALAR": (1, 1), "VEC2": (2, 1), "VEC3": (3, 1), "VEC4": (4, 1), "MAT2": (2, 2), "MAT3": (3, 3),
            "MAT4": (4, 4)}
-"""Type of an accessor -> rows and columns of a value; each column of a matrix begins at a multiple of 4 bytes."""
+"""Type of an accessor -> rows and columns of a value; each column of a matrix starts at a multiple of 4 bytes."""
 _LISTS = {"nodes": 1 << 14, "skins": 1 << 12, "meshes": 1 << 16, "accessors": 1 << 18, "bufferViews": 1 << 18,
           "buffers": 1 << 12, "images": 1 << 14, "animations": 1 << 14, "scenes": 1 << 12}
-"""The top-level lists that are read or added to, and how many entries each may have: characters of films have some
-thousand nodes, and a hundred skins and pictures."""
+"""The top-level lists that are read or extended, and their largest numbers of entries: film characters have some
+thousand nodes and a hundred skins and images."""
 _MOST_JOINTS = 1 << 18
-"""Joints of all skins together."""
+"""Most joints of all skins together."""
 _MOST_ZEROS = 1 << 25
-"""Numbers (256 MiB of them) of an accessor that has no view, whose count costs the file nothing."""
+"""Most numbers (256 MiB) of an accessor without a view, whose count takes no space in the file."""
 FARTHEST = 1e9
-"""Metres from a node to its parent, and the size of a scale, that are taken for a mistake from here on."""
+"""Largest accepted distance from a node to its parent in metres, and largest scale."""
 _KNOWN = re.compile("(KHR_materials_|KHR_texture_|EXT_texture_|MSFT_texture_|KHR_lights_|EXT_lights_|KHR_xmp|VRM).*"
                     "|KHR_mesh_quantization|KHR_node_visibility|KHR_animation_pointer")
-"""Required extensions that change neither nodes nor skins nor where the numbers of an accessor lie."""
+"""Supported required extensions: they affect neither nodes, skins, nor the storage of accessors."""
 
 
 def read_gltf(path: str | os.PathLike[str]) -> GltfFile:
-    """A .glb, .vrm or .gltf file. `InputError` where it is none, or breaks what is relied on."""
+    """Read a .glb, .vrm or .gltf file. `InputError` for another format or an invalid file."""
     place = Path(path)
     data = read_bytes(path, "leave out its textures", LARGEST)
     binary = None
@@ -65,9 +63,9 @@ def read_gltf(path: str | os.PathLike[str]) -> GltfFile:
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
-    """The JSON and the binary part of a GLB."""
+    """The JSON and the binary chunk of a GLB."""
     if len(data) < 12 or struct.unpack_from("<I", data, 4)[0] != _VERSION:
-        raise InputError(path, "is no GLB of version 2", AGAIN)
+        raise InputError(path, "is not a GLB of version 2", AGAIN)
     chunks: dict[int, memoryview] = {}
     at = 12
     while at + 8 <= len(data):
@@ -80,10 +78,10 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
 
 
 class GltfFile:
-    """A glTF document that was checked, and its numbers. path: the file; document: its JSON, as it was read."""
+    """A checked glTF document and its binary data. path: the file; document: its JSON, as read."""
 
     def __init__(self, path: Path, document: dict[str, Any], binary: memoryview | None) -> None:
-        """`InputError` where the document breaks what is relied on. binary: the binary chunk of a GLB."""
+        """`InputError` for an invalid document. binary: the binary chunk of a GLB."""
         self.path, self.document, self._binary = path, document, binary
         self._beside: dict[Path, bytes] = {}
         self._embedded: dict[int, bytes] = {}
@@ -94,9 +92,8 @@ class GltfFile:
         self._check_nodes()
 
     def rows(self, name: str) -> list[dict[str, Any]]:
-        """The entries of a top-level list; empty where the file has none."""
-        rows: list[dict[str, Any]] = self.document.get(name, [])
-        return rows
+        """The entries of a top-level list; empty if the file has none."""
+        return cast("list[dict[str, Any]]", self.document.get(name, []))
 
     # ---------------------------------------------------------------------------------------------- checks
 
@@ -107,29 +104,29 @@ class GltfFile:
     def _check_list(self, name: str) -> None:
         rows = self.document.get(name, [])
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-            raise self.error(f"{name} is no list of objects")
+            raise self.error(f"{name} is not a list of objects")
         if len(rows) > _LISTS[name]:
             raise self.error(f"has {len(rows):,} {name}, and {_LISTS[name]:,} are read at most", "leave some out")
 
     def _check_extensions(self) -> None:
         required = self.document.get("extensionsRequired", [])
         if not isinstance(required, list):
-            raise self.error("extensionsRequired is no list")
+            raise self.error("extensionsRequired is not a list")
         unknown = [shown(name) for name in required if not (isinstance(name, str) and _KNOWN.fullmatch(name))]
         if unknown:
             raise self.error(f"needs {', '.join(unknown[:3])}", "export it without")
         if not isinstance(self.document.get("extensions", {}), dict):
-            raise self.error("extensions is no object")
+            raise self.error("extensions is not an object")
 
     def _index(self, row: dict[str, Any], key: str, count: int, where: str) -> int:
-        """The index under `key`, of something that there is."""
+        """The index under `key`, which must be below `count`."""
         value = row.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
             raise self.error(f"{where}.{key} is {shown(value)}, and there are {count}")
         return value
 
     def _size(self, row: dict[str, Any], key: str, where: str, default: int | None = 0) -> int:
-        """The number of bytes or of things under `key`; `default` None: it must be there."""
+        """The size under `key`; without `default` it is required."""
         value = row.get(key, default)
         if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= 1 << 40:
             raise self.error(f"{where}.{key} is {shown(value)}")
@@ -158,7 +155,7 @@ class GltfFile:
     def _check_accessor(self, accessor: dict[str, Any], where: str) -> None:
         kind: Any = accessor.get("componentType")
         shape: Any = accessor.get("type")
-        if kind not in tuple(_TYPES) or shape not in tuple(_SHAPES):  # tuples: a list can be looked up in them, too
+        if kind not in tuple(_TYPES) or shape not in tuple(_SHAPES):  # tuples, because the values may be unhashable
             raise self.error(f"{where} holds numbers of kind {shown(kind)} and {shown(shape)}")
         count = self._size(accessor, "count", where, None)
         if "bufferView" in accessor:
@@ -176,7 +173,7 @@ class GltfFile:
         self._check_part(sparse["values"], f"{where}.sparse.values", few, _value_bytes(kind, shape))
 
     def _check_part(self, part: dict[str, Any], where: str, count: int, size: int) -> None:
-        """`InputError` where `count` values of `size` bytes do not lie in the view that a part names."""
+        """`InputError` if `count` values of `size` bytes do not fit into the view of a part."""
         views = self.rows("bufferViews")
         view = views[self._index(part, "bufferView", len(views), where)]
         step = view.get("byteStride", 0) or size
@@ -202,26 +199,26 @@ class GltfFile:
             if joints > _MOST_JOINTS:
                 raise self.error(f"has more than {_MOST_JOINTS:,} joints in its skins", "leave some out")
             if "inverseBindMatrices" in skin:
-                own = self.rows("accessors")[self._index(skin, "inverseBindMatrices", len(self.rows("accessors")),
-                                                         where)]
-                if (own["type"], own["componentType"]) != ("MAT4", 5126):
-                    raise self.error(f"{where}.inverseBindMatrices are no matrices")
+                accessors = self.rows("accessors")
+                accessor = accessors[self._index(skin, "inverseBindMatrices", len(accessors), where)]
+                if (accessor["type"], accessor["componentType"]) != ("MAT4", 5126):
+                    raise self.error(f"{where}.inverseBindMatrices are not matrices")
         for number, mesh in enumerate(self.rows("meshes")):
             self._check_mesh(mesh, f"meshes[{number}]")
 
     def _check_mesh(self, mesh: dict[str, Any], where: str) -> None:
         primitives = mesh.get("primitives")
         if not isinstance(primitives, list) or not all(isinstance(one, dict) for one in primitives):
-            raise self.error(f"{where}.primitives is no list of objects")
+            raise self.error(f"{where}.primitives is not a list of objects")
         for number, primitive in enumerate(primitives):
             attributes = primitive.get("attributes", {})
             if not isinstance(attributes, dict):
-                raise self.error(f"{where}.primitives[{number}].attributes is no object")
+                raise self.error(f"{where}.primitives[{number}].attributes is not an object")
             self._check_indices(list(attributes.values()), len(self.rows("accessors")),
                                 f"{where}.primitives[{number}].attributes")
 
     def _check_indices(self, values: Any, count: int, where: str) -> int:
-        """How many indices a list has; each must name one of `count`."""
+        """The length of a list of indices, which must all be below `count`."""
         if not isinstance(values, list) or not all(
                 isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count for value in values):
             raise self.error(f"{where} names what is not there ({shown(values)})")
@@ -236,36 +233,35 @@ class GltfFile:
     # ---------------------------------------------------------------------------------------------- numbers
 
     def count(self, accessor: int) -> int:
-        """How many values an accessor has."""
-        count: int = self.rows("accessors")[accessor]["count"]
-        return count
+        """The number of values of an accessor."""
+        return cast("int", self.rows("accessors")[accessor]["count"])
 
     def array(self, accessor: int, first: int = 0, step: int = 1, most: int | None = None) -> NDArray[np.float64]:
-        """[n, width] every `step`-th value of an accessor from `first` on, `most` of them at most, sparse ones in their
-        places; integers that are normalised become shares of 1."""
-        own = self.rows("accessors")[accessor]
-        kind, width = np.dtype(_TYPES[own["componentType"]]), math.prod(_SHAPES[own["type"]])
-        chosen = range(first, own["count"], step)[:most]
-        if "bufferView" in own:
+        """[n, width] every `step`-th value of an accessor from `first` on, at most `most`, with sparse values applied;
+        normalised integers become fractions of 1."""
+        source = self.rows("accessors")[accessor]
+        kind, width = np.dtype(_TYPES[source["componentType"]]), math.prod(_SHAPES[source["type"]])
+        chosen = range(first, source["count"], step)[:most]
+        if "bufferView" in source:
             with np.errstate(invalid="ignore"):  # a signalling NaN; what takes the values checks that they are finite
-                values = self._numbers(own, own["count"], kind, width)[first::step][:most].astype(np.float64)
+                values = self._numbers(source, source["count"], kind, width)[first::step][:most].astype(np.float64)
         else:
             if len(chosen) * width > _MOST_ZEROS:
-                raise self.error(f"accessors[{accessor}] has {own['count']:,} values and no view")
+                raise self.error(f"accessors[{accessor}] has {source['count']:,} values and no view")
             values = np.zeros((len(chosen), width))
-        if "sparse" in own:
-            few, places = own["sparse"]["count"], own["sparse"]["indices"]
+        if "sparse" in source:
+            few, places = source["sparse"]["count"], source["sparse"]["indices"]
             at = self._numbers(places, few, np.dtype(_TYPES[places["componentType"]]), 1)[:, 0].astype(np.int64)
-            if few and (at.max() >= own["count"] or (np.diff(at) <= 0).any()):
-                raise self.error(f"accessors[{accessor}].sparse.indices do not rise below {own['count']}")
+            if few and (at.max() >= source["count"] or (np.diff(at) <= 0).any()):
+                raise self.error(f"accessors[{accessor}].sparse.indices do not rise below {source['count']}")
             here = np.isin(at, np.array(chosen, dtype=np.int64)) if step > 1 or most is not None else at >= first
-            values[(at[here] - first) // step] = self._numbers(own["sparse"]["values"], few, kind, width)[here]
-        if own.get("normalized") is True and kind.kind in "iu":
+            values[(at[here] - first) // step] = self._numbers(source["sparse"]["values"], few, kind, width)[here]
+        if source.get("normalized") is True and kind.kind in "iu":
             values = np.maximum(values / np.iinfo(kind).max, -1.0)
         return values
 
     def _numbers(self, part: dict[str, Any], count: int, kind: np.dtype[Any], width: int) -> NDArray[Any]:
-        """[count, width] what lies in the view of an accessor, or of a part of a sparse one; no copy."""
+        """[count, width] the data in the view of an accessor or of a sparse part, without copying."""
         view = self.rows("bufferViews")[part["bufferView"]]
         start = view.get("byteOffset", 0) + part.get("byteOffset", 0)
         step = view.get("byteStride", 0) or kind.itemsize * width
@@ -295,7 +291,7 @@ class GltfFile:
     # ---------------------------------------------------------------------------------------------- files
 
     def beside(self, uri: str) -> Path:
-        """The file that a URI names: one in the folder of the document, or below, and nothing else on the disk."""
+        """The file of a URI; only files in the folder of the document or below are allowed."""
         folder = self.path.parent.resolve()
         try:
             place = (folder / unquote(uri)).resolve()
@@ -303,19 +299,19 @@ class GltfFile:
                 raise self.error(f"names a file elsewhere ({shown(uri)})", f"keep it beside, or {AGAIN}")
             if place.is_file():
                 return place
-        except (OSError, ValueError):  # a name that is too long, or has a NUL
+        except (OSError, ValueError):  # a name that is too long or contains NUL
             pass
         raise self.error(f"lacks {shown(uri)}", f"keep it beside, or {AGAIN}")
 
     def bytes_of(self, place: Path) -> bytes:
-        """A file beside the document, read once however often it is named."""
+        """A separate file of the document, read only once."""
         if place not in self._beside:
             left = LARGEST - sum(map(len, self._beside.values()))
             self._beside[place] = read_bytes(place, "leave out its textures", left)
         return self._beside[place]
 
     def one_buffer(self) -> bytes:
-        """All buffers in one, each file once; views then tell where they lie in it, and `buffers` has this one."""
+        """Joins all buffers into one, each file once, and updates the views and `buffers` accordingly."""
         buffers = self.rows("buffers")
         if not buffers:
             self.document.pop("buffers", None)

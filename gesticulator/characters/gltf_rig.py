@@ -1,7 +1,7 @@
-"""Characters in glTF 2.0: GLB, VRM 0.x and 1.0, and .gltf with its buffers beside it or inside.
+"""Characters in glTF 2.0: GLB, VRM 0.x and 1.0, and .gltf with embedded or separate buffers.
 
-Only what a rig needs is read: nodes, skins, inverse bind matrices, the VRM table, and where the skin lies. The numbers
-of glTF are in metres, Y up; a VRM 0.x character faces -Z, others +Z.
+Only the parts needed for a rig are read: nodes, skins, inverse bind matrices, the VRM table, and skinned vertices. glTF
+uses metres and Y up; a VRM 0.x character faces -Z, others +Z.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from gesticulator.characters.gltf_file import AGAIN, FARTHEST, GltfFile, read_gl
 from gesticulator.characters.rig import Character
 
 MOST_POINTS = 20_000
-"""Points of the skin that are kept, evenly thinned: a trunk's width needs no more."""
+"""Most vertices kept, evenly subsampled: enough to measure the width of a trunk."""
 _MOST_PARTS = 1 << 16
-"""Parts of meshes that are drawn: one mesh may be named by every node."""
+"""Most mesh primitives in use: one mesh may be referenced by every node."""
 _LONGEST_NAME = 1000
 _SKINNED = ("POSITION", "JOINTS_0", "WEIGHTS_0")
-"""Attributes of a mesh that a skin moves."""
+"""Attributes of a skinned mesh."""
 
 
 def read_gltf_character(path: str | os.PathLike[str]) -> Character:
-    """The rig of a .glb, .vrm or .gltf file. `InputError` where it is none, or has no skin."""
+    """The rig of a .glb, .vrm or .gltf file. `InputError` for an invalid file or one without a skin."""
     file = read_gltf(path)
     try:
         return _character(file)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        # The tables of VRM, and matrices that cannot be inverted.
+        # Invalid VRM tables and singular matrices.
         raise InputError(path, f"is a broken glTF file ({type(error).__name__}: {shown(str(error), 100)})",
                          AGAIN) from None
 
 
 def _character(file: GltfFile) -> Character:
     nodes = file.rows("nodes")
-    parent_of = {child: node for node, told in enumerate(nodes) for child in told.get("children", [])}
+    parent_of = {child: node for node, entry in enumerate(nodes) for child in entry.get("children", [])}
     order = _parents_first(file, len(nodes), parent_of)
     place = {node: index for index, node in enumerate(order)}
     translations, rotations, scales = (np.array(column) for column in zip(
@@ -73,7 +73,7 @@ def _character(file: GltfFile) -> Character:
 
 
 def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> list[int]:
-    """The nodes, each after its parent, else in the order of the file."""
+    """The nodes in the order of the file, but each after its parent."""
     children: dict[int, list[int]] = {}
     for child, parent in sorted(parent_of.items()):
         children.setdefault(parent, []).append(child)
@@ -88,60 +88,59 @@ def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> 
     return order
 
 
-def _transform(told: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+def _transform(node: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     """Translation, rotation (w first) and scale of a node."""
-    if "matrix" in told:
-        matrix = np.array(told["matrix"], dtype=np.float64).reshape(4, 4).T
+    if "matrix" in node:
+        matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
         turn = Rotation.from_matrix(turns_of(matrix)).as_quat(scalar_first=True)
         return matrix[:3, 3], turn, np.linalg.norm(matrix[:3, :3], axis=0)
-    x, y, z, w = map(float, told.get("rotation", (0.0, 0.0, 0.0, 1.0)))
+    x, y, z, w = map(float, node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
     turn = np.array([w, x, y, z])
     length = float(np.linalg.norm(turn))
     turn = turn / length if length > 1e-9 else np.array([1.0, 0.0, 0.0, 0.0])
-    place = np.array(told.get("translation", (0.0, 0.0, 0.0)), dtype=np.float64).reshape(3)
-    return place, turn, np.array(told.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64).reshape(3)
+    place = np.array(node.get("translation", (0.0, 0.0, 0.0)), dtype=np.float64).reshape(3)
+    return place, turn, np.array(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64).reshape(3)
 
 
 def _vrm(file: GltfFile, place: Mapping[int, int]) -> tuple[str, dict[str, int]]:
-    """Version and humanoid table (bone -> node) of the VRM extension; "" and none where there is none."""
+    """Version and humanoid table (bone -> node) of the VRM extension; "" and empty without it."""
     extensions = file.document.get("extensions", {})
     if "VRMC_vrm" in extensions:
         bones = extensions["VRMC_vrm"]["humanoid"]["humanBones"]
-        return "1.0", {bone: place[told["node"]] for bone, told in bones.items() if told.get("node") in place}
+        return "1.0", {bone: place[entry["node"]] for bone, entry in bones.items() if entry.get("node") in place}
     if "VRM" in extensions:
         bones = extensions["VRM"]["humanoid"]["humanBones"]
-        return "0.x", {told["bone"]: place[told["node"]] for told in bones if told.get("node") in place}
+        return "0.x", {entry["bone"]: place[entry["node"]] for entry in bones if entry.get("node") in place}
     return "", {}
 
 
 def _inverse_bind(file: GltfFile, place: Mapping[int, int]) -> dict[int, Array]:
-    """Node -> [4, 4] inverse bind matrix, of the skin with the most joints; others are brought to it by the joints
-    that both have, and left out where they have none."""
+    """Node -> [4, 4] inverse bind matrix, in the space of the skin with the most joints; other skins are aligned to it
+    by a shared joint, or omitted without one."""
     skins = sorted((skin for skin in file.rows("skins") if "inverseBindMatrices" in skin),
                    key=lambda skin: -len(skin["joints"]))
     out: dict[int, Array] = {}
     for skin in skins:
         numbers = file.array(skin["inverseBindMatrices"], most=len(skin["joints"]))
         if not (np.abs(numbers) <= FARTHEST).all():
-            raise InputError(file.path, "has inverse bind matrices that are no numbers", AGAIN)
+            raise InputError(file.path, "has inverse bind matrices that are not finite numbers", AGAIN)
         matrices = numbers.reshape(-1, 4, 4).transpose(0, 2, 1)
-        own = {place[node]: matrix for node, matrix, size in zip(skin["joints"], matrices, np.linalg.det(matrices),
+        inverse = {place[node]: matrix for node, matrix, size in zip(skin["joints"], matrices, np.linalg.det(matrices),
                                                                  strict=False) if abs(size) > 1e-15}
-        shared = next((node for node in own if node in out), None)
+        shared = next((node for node in inverse if node in out), None)
         if out and shared is None:
             continue
-        # Both tell where the joint is; what differs is the space of the two meshes.
-        change = np.eye(4) if shared is None else np.linalg.inv(own[shared]) @ out[shared]
-        out |= {node: matrix @ change for node, matrix in own.items() if node not in out}
+        # Both give the place of the same joint, each in the space of its own mesh.
+        change = np.eye(4) if shared is None else np.linalg.inv(inverse[shared]) @ out[shared]
+        out |= {node: matrix @ change for node, matrix in inverse.items() if node not in out}
     return out
 
 
 def _bind(character: Character, inverse: Mapping[int, Array]) -> tuple[Array, Array]:
-    """[N, 4, 4] the world matrices of the bind pose, and [4, 4] from the mesh's space to the world.
+    """[N, 4, 4] world matrices of the bind pose, and [4, 4] from mesh space to the world.
 
-    The inverse bind matrices tell each joint's place in the space of the mesh; that space is laid into the world where
-    most joints then stand as they do at rest (all of them, when the file is at rest in its bind pose).
-    """
+    Inverse bind matrices give each joint's place in mesh space. Mesh space is aligned to the world such that most
+    joints are where they are at rest (all of them, if the file rests in its bind pose). """
     rest = character.world_matrices()
     joints = list(inverse)
     there = np.array([np.linalg.inv(inverse[node]) for node in joints])
@@ -150,7 +149,7 @@ def _bind(character: Character, inverse: Mapping[int, Array]) -> tuple[Array, Ar
     step = max(1, len(joints) // 40)
     gaps = [float(np.median(np.linalg.norm((candidate @ there)[:, :3, 3] - rest[joints, :3, 3], axis=-1)))
             for candidate in candidates[::step]]
-    # The first of equals, which is nearest to the root of the skin.
+    # The first of equal candidates, which is nearest to the root of the skin.
     best = next(place for place, gap in enumerate(gaps) if gap <= min(gaps) + 1e-4 * size)
     to_world = candidates[::step][best]
     bind = rest.copy()
@@ -164,7 +163,8 @@ def _bind(character: Character, inverse: Mapping[int, Array]) -> tuple[Array, Ar
 
 
 def _flesh(file: GltfFile, place: Mapping[int, int], to_world: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Points of the skinned meshes in the world of the bind pose, and the node that moves each most."""
+    """[V, 3] vertices of the skinned meshes in the bind pose's world, and [V] the node with the largest weight of
+    each."""
     parts = list(_skinned_parts(file))
     counts = [file.count(attributes["POSITION"]) for _, attributes in parts]
     step = -(-sum(counts) // MOST_POINTS) or 1
@@ -181,10 +181,10 @@ def _flesh(file: GltfFile, place: Mapping[int, int], to_world: Array) -> tuple[A
         joints = joints_of[skin]
         where, which, weights = (file.array(attributes[name], first, step) for name in _SKINNED)
         if where.shape[1] != 3 or which.shape != weights.shape or len(where) != len(which) or not which.shape[1]:
-            raise InputError(file.path, "has a mesh whose places, joints and weights do not fit each other", AGAIN)
+            raise InputError(file.path, "has a mesh whose positions, joints and weights do not match", AGAIN)
         most = np.take_along_axis(which, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
         points.append(where)
-        # A joint that is not there counts as the last; NaN as the first.
+        # An index out of range becomes the last joint, NaN the first.
         movers.append(joints[np.clip(np.nan_to_num(most), 0, len(joints) - 1).astype(np.int64)])
     all_points, all_movers = np.concatenate(points), np.concatenate(movers)
     good = (np.abs(all_points) <= FARTHEST).all(axis=1)  # also not NaN
@@ -192,7 +192,7 @@ def _flesh(file: GltfFile, place: Mapping[int, int], to_world: Array) -> tuple[A
 
 
 def _skinned_parts(file: GltfFile) -> Iterator[tuple[int, dict[str, int]]]:
-    """The skin, and the accessors by attribute, of every part of a mesh that a skin moves."""
+    """The skin and the accessors by attribute of every skinned mesh primitive."""
     count = 0
     for node in file.rows("nodes"):
         if "mesh" not in node or "skin" not in node or not file.rows("skins")[node["skin"]]["joints"]:

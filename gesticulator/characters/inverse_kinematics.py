@@ -1,4 +1,4 @@
-"""Inverse kinematics of a limb of two bones, for all frames at once."""
+"""Two-bone inverse kinematics for all frames at once."""
 
 from __future__ import annotations
 
@@ -13,24 +13,23 @@ from data_module.motion import rotation
 from data_module.types import Array
 
 _STRETCHED = 0.9995
-"""Share of a limb's length beyond which it is not stretched: a knee that locks jumps."""
+"""Largest share of a limb's length used: a fully stretched knee jumps."""
 
 
 class Limbs(Protocol):
-    """A body whose nodes can be placed."""
+    """A body that computes the positions of its nodes."""
 
     def place(self, turns: Mapping[int, Array], node: int) -> Array:
-        """[T, 3] where a node is, from the hips, metres; turns: node -> [T, 3, 3] its axes to ours."""
+        """[T, 3] position of a node relative to the hips, metres; turns: node -> [T, 3, 3] its axes to ours."""
 
 
 def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal: Array, pole: Array,
          where: NDArray[np.bool_] | None = None) -> None:
-    """Two-bone inverse kinematics: turn the first two nodes of a chain so that the third is at `goal` [T, 3].
+    """Rotate the first two nodes of a chain so that the third reaches `goal` [T, 3].
 
-    The joint in the middle stays in the plane in which it bends; that of a straight limb goes towards `pole` [3].
-    Positions are from the hips; what hangs on the third node keeps its world rotation when it is in `turns`.
-    where: [T] the frames in which this is done, all when not told.
-    """
+    The middle joint stays in the plane in which it bends; that of a straight limb bends towards `pole` [3]. Positions
+    are relative to the hips; the third node keeps its world rotation if it is in `turns`. where: [T] the frames to
+    change; default all. """
     top, middle, _ = chain
     socket, hinge, tip = (body.place(turns, node) for node in chain)
     upper, lower = hinge - socket, tip - hinge
@@ -39,7 +38,7 @@ def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal
     far = np.linalg.norm(way, axis=-1)
     along = way / np.maximum(far, 1e-9)[:, None]
     far = np.clip(far, np.abs(first - second) / _STRETCHED + 1e-9, _STRETCHED * (first + second))
-    # The law of cosines: how far along the way to the goal the joint in the middle lies, and how far beside it.
+    # Law of cosines: the middle joint's distance along the direction to the goal, and beside it.
     share = (first ** 2 + far ** 2 - second ** 2) / (2.0 * far)
     beside = np.sqrt(np.maximum(first ** 2 - share ** 2, 0.0))
     out = upper - np.sum(upper * along, axis=-1, keepdims=True) * along
@@ -54,7 +53,7 @@ def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal
 
 
 def _swing(a: Array, b: Array) -> Array:
-    """[T, 3, 3] the shortest turns from the directions a [T, 3] to b."""
+    """[T, 3, 3] the shortest rotations from directions a [T, 3] to b."""
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)
     q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)

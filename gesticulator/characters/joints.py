@@ -1,9 +1,8 @@
-"""Finding the joints of a body in a character: by the VRM table, by names, by the tree and by where its nodes are.
+"""Identifies the joints of a character: by the VRM table, names, hierarchy and positions of its nodes.
 
-The search is one for all tools. It looks for the ends (hands, feet, head) first, and for each limb it chooses among
-the nodes on the way from the trunk to the end: a choice is scored by what the names say and by what bones must look
-like, so that "LeftLeg" is a shin beside "LeftUpLeg" and a thigh above "LeftShin", and a bone without a telling name
-still finds its place.
+One search serves all tools. It first finds the ends (hands, feet, head), then chooses for each limb among the nodes
+between trunk and end: a choice is scored by names and by plausible bone lengths, so that "LeftLeg" is a shin beside
+"LeftUpLeg" and a thigh above "LeftShin", and a bone without a known name is still found.
 """
 
 from __future__ import annotations
@@ -28,65 +27,65 @@ _VRM_FINGERS = {"Thumb": "Thumb", "Index": "Index", "Middle": "Middle", "Ring": 
 _VRM_PLACES = {"0.x": ("Proximal", "Intermediate", "Distal"), "1.0": ("Metacarpal", "Proximal", "Distal")}
 
 _LONGEST_PATH = 14
-"""Nodes of a limb among which joints are chosen; a limb with more has the ones nearest to its end considered."""
+"""Most nodes of a limb among which joints are chosen; of longer limbs the nodes nearest to the end."""
 _METACARPAL = 0.45
-"""A finger that begins nearer to the wrist than this share of the way to its second joint begins with a metacarpal:
-in hands the knuckles lie at 0.65, in rigs the bases of metacarpals at 0.3."""
+"""A finger starts with a metacarpal if its first joint is nearer to the wrist than this share of the distance to its
+second joint: knuckles are at 0.65 in hands, bases of metacarpals at 0.3 in rigs."""
 _BY_NAME, _BY_SECOND_NAME, _BY_SHAPE = 1.0, 0.95, 0.7
-"""How sure a joint is that has a name of its own, one that other tools give to its neighbour, or none."""
+"""Confidence of a joint with a matching name, a name that other tools give to its neighbour, or no known name."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """What the search looks at: the tree, the labels and the places of N nodes."""
+    """Input of the search: the hierarchy, labels and positions of N nodes."""
 
     character: Character
     labels: tuple[Label, ...]
     places: Array
-    """[N, 3] in the file's units and axes, in the bind pose."""
+    """[N, 3] positions in the bind pose, in the file's units and axes."""
     up: Array
-    """[3] which way is up."""
+    """[3] the up direction."""
 
     def path(self, top: int, node: int) -> list[int]:
-        """The nodes from below `top` (-1: the root's parent) down to `node`."""
+        """The nodes from below `top` (-1: from the root) down to `node`."""
         line = [node, *ancestors(self.character.parents, node)]
         return (line[:line.index(top)] if top >= 0 else line)[::-1]
 
     def meeting(self, a: int, b: int) -> int:
-        """The lowest node that both are under (or are); -1 for none."""
+        """The lowest common ancestor of two nodes (possibly one of them); -1 for none."""
         line = {a, *ancestors(self.character.parents, a)}
         return next((node for node in [b, *ancestors(self.character.parents, b)] if node in line), -1)
 
     def length(self, a: int, b: int) -> float:
-        """From one node to another, in the file's units."""
+        """Distance between two nodes in the file's units."""
         return float(np.linalg.norm(self.places[a] - self.places[b]))
 
 
 def find_joints(character: Character) -> RigMapping:
-    """The character's joints as well as they can be found, with how sure that is and what speaks against it.
+    """The best mapping of the character's joints, with its confidence and doubts.
 
-    Nothing is refused here: `gesticulator.characters.mapping.check` tells whether the mapping can be used.
+    It rejects nothing: `gesticulator.characters.mapping.check` decides whether the mapping is usable.
     """
     if character.humanoid:
         return _from_vrm(character)
     labels = tuple(label(name) for name in character.names)
     places = shape.bind_matrices(character)[:, :3, 3]
-    # glTF and Blender say which way is up; a BVH file may hold either.
+    # glTF and Blender define the up axis; BVH does not.
     ups = {"glb": [(0.0, 1.0, 0.0)], "fbx": [(0.0, 0.0, 1.0)]}.get(
         character.kind, [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
-    found = []
+    candidates = []
     for up in ups:
         search = Search(character, labels, places, np.array(up))
-        found.append(_found(search))
-        if found[-1].confidence >= 0.9:
+        candidates.append(_found(search))
+        if candidates[-1].confidence >= 0.9:
             break
-    return max(found, key=lambda mapping: mapping.confidence)
+    return max(candidates, key=lambda mapping: mapping.confidence)
 
 
 # ---------------------------------------------------------------------------------------------------- by the table
 
 def _from_vrm(character: Character) -> RigMapping:
-    """What the file's own table says; spine and neck are the nodes on the way that it names."""
+    """The mapping given by the file's VRM table."""
     table = character.humanoid
     joints = {name: table[bone] for name, bone in (("Hips", "hips"), ("Head", "head")) if bone in table}
     for side in SIDES:
@@ -115,7 +114,7 @@ def _found(search: Search) -> RigMapping:
     for kind, parts, least in (("Hand", ARM_PARTS, 3), ("Foot", LEG_PARTS, 3)):
         pair = [ends.get(side + kind) for side in SIDES]
         if pair[0] is None or pair[1] is None:
-            doubts.append("it has no arms that can be told" if kind == "Hand" else "it has no legs that can be told")
+            doubts.append(f"its {'arms' if kind == 'Hand' else 'legs'} cannot be identified")
             continue
         top = search.meeting(pair[0], pair[1])
         for side, end in zip(SIDES, pair, strict=True):
@@ -140,29 +139,29 @@ def _found(search: Search) -> RigMapping:
 
 
 def _ends(search: Search) -> dict[str, int]:
-    """Hands, feet (or toes) and head, by name; those that no name tells by the shape of the tree."""
+    """Hands, feet (or toes) and head: by name, else by the shape of the tree."""
     out: dict[str, int] = {}
     for side in SIDES:
         for kind, wanted in (("Hand", ("Hand",)), ("Foot", ("ToeBase", "Foot"))):
             best: tuple[int, int, int] | None = None
-            for node, said in enumerate(search.labels):
-                if said.side != side or said.tip or said.aid or not said.parts or said.parts[0] not in wanted:
+            for node, entry in enumerate(search.labels):
+                if entry.side != side or entry.tip or entry.aid or not entry.parts or entry.parts[0] not in wanted:
                     continue
                 line = ancestors(search.character.parents, node)
                 limb = sum(bool(search.labels[above].parts) and search.labels[above].side == side for above in line)
                 size = sum(1 for other in search.character.parents if other == node)
-                # The hand nearest the arm (a palm below it is no hand), the foot's farthest part.
+                # The hand nearest to the arm (a palm below it is not the hand), the farthest part of the foot.
                 rank = (limb if kind == "Foot" else min(limb, 3), size if kind == "Hand" else 0, -node)
                 if best is None or rank > best:
                     best, out[side + kind] = rank, node
-    heads = [node for node, said in enumerate(search.labels)
-             if said.parts[:1] == ("Head",) and not said.tip and not said.aid]
+    heads = [node for node, entry in enumerate(search.labels)
+             if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
     if heads:
         out["Head"] = min(heads, key=lambda node: (len(ancestors(search.character.parents, node)), node))
     if len(out) < 5:
         for name, node in shape.limb_ends(search.character, search.places, search.up).items():
             pair = name.replace("Left", "?").replace("Right", "?")
-            # A pair is taken whole: one hand by name and the other by shape could be the same one.
+            # Take both sides by the same method: one hand by name and the other by shape could be the same node.
             if not any(known.replace("Left", "?").replace("Right", "?") == pair for known in out if known != name) \
                     or pair == name:
                 out.setdefault(name, node)
@@ -174,7 +173,7 @@ def _ends(search: Search) -> dict[str, int]:
 
 
 def _below(search: Search, top: int, end: int) -> list[int]:
-    """The nodes of a limb from below the trunk on; its end is followed by what lies beyond a foot."""
+    """The nodes of a limb from below the trunk to its end, and on to the toes."""
     path = search.path(top, end)
     beyond = end
     while True:
@@ -189,46 +188,45 @@ def _below(search: Search, top: int, end: int) -> list[int]:
 
 def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str], least: int
           ) -> tuple[dict[str, int], dict[str, float]]:
-    """The best choice of nodes on a path for the four parts of a limb, and how sure each is.
+    """The best choice of nodes on a path for the four parts of a limb, with the confidence of each.
 
-    An arm may lack its clavicle (the first part), a leg its toes (the last). Nodes that help (twist bones) count only
-    where nothing else can be chosen.
-    """
+    An arm may lack its clavicle (the first part), a leg its toes (the last). Helper nodes (twist bones) are chosen only
+    if there is nothing else. """
     arm = parts is ARM_PARTS
     best = -np.inf
     chosen: tuple[int, ...] = ()
-    kept: tuple[str, ...] = ()
+    used: tuple[str, ...] = ()
     shorter = parts[1:] if arm else parts[:-1]
     for wanted in (tuple(parts), tuple(shorter)):
         for nodes in combinations(path, len(wanted)):
             score = sum(_name_score(search.labels[node], part, side) for node, part in zip(nodes, wanted, strict=True))
             score += _shape_score(search, nodes, wanted, path)
             if score > best:
-                best, chosen, kept = score, nodes, wanted
-    out = {side + part: node for part, node in zip(kept, chosen, strict=True)}
-    how = {side + part: _sureness(search.labels[node], part) for part, node in zip(kept, chosen, strict=True)}
+                best, chosen, used = score, nodes, wanted
+    out = {side + part: node for part, node in zip(used, chosen, strict=True)}
+    how = {side + part: _sureness(search.labels[node], part) for part, node in zip(used, chosen, strict=True)}
     return out, how
 
 
-def _name_score(said: Label, part: str, side: str) -> float:
-    """Points for a part of a limb that a name speaks for, and against."""
-    if said.aid or said.tip:
+def _name_score(name_label: Label, part: str, side: str) -> float:
+    """Score of a name for a part of a limb."""
+    if name_label.aid or name_label.tip:
         return -4.0
-    if not said.parts:
+    if not name_label.parts:
         return 0.0
-    if said.side != side or part not in said.parts:
+    if name_label.side != side or part not in name_label.parts:
         return -3.0
-    return 3.0 if said.parts[0] == part else 2.0
+    return 3.0 if name_label.parts[0] == part else 2.0
 
 
-def _sureness(said: Label, part: str) -> float:
-    if part not in said.parts:
+def _sureness(name_label: Label, part: str) -> float:
+    if part not in name_label.parts:
         return _BY_SHAPE
-    return _BY_NAME if said.parts[0] == part else _BY_SECOND_NAME
+    return _BY_NAME if name_label.parts[0] == part else _BY_SECOND_NAME
 
 
 def _shape_score(search: Search, nodes: Sequence[int], parts: Sequence[str], path: Sequence[int]) -> float:
-    """Points for a limb that looks like one: two long bones of like length, the rest short."""
+    """Score of a limb's shape: two long bones of similar length, the rest short."""
     at = dict(zip(parts, nodes, strict=True))
     upper, lower, end = (at[part] for part in (ARM_PARTS[1:] if "Hand" in at else LEG_PARTS[:3]))
     first, second = search.length(upper, lower), search.length(lower, end)
@@ -240,7 +238,7 @@ def _shape_score(search: Search, nodes: Sequence[int], parts: Sequence[str], pat
         branches = sum(parent == end for parent in search.character.parents)
         score += 0.5 * min(branches, 4) + (0.3 if "Shoulder" in at else 0.0)
     else:
-        # An ankle is where the leg stops going down; toes are near the floor and ahead of it.
+        # The ankle is at the lower end of the leg; toes are near the floor and ahead of it.
         score += 0.3 if "ToeBase" in at else 0.0
         score -= 2.0 * abs(float((search.places[end] - search.places[path[-1]]) @ search.up)) / whole
     return score
@@ -248,7 +246,7 @@ def _shape_score(search: Search, nodes: Sequence[int], parts: Sequence[str], pat
 
 def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: list[str]
            ) -> tuple[int, tuple[int, ...], tuple[int, ...], int, dict[str, float]] | None:
-    """Hips, spine, neck and head, with how sure hips and head are; None where there is no head."""
+    """Hips, spine, neck and head, with the confidence of hips and head; None without a head."""
     arms = [joints[side + "Arm"] for side in SIDES if side + "Arm" in joints]
     legs = [joints[side + "UpLeg"] for side in SIDES if side + "UpLeg" in joints]
     if not arms:
@@ -259,7 +257,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
         head = shape.head_above(search.character, search.places, search.up, fork, joints.values())
         head_sure = _BY_SHAPE
         if head is None:
-            doubts.append("it has no head that can be told")
+            doubts.append("its head cannot be identified")
             return None
     fork = search.meeting(fork, head)
     meeting = search.meeting(search.meeting(legs[0], legs[-1]), fork) if legs else fork
@@ -269,7 +267,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
         hips, hips_sure = named[0], _BY_NAME
     elif legs and meeting >= 0:
         hips, hips_sure = meeting, _BY_SHAPE if search.labels[meeting].parts[:1] != ("Spine",) else _BY_SECOND_NAME
-    elif line:  # nothing but an upper body: it stands on its first node
+    elif line:  # an upper body only: its first node carries it
         hips, hips_sure = next((node for node in reversed(line) if search.character.skinned[node]), line[-1]), _BY_SHAPE
     else:
         doubts.append("its arms and its head have no node in common")
@@ -277,7 +275,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
     way = [node for node in search.path(hips, head) if node != head]
     first_neck = next((place for place, node in enumerate(way) if search.labels[node].parts[:1] == ("Neck",)), None)
     if first_neck is None:
-        # Without a name the neck begins above where the arms part; arms that hang on the neck are below that place.
+        # Without names the neck begins above the fork of the arms; arms attached to the neck are below the fork.
         first_neck = way.index(fork) + 1 if fork in way else len(way)
         over = np.mean([search.places[arm] @ search.up for arm in arms]) < search.places[fork] @ search.up
         if over and first_neck > 1:
@@ -287,7 +285,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
 
 
 def _distinct(search: Search, chain: Sequence[int]) -> list[int]:
-    """A chain without the nodes that lie where the one before them does; the first is always kept."""
+    """A chain without nodes that coincide with their predecessor; the first is always kept."""
     out = list(chain[:1])
     small = 1e-4 * float(np.ptp(search.places @ search.up))
     out += [node for above, node in zip(chain, chain[1:], strict=False) if search.length(above, node) > small]
@@ -295,7 +293,7 @@ def _distinct(search: Search, chain: Sequence[int]) -> list[int]:
 
 
 def _fingers(search: Search, side: str, hand: int) -> dict[str, int]:
-    """The finger joints under a hand: by name, else by where they are."""
+    """The finger joints under a hand: by name, else by position."""
     under = [node for node in range(len(search.character)) if hand in ancestors(search.character.parents, node)]
     chains: dict[str, list[int]] = {}
     for finger in FINGERS:
@@ -310,13 +308,13 @@ def _fingers(search: Search, side: str, hand: int) -> dict[str, int]:
             line = [node for node in line if search.labels[node].number != "Metacarpal"]
             if len(line) >= 4 and search.length(hand, line[0]) < _METACARPAL * search.length(hand, line[1]):
                 line = line[1:]
-        if len(line) >= 2:  # single joints stand for fingers that nobody measured
+        if len(line) >= 2:  # skip single joints: placeholders without motion data
             out |= {f"{side}Hand{finger}{place}": node for place, node in enumerate(line[:3], start=1)}
     return out
 
 
 def _one_line(search: Search, nodes: Sequence[int]) -> list[int]:
-    """Of the nodes those that lie under one another, the longest such line."""
+    """The longest chain of descendants among the nodes."""
     best: list[int] = []
     for node in nodes:
         line = [above for above in reversed(ancestors(search.character.parents, node)) if above in nodes] + [node]
@@ -329,8 +327,9 @@ def _sides_are_guessed(search: Search, ends: Mapping[str, int]) -> bool:
 
 
 def _turned_round(search: Search, joints: dict[str, int], doubts: list[str]) -> dict[str, int]:
-    """Joints whose sides no name tells, left and right exchanged where the toes say that she faces the other way."""
-    doubts.append("no name tells left from right")
+    """Joints without sides in their names: exchanges left and right if the toes show that the character faces
+    backwards."""
+    doubts.append("its names do not distinguish left from right")
     ahead = shape.toes_ahead(search.places, search.up, joints)
     if ahead is None or ahead > 0.0:
         return joints
@@ -340,7 +339,7 @@ def _turned_round(search: Search, joints: dict[str, int], doubts: list[str]) -> 
 
 
 def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, float], doubts: list[str]) -> float:
-    """0 to 1: the mean over the joints found of how sure each is, less for whatever is odd."""
+    """Confidence, 0 to 1: the mean over the joints found, reduced for each implausible proportion."""
     if any(name not in joints for name in NEEDED):
         doubts.append(f"it lacks {', '.join(name for name in NEEDED if name not in joints)}")
         return 0.0
@@ -359,13 +358,13 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
         value *= 0.7
     ahead = shape.toes_ahead(search.places, search.up, joints)
     if ahead is not None and ahead < -0.3:
-        doubts.append("its toes point backwards for the sides that its names tell")
+        doubts.append("its toes point backwards, given the sides in its names")
         value *= 0.7
     return value
 
 
 def _family(names: Sequence[str], used: Sequence[int]) -> str:
-    """The table of `NAME_TABLES` that knows most of the names that are used, when it knows nearly all of them."""
+    """The table of `NAME_TABLES` that contains nearly all of the used names, or ""."""
     plain = {names[node].rsplit(":", 1)[-1].replace(" ", "_").lower() for node in used}
     share = {family: len(plain & {name.lower() for name in table.values()}) / max(len(plain), 1)
              for family, table in NAME_TABLES.items()}

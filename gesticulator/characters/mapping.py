@@ -1,9 +1,10 @@
-"""Which node of a character is which of our joints: the result of the search, and the file that it is kept in."""
+"""The mapping from our joints to the nodes of a character, and its file format."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,18 +18,18 @@ from gesticulator.characters.rig import Character
 __all__ = ["RigMapping", "load_mapping", "save_mapping"]
 
 FORMAT = 1
-"""Number of the file's format."""
+"""Version of the file format."""
 SIDES = ("Left", "Right")
 ARM_PARTS = ("Shoulder", "Arm", "ForeArm", "Hand")
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
 SINGLE = ("Hips", "Head", *(side + part for side in SIDES for part in ARM_PARTS), *LEG_JOINTS,
           *FINGER_JOINTS)
-"""Our joints that one node stands for; spine and neck are chains of any number."""
+"""Our joints that map to one node each; spine and neck are chains of any length."""
 NEEDED = ("Hips", "Head", *(side + part for side in SIDES for part in ("Arm", "ForeArm", "Hand")))
-"""Without these there is nothing to gesture with."""
+"""Joints required for gesturing."""
 SURE = 0.6
-"""The confidence below which a guess is not used unless the user gives the mapping herself. Names that are all known
-give 1, a tree without a known name but with the shape of a body 0.7; each doubt takes a fifth or more off."""
+"""Confidence below which a detected mapping is rejected unless the user provides it. Known names throughout give 1, a
+body-shaped tree without known names 0.7; each doubt subtracts a fifth or more."""
 _ADVICE = "correct the mapping, or save a new one with --save-mapping"
 
 
@@ -38,10 +39,10 @@ class RigMapping:
 
     joints: our joint (of `SINGLE`) -> node. spine: nodes from above the hips to the chest; neck: nodes from above the
     chest to below the head; both may be empty.
-    family: what the names look like ("mixamo", "vrm humanoid"), "" when unknown.
-    confidence: 0 to 1; 1 for what the user wrote. doubts: what speaks against it, in words.
-    torso: half the width and half the depth of the trunk in metres, where the user tells it (else it is measured on
-    the skin or taken from the skeleton).
+    family: naming convention ("mixamo", "vrm humanoid"), "" if unknown.
+    confidence: 0 to 1; 1 if written by the user. doubts: reasons against it, in words.
+    torso: half width and half depth of the trunk in metres, if given by the user (else measured on the mesh or derived
+    from the skeleton).
     """
 
     joints: Mapping[str, int]
@@ -54,20 +55,20 @@ class RigMapping:
 
     @property
     def legs(self) -> bool:
-        """Whether both legs are there, down to the feet."""
+        """Whether both legs are mapped, down to the feet."""
         return all(side + part in self.joints for side in SIDES for part in LEG_PARTS[:3])
 
     def named(self) -> dict[str, int]:
         """Our joint -> node, with the chains of spine and neck under our names (Spine, Spine1, ...; Neck, Neck1)."""
         out = dict(self.joints)
         for stem, chain, most in (("Spine", self.spine, 4), ("Neck", self.neck, 2)):
-            kept = chain if len(chain) <= most else (*chain[:most - 1], chain[-1])
-            out |= {stem + (str(place) if place else ""): node for place, node in enumerate(kept)}
+            chosen = chain if len(chain) <= most else (*chain[:most - 1], chain[-1])
+            out |= {stem + (str(place) if place else ""): node for place, node in enumerate(chosen)}
         return out
 
 
 def check(mapping: RigMapping, character: Character) -> None:
-    """`InputError` where the mapping lacks what is needed, names a node twice, or is too unsure to be used."""
+    """`InputError` if the mapping lacks required joints, uses a node twice, or has too low a confidence."""
     lacking = [name for name in NEEDED if name not in mapping.joints]
     if lacking:
         raise InputError(character.path, f"has no joint that could be {', '.join(lacking)}"
@@ -92,33 +93,31 @@ def check(mapping: RigMapping, character: Character) -> None:
             raise InputError(character.path, f"does not carry {shown(character.names[mapping.joints[name]])} on its "
                              f"hips, {shown(character.names[mapping.joints['Hips']])}", _ADVICE)
     if mapping.confidence < SURE:
-        raise InputError(character.path, f"its joints could only be guessed, {mapping.confidence:.0%} sure: "
+        raise InputError(character.path, f"has joints that can only be guessed, {mapping.confidence:.0%} sure: "
                          f"{'; '.join(mapping.doubts) or 'its names are unknown'}",
-                         "look at the guess, correct it and give it back: --save-mapping FILE.json, then --mapping "
+                         "check and correct the guess: --save-mapping FILE.json, then --mapping "
                          "FILE.json")
 
 
 def ancestors(parents: Sequence[int], node: int) -> list[int]:
-    """A node's parent, its parent and so on up to the top."""
-    found = []
+    """The ancestors of a node, its parent first."""
+    line = []
     while (node := parents[node]) >= 0:
-        found.append(node)
-    return found
+        line.append(node)
+    return line
 
 
 # ---------------------------------------------------------------------------------------------------- its file
 
 def node_keys(character: Character) -> tuple[str, ...]:
-    """A name for each node that no other has: its own, or "NAME#NUMBER" (its number in the file) where it repeats."""
-    counts: dict[str, int] = {}
-    for name in character.names:
-        counts[name] = counts.get(name, 0) + 1
+    """A unique key for each node: its name, or "NAME#NUMBER" (its number in the file) if the name repeats."""
+    counts = Counter(character.names)
     return tuple(name if name and counts[name] == 1 else f"{name}#{number}"
                  for name, number in zip(character.names, character.node_ids, strict=True))
 
 
 def to_json(mapping: RigMapping, character: Character) -> dict[str, Any]:
-    """The mapping in plain values; what was not found is null, for the user to fill in."""
+    """The mapping in plain values; joints that were not found are null, for the user to fill in."""
     keys = node_keys(character)
     joints: dict[str, Any] = {name: keys[mapping.joints[name]] if name in mapping.joints else None for name in SINGLE}
     return {"format": FORMAT, "character": character.path.name, "family": mapping.family,
@@ -128,15 +127,16 @@ def to_json(mapping: RigMapping, character: Character) -> dict[str, Any]:
 
 
 def save_mapping(path: str | os.PathLike[str], mapping: RigMapping, character: Character) -> None:
-    """Write the mapping as JSON, whole or not at all; `load_mapping` reads it."""
+    """Write the mapping as JSON, atomically; `load_mapping` reads it."""
     write_text(path, json.dumps(to_json(mapping, character), indent=1, ensure_ascii=False) + "\n")
 
 
 def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMapping:
-    """A mapping that a user gives, for this character. `InputError` names what is wrong with it."""
-    told = read_json(path, "give a mapping as --save-mapping writes it")
-    if not isinstance(told, dict) or not isinstance(told.get("joints"), dict) or told.get("format") != FORMAT:
-        raise InputError(path, f"is no mapping of format {FORMAT}", "save a new one with --save-mapping")
+    """Read a mapping for this character. `InputError` for an invalid one."""
+    document = read_json(path, "give a mapping as --save-mapping writes it")
+    if not (isinstance(document, dict) and isinstance(document.get("joints"), dict)
+            and document.get("format") == FORMAT):
+        raise InputError(path, f"is not a mapping of format {FORMAT}", "save a new one with --save-mapping")
     nodes = {key: node for node, key in enumerate(node_keys(character))}
 
     def find(key: object) -> int:
@@ -144,30 +144,30 @@ def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMappi
             raise InputError(path, f"names {shown(key)}, which {character.path.name} does not have", _ADVICE)
         return nodes[key]
 
-    unknown = [name for name in told["joints"] if name not in SINGLE]
+    unknown = [name for name in document["joints"] if name not in SINGLE]
     if unknown:
         raise InputError(path, f"has unknown joints {shown(', '.join(unknown), 100)}", _ADVICE)
-    chains = {name: told.get(name) or [] for name in ("spine", "neck")}
+    chains = {name: document.get(name) or [] for name in ("spine", "neck")}
     for name, chain in chains.items():
         if not isinstance(chain, list):
-            raise InputError(path, f"has a {name} that is no list of names", _ADVICE)
-    joints = {name: find(key) for name, key in told["joints"].items() if key is not None}
+            raise InputError(path, f"has a {name} that is not a list of names", _ADVICE)
+    joints = {name: find(key) for name, key in document["joints"].items() if key is not None}
     return RigMapping(joints, tuple(map(find, chains["spine"])), tuple(map(find, chains["neck"])),
-                      str(told.get("family", ""))[:40], 1.0, (), _torso(path, told.get("torso")))
+                      str(document.get("family", ""))[:40], 1.0, (), _torso(path, document.get("torso")))
 
 
-def _torso(path: str | os.PathLike[str], told: object) -> tuple[float, float] | None:
-    if told is None:
+def _torso(path: str | os.PathLike[str], value: object) -> tuple[float, float] | None:
+    if value is None:
         return None
-    if not (isinstance(told, list) and len(told) == 2 and all(
-            isinstance(v, int | float) and not isinstance(v, bool) and 0.0 < v < 10.0 for v in told)):
+    if not (isinstance(value, list) and len(value) == 2 and all(
+            isinstance(v, int | float) and not isinstance(v, bool) and 0.0 < v < 10.0 for v in value)):
         raise InputError(path, "has a torso that is not half a width and half a depth in metres",
                          "give two numbers between 0 and 10, or null")
-    return float(told[0]), float(told[1])
+    return float(value[0]), float(value[1])
 
 
 def described(mapping: RigMapping, character: Character) -> str:
-    """The mapping as lines of text: how sure it is, and our joints beside the character's names."""
+    """The mapping as text: its confidence, and our joints with the character's names."""
     lines = [f"{character.path.name}: {len(character)} nodes, {len(mapping.joints)} joints found, "
              f"{mapping.confidence:.0%} sure" + (f", names like {mapping.family}" if mapping.family else "")]
     lines += [f"  doubt: {doubt}" for doubt in mapping.doubts]

@@ -1,4 +1,4 @@
-"""What the names of bones say: side, part of the body and number, in the spellings of common tools."""
+"""Parses bone names: side, body part and number, in the spellings of common tools."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _NOISE = {"mixamorig", "bip", "j", "c", "cc", "base", "def", "org", "character",
           "b", "bind", "skin", "sk", "bend", "stretch", "x", "m", "valve", "biped", "reference", "armature"}
 _AIDS = {"twist", "roll", "ik", "ctrl", "pole", "target", "corrective", "helper", "attach", "socket", "prop", "weapon",
          "share", "twistcor", "muscle"}
-"""Words of nodes that carry no part of the body."""
+"""Words in the names of helper nodes."""
 _TIPS = {"end", "nub", "tip", "site", "effector", "top"}
 
-# Part -> the names that mean it whatever else is there.
+# Part -> unambiguous names.
 _CLEAR = {
     "Hips": ("hips", "pelvis", "hip", "cog"),
     "Spine": ("spine", "chest", "upperchest", "torso", "abdomen", "waist", "lowerback", "upperback", "abdomenlower",
@@ -32,7 +32,7 @@ _CLEAR = {
     "Foot": ("ankle", "foot"),
     "ToeBase": ("toe", "toes", "toebase", "ball"),
 }
-# Names that mean one part in one tool and the next in another: SMPL-X's shoulder is Mixamo's arm.
+# Names that mean different parts in different tools: SMPL-X's shoulder is Mixamo's arm.
 _DOUBLE = {"shoulder": ("Shoulder", "Arm"), "arm": ("Arm", "ForeArm"), "leg": ("Leg", "UpLeg"), "hip": ("UpLeg",),
            "foot": ("Foot", "ToeBase"), "forefoot": ("Foot", "ToeBase"), "hand": ("Hand",), "palm": ("Hand",)}
 _FINGERS = {"thumb": "Thumb", "index": "Index", "pointer": "Index", "mid": "Middle", "middle": "Middle",
@@ -44,11 +44,11 @@ _KINDS = {"meta": "Metacarpal", "metacarpal": "Metacarpal", "proximal": "1", "in
 
 @dataclass(frozen=True)
 class Label:
-    """What a name says of its node.
+    """The information in the name of a node.
 
-    parts: the parts of the body that it may be, the likeliest first ("Arm", "Hips", "Index"); empty for none.
-    side: "Left", "Right" or "". number: digits of the name that count ("2", "01"; "Metacarpal"), "" for none.
-    tip: the end of a bone, nothing that turns. aid: a twist bone, a control or a prop.
+    parts: the possible body parts, the likeliest first ("Arm", "Hips", "Index"); empty if unknown.
+    side: "Left", "Right" or "". number: the significant digits of the name ("2", "01"; "Metacarpal"), or "".
+    tip: an end effector that does not rotate. aid: a twist bone, a control or a prop.
     """
 
     parts: tuple[str, ...] = ()
@@ -59,41 +59,41 @@ class Label:
 
     @property
     def finger(self) -> str:
-        """Our name of the finger that it is of, "" for none."""
+        """Our name of its finger, or ""."""
         return self.parts[0] if self.parts and self.parts[0] in _FINGERS.values() else ""
 
 
 def words(name: str) -> list[str]:
-    """The words and numbers of a name in lower case; a namespace before a colon or a bar is left out.
+    """The words and numbers of a name in lower case, without a namespace before a colon or a bar.
 
     >>> words("mixamorig:LeftUpLeg"), words("LHipJoint"), words("DEF-upper_arm.L.001")
     (['mixamorig', 'left', 'up', 'leg'], ['l', 'hip', 'joint'], ['def', 'upper', 'arm', 'l', '001'])
     """
     plain = re.split(r"[:|]", name)
-    # "LHipJoint": a capital before a capital with small letters stands alone.
+    # "LHipJoint": a capital before a capitalised word is a word of its own.
     spaced = re.sub(r"([A-Z])(?=[A-Z][a-z])", r"\1 ", plain[-1])
-    found = [word.lower() for word in _WORD.findall(spaced)]
+    parts = [word.lower() for word in _WORD.findall(spaced)]
     if len(plain) > 1 and plain[-2]:
-        found = [*_WORD.findall(plain[-2].lower())[:1], *found]
-    return found
+        parts = [*_WORD.findall(plain[-2].lower())[:1], *parts]
+    return parts
 
 
 def label(name: str) -> Label:
-    """What a name says of its node; an empty `Label` where it says nothing known.
+    """The label of a name; an empty `Label` if nothing is recognised.
 
     >>> label("upperarm_l").parts, label("upperarm_l").side, label("Bip01 R Finger01").number
     (('Arm',), 'Left', '1')
     """
-    found = [word for word in words(name) if word not in _NOISE]
-    side = next((_SIDES[word] for word in found if word in _SIDES), "")
-    found = [word for word in found if word not in _SIDES]
-    if not side and found:
-        side, found = _glued_side(found)
-    tip = any(word in _TIPS for word in found)
-    aid = any(word in _AIDS for word in found)
-    kind = next((_KINDS[word] for word in found if word in _KINDS), "")
-    digits = [word for word in found if _is_number(word)]
-    key = "".join(word for word in found if not _is_number(word) and word not in _TIPS | _AIDS and word not in _KINDS)
+    tokens = [word for word in words(name) if word not in _NOISE]
+    side = next((_SIDES[word] for word in tokens if word in _SIDES), "")
+    tokens = [word for word in tokens if word not in _SIDES]
+    if not side and tokens:
+        side, tokens = _glued_side(tokens)
+    tip = any(word in _TIPS for word in tokens)
+    aid = any(word in _AIDS for word in tokens)
+    kind = next((_KINDS[word] for word in tokens if word in _KINDS), "")
+    digits = [word for word in tokens if _is_number(word)]
+    key = "".join(word for word in tokens if not _is_number(word) and word not in _TIPS | _AIDS and word not in _KINDS)
     number = kind or (digits[-1] if digits else "")
     if key in ("finger", "handfinger") and digits and side:  # Biped: finger 0 is the thumb, its joints 0, 01 and 02
         which = digits[-1]
@@ -104,7 +104,7 @@ def label(name: str) -> Label:
     parts = _DOUBLE.get(key, ()) if side else ()
     parts = parts or _PARTS.get(key, ())
     if parts and (parts[0] in ("Hips", "Spine", "Neck", "Head")) == bool(side):
-        parts = ()  # a sided spine is a muscle, an arm without a side is a prop
+        parts = ()  # a spine with a side is a muscle, an arm without a side is a prop
     return Label(parts, side, number, tip, aid)
 
 
@@ -112,12 +112,12 @@ def _is_number(word: str) -> bool:
     return word.isascii() and word.isdigit()  # "\u00b2".isdigit(), but int() does not read it
 
 
-def _glued_side(found: list[str]) -> tuple[str, list[str]]:
-    """The side in words such as "lthumb" and "leftarm", and the words without it."""
-    for place, word in enumerate(found):
+def _glued_side(parts: list[str]) -> tuple[str, list[str]]:
+    """The side prefixed to words such as "lthumb" and "leftarm", and the words without it."""
+    for place, word in enumerate(parts):
         for prefix, side in (("left", "Left"), ("right", "Right"), ("l", "Left"), ("r", "Right")):
             rest = word.removeprefix(prefix)
             known = rest in _PARTS or rest in _DOUBLE or rest in _FINGERS
             if rest != word and known and word not in _PARTS and word not in _FINGERS:
-                return side, [*found[:place], rest, *found[place + 1:]]
-    return "", found
+                return side, [*parts[:place], rest, *parts[place + 1:]]
+    return "", parts

@@ -1,4 +1,4 @@
-"""Read a character from a file, with the mapping of its joints; one reader a suffix."""
+"""Reads characters and their joint mappings from files, with one reader per suffix."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ READERS: Registry[RegistryEntry] = Registry("characters", "a format of character
 
 
 def read_character(path: str | os.PathLike[str]) -> Character:
-    """The character in a file, by its suffix. `InputError` for an unknown suffix and what is wrong with a file."""
+    """The character in a file. `InputError` for an unknown suffix or an invalid file."""
     suffix = Path(path).suffix.lower()
     if suffix not in READERS:
-        wrong = f"'{suffix}' is no format of characters that is read" if suffix else "has no suffix"
+        wrong = f"'{suffix}' is not a supported character format" if suffix else "has no suffix"
         raise InputError(path, wrong, f"give one of {', '.join(READERS)}")
     return cast("Character", READERS.load(suffix)(path))
 
 
 def choose(file: str | os.PathLike[str], mapping: str | os.PathLike[str] | None = None,
            save: str | os.PathLike[str] | None = None) -> tuple[Character, RigMapping]:
-    """The character in a file, and her mapping: from a file, else found by itself.
+    """The character in a file and its mapping: from a mapping file, else detected.
 
-    save: where the mapping is written, before it is judged. `InputError` where it cannot be used.
+    save: where to write the mapping, before it is checked. `InputError` if it is unusable.
     """
     character = read_character(file)
-    found = find_joints(character) if mapping is None else load_mapping(mapping, character)
+    joints = find_joints(character) if mapping is None else load_mapping(mapping, character)
     if save is not None:
         Path(save).parent.mkdir(parents=True, exist_ok=True)
-        save_mapping(save, found, character)
-    check(found, character)
-    return character, found
+        save_mapping(save, joints, character)
+    check(joints, character)
+    return character, joints

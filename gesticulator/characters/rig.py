@@ -1,44 +1,39 @@
-"""A character as her file has it: a tree of nodes at rest, in the file's own units and axes."""
+"""A character as in its file: a tree of nodes at rest, in the file's units and axes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
 
-if TYPE_CHECKING:
-    pass
-
 __all__ = ["Character", "CharacterMotion"]
 
 
 @dataclass(frozen=True)
 class Character:
-    """The rig of a character: N nodes, parents before children, as they stand in the file.
+    """The rig of a character: N nodes, parents before children, as in the file.
 
-    names: N names as the file spells them; in glTF they may be empty or repeat, so a node is known by its index here.
-    parents: N indices, -1 for a node at the top (there may be several: cameras, props, the mesh beside the armature).
+    names: N names as the file spells them; in glTF they may be empty or repeat, so nodes are identified by their index.
+    parents: N indices, -1 for a root (there may be several: cameras, props, the mesh beside the armature).
     translations: [N, 3], rotations: [N, 4] (unit quaternions, w first), scales: [N, 3]: the local transform of each
-        node at rest, in its parent's frame: x_parent = translation + rotation * (scale * x). The unit of length is the
-        file's.
+        node at rest, in its parent's frame: x_parent = translation + rotation * (scale * x), in the file's unit.
     path: the file. kind: its format, "bvh", "glb" (also VRM and .gltf) or "fbx".
-    skinned: [N] which nodes are joints of a skin; all of them where the format has no skins (BVH).
-    bind: [N, 4, 4] the world matrix of each node in the pose that the mesh was bound in, where the file tells it
-        (inverse bind matrices of glTF), brought into the world of the rest pose; None where it does not.
-    humanoid: bone of the VRM humanoid ("leftUpperArm") -> node, where the file has that table.
+    skinned: [N] which nodes are joints of a skin; all of them if the format has no skins (BVH).
+    bind: [N, 4, 4] the world matrix of each node in the pose that the mesh was bound in (from glTF's inverse bind
+        matrices), in the world of the rest pose; None if unknown.
+    humanoid: bone of the VRM humanoid ("leftUpperArm") -> node, if the file has that table.
     vrm: version of the VRM extension, "0.x", "1.0" or "" (a VRM 0.x character faces -Z).
-    unit: metres per unit of length, where the format tells it (1.0 for glTF), else None: it is guessed by the mapping.
-    node_ids: N indices of the nodes in the file (glTF's `nodes`); 0..N-1 where the file has no numbers.
-    tips: node -> [3] the end of its bone in its own frame, where the file tells it (End Site of BVH).
+    unit: metres per unit of length, if defined by the format (1.0 for glTF); None: estimated during retargeting.
+    node_ids: N indices of the nodes in the file (glTF's `nodes`); 0..N-1 if the format has none.
+    tips: node -> [3] the end of its bone in its frame, if given (End Site of BVH).
     channels: N tuples of BVH channel names in the file's order ("Zrotation"); empty for other formats.
-    flesh: [V, 3] points of the skin in the bind pose's world, and flesh_nodes: [V] the node that moves each of them
-        most; both empty where the file has no mesh.
+    flesh: [V, 3] vertices in the bind pose's world, and flesh_nodes: [V] the node with the largest weight of each; both
+        empty without a mesh.
     """
 
     names: tuple[str, ...]
@@ -73,7 +68,7 @@ class Character:
         return len(self.names)
 
     def local_matrices(self, rotations: Array | None = None) -> Array:
-        """[..., N, 4, 4] the nodes' local matrices for local rotations [..., N, 4]; at rest when not told."""
+        """[..., N, 4, 4] the nodes' local matrices for local rotations [..., N, 4]; default: at rest."""
         q = self.rotations if rotations is None else rotations
         out = np.zeros((*q.shape[:-1], 4, 4))
         out[..., :3, :3] = _turns(q) * self.scales[:, None, :]
@@ -86,7 +81,7 @@ class Character:
         return _turns(self.rotations)
 
     def world_turns(self) -> Array:
-        """[N, 3, 3] the nodes' world rotations at rest, in the file's axes; scales turn nothing."""
+        """[N, 3, 3] the nodes' world rotations at rest, in the file's axes, without scales."""
         world = self.local_turns()
         for node, parent in enumerate(self.parents):
             if parent >= 0:
@@ -96,9 +91,8 @@ class Character:
     def world_matrices(self, rotations: Array | None = None, translations: Mapping[int, Array] | None = None) -> Array:
         """[..., N, 4, 4] the nodes' world matrices, in the file's units and axes.
 
-        rotations: local [..., N, 4]; at rest when not told. translations: node -> local translation [..., 3] in place
-        of that at rest.
-        """
+        rotations: local [..., N, 4]; default: at rest. translations: node -> local translation [..., 3] replacing that
+        at rest. """
         local = self.local_matrices(rotations)
         for node, place in (translations or {}).items():
             local[..., node, :3, 3] = place
@@ -119,17 +113,19 @@ def _turns(q: Array) -> Array:
 
 @dataclass(frozen=True)
 class CharacterMotion:
-    """A motion of a character's own nodes, ready for a file in her own units and axes.
+    """A motion of a character's nodes, in the units and axes of its file.
 
     character: N nodes.
-    rotations: [T, N, 4] local rotations of all nodes, unit quaternions, w first, continuous over time; nodes that
-        nothing moves stand as they do at rest.
-    translations: [T, 3] local translation of the node `hips`, in the character's units and in its parent's frame;
-        None where it stays as at rest.
+    rotations: [T, N, 4] local rotations of all nodes, unit quaternions, w first, continuous over time; unmoved nodes
+    keep
+        their rotation at rest.
+    translations: [T, 3] local translation of the node `hips`, in the character's units and its parent's frame; None if
+    it
+        stays at rest.
     fps: frames per second; frame t is the pose at t / fps seconds.
     joints: our joint (a name of `data_module.motion.skeletons.WHOLE_BODY`) -> node.
-    moved: the nodes whose rotations are written (an animation need not hold the others), in rising order.
-    unit: metres per unit of the character's lengths, as they stand in its world (after scaled nodes).
+    moved: the nodes whose rotations are written (an animation need not hold the others), ascending.
+    unit: metres per unit of the character's world.
     """
 
     character: Character

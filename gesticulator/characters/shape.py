@@ -1,4 +1,4 @@
-"""What the tree and the places of a character's nodes tell where no name does: limbs, head, fingers, and ahead."""
+"""Identifies limbs, head, fingers and facing from the hierarchy and positions of a character's nodes."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ import numpy as np
 
 from data_module.motion.skeletons import FINGERS
 from data_module.types import Array
+from gesticulator.characters.mapping import ancestors
 from gesticulator.characters.rig import Character
 
 _HEAD = 0.075
-"""Share of her height that a head's bone is longer than, and a neck's shorter: 0.11 and 0.05 in an adult."""
+"""Share of the height that separates a head bone (longer: 0.11 in an adult) from a neck bone (0.05)."""
 _EVEN = 0.12
-"""How unlike two mirrored ends may be, as a share of the body's size."""
+"""Largest asymmetry of two mirrored ends, as a share of the body's size."""
 
 
 def bind_matrices(character: Character) -> Array:
-    """[N, 4, 4] world matrices in the pose that the mesh was bound in; at rest where the file does not tell."""
+    """[N, 4, 4] world matrices in the bind pose of the mesh; at rest if unknown."""
     return character.world_matrices() if character.bind is None else character.bind
 
 
@@ -37,11 +38,10 @@ def _subtree(below: list[list[int]], node: int) -> list[int]:
 
 
 def limb_ends(character: Character, places: Array, up: Array) -> dict[str, int]:
-    """The last nodes of both arms and legs; left and right by the convention that she faces along the third axis.
+    """The last nodes of both arms and legs; left and right assume that the character faces along the third axis.
 
-    Feet are the lowest leaves on two sides of the middle, hands those farthest from the middle. Joints of a skin only,
-    where there is a skin.
-    """
+    Feet are the lowest leaves on both sides of the middle, hands those farthest from the middle; only skin joints count
+    if there is a skin. """
     below = _children(character)
     joints = np.flatnonzero(character.skinned)
     if len(joints) < 8:
@@ -56,32 +56,26 @@ def limb_ends(character: Character, places: Array, up: Array) -> dict[str, int]:
     floor = min(height[leaf] for leaf in leaves)
     out: dict[str, int] = {}
     for name, sign in (("Left", 1.0), ("Right", -1.0)):
-        own = [leaf for leaf in leaves if sign * side[leaf] > 0.02 * size]
-        if not own:
+        side_leaves = [leaf for leaf in leaves if sign * side[leaf] > 0.02 * size]
+        if not side_leaves:
             return {}
-        low = [leaf for leaf in own if height[leaf] < floor + 0.06 * size]
+        low = [leaf for leaf in side_leaves if height[leaf] < floor + 0.06 * size]
         if low:
-            out[name + "Foot"] = max(low, key=lambda leaf: len(_line(character, leaf)))
-        hands = [leaf for leaf in own if height[leaf] > floor + 0.2 * size and leaf not in low]
+            out[name + "Foot"] = max(low, key=lambda leaf: len(ancestors(character.parents, leaf)))
+        hands = [leaf for leaf in side_leaves if height[leaf] > floor + 0.2 * size and leaf not in low]
         if hands:
             farthest = max(sign * side[leaf] for leaf in hands)
             near = [leaf for leaf in hands if sign * side[leaf] > farthest - _EVEN * size]
-            out[name + "Hand"] = max(near, key=lambda leaf: (len(_line(character, leaf)), sign * side[leaf]))
-    return out
-
-
-def _line(character: Character, node: int) -> list[int]:
-    out = [node]
-    while (node := character.parents[node]) >= 0:
-        out.append(node)
+            out[name + "Hand"] = max(near, key=lambda leaf: (len(ancestors(character.parents, leaf)),
+                                                            sign * side[leaf]))
     return out
 
 
 def _across(leaves: Array, up: Array) -> Array | None:
-    """[3] the horizontal axis of the file along which the leaves are mirrored best (towards the left of one who faces
-    along the other); None where nothing has any width."""
+    """[3] the horizontal axis of the file along which the leaves are most symmetric (to the left of a character facing
+    along the other); None if nothing has any width."""
     names = [axis for axis in np.eye(3) if abs(axis @ up) < 0.5]
-    best, found = np.inf, None
+    best, best_axis = np.inf, None
     for axis in names:
         along = leaves @ axis
         width = float(np.ptp(along))
@@ -91,12 +85,12 @@ def _across(leaves: Array, up: Array) -> Array | None:
         flipped = other * [1.0, 1.0, -1.0]
         gap = np.linalg.norm(other[:, None] - flipped[None], axis=-1).min(axis=1).mean() / width
         if gap < best:
-            best, found = float(gap), axis
-    return found
+            best, best_axis = float(gap), axis
+    return best_axis
 
 
 def head_above(character: Character, places: Array, up: Array, fork: int, taken: Iterable[int]) -> int | None:
-    """The head of a tree without a name for it: on the way from where the arms part to the highest node above."""
+    """The head by position: on the path from the fork of the arms to the highest node above it."""
     if fork < 0:
         return None
     below = _children(character)
@@ -105,17 +99,17 @@ def head_above(character: Character, places: Array, up: Array, fork: int, taken:
     if not above:
         return None
     highest = max(above, key=lambda node: float(places[node] @ up))
-    way = [node for node in reversed(_line(character, highest)) if node in above]
-    # A leaf at the crown is the end of the head's bone, which is longer than any of the neck's; the head carries it.
+    way = [node for node in reversed([highest, *ancestors(character.parents, highest)]) if node in above]
+    # A leaf at the crown is the end of the head bone, which is longer than neck bones; the head is its parent.
     size = float(np.ptp(places[np.flatnonzero(character.skinned)] @ up))
     crown = len(way) >= 2 and not below[way[-1]] and np.linalg.norm(places[way[-1]] - places[way[-2]]) > _HEAD * size
     return way[-2] if crown else way[-1]
 
 
 def finger_chains(character: Character, places: Array, hand: int) -> dict[str, list[int]]:
-    """Finger -> the nodes of its chain, for a hand with five (or four, without a thumb) chains of two nodes or more.
+    """Finger -> the nodes of its chain, for a hand with five chains of at least two nodes.
 
-    The thumb is the one that begins nearest to the wrist and points away from the others; the rest lie side by side.
+    The thumb is the chain that points away from the others; the rest are ordered side by side from it.
     """
     below = _children(character)
     chains = []
@@ -142,7 +136,7 @@ def finger_chains(character: Character, places: Array, hand: int) -> dict[str, l
 
 
 def toes_ahead(places: Array, up: Array, joints: Mapping[str, int]) -> float | None:
-    """Cosine between where the toes point and what is ahead by left and right; None without toes or arms."""
+    """Cosine between the direction of the toes and forward as defined by left and right; None without toes or arms."""
     if any(side + part not in joints for side in ("Left", "Right") for part in ("Arm", "Foot", "ToeBase")):
         return None
     left = places[joints["LeftArm"]] - places[joints["RightArm"]]

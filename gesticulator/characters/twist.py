@@ -1,10 +1,9 @@
-"""The roll of a hand, shared out to the twist bones of its forearm.
+"""Distributes the roll of a hand to the twist bones of its forearm.
 
-Where a palm turns over, the skin of a living forearm turns with it, more and more towards the wrist. A forearm of one
-bone cannot: all of the roll is at the wrist, which looks like a wrung cloth. Rigs have bones along the forearm for
-that, and here they get their share: let A be the forearm's rotation, H the hand's, and phi the part of A^-1 H, against
-the pose that the mesh was bound in, that turns about the forearm. A twist bone at the share s of the way from the elbow
-to the wrist turns by s phi about it.
+When a palm turns over, the skin of a real forearm turns with it, increasingly towards the wrist. A forearm of one bone
+concentrates all roll at the wrist, which looks like a wrung cloth. Twist bones along the forearm take their share: let
+A be the forearm's rotation, H the hand's, and phi the part of A^-1 H, relative to the bind pose, that turns about the
+forearm. A twist bone at share s of the distance from elbow to wrist turns by s phi about the forearm.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from gesticulator.characters.names import words
 from gesticulator.characters.shape import bind_matrices
 
 NAMED = {"twist", "roll"}
-"""Words in the names of such bones."""
+"""Words in the names of twist bones."""
 _ENDS = (0.1, 0.95)
-"""Shares of the way from elbow to wrist within which a bone's place tells its share of the roll."""
+"""Range of positions from elbow to wrist within which a bone's position is its share of the roll."""
 _FARTHEST = 2.6
-"""Radians (149 degrees) beyond which no wrist is rolled, and the way back is as near as the way there."""
+"""Radians (149 degrees) beyond which the roll fades to zero: no wrist rolls farther, and its sign becomes ambiguous."""
 _ASIDE = 0.1
-"""A bone between elbow and wrist that lies off the line by more of the forearm's length is none to turn about it."""
+"""Largest distance of a twist bone from the line between elbow and wrist, as a share of the forearm's length."""
 
 
 @dataclass(frozen=True)
 class TwistBone:
-    """A node that turns about the forearm by `share` of the hand's roll; base: [3, 3] its axes to the forearm's."""
+    """A node that takes `share` of the hand's roll about the forearm; base: [3, 3] its axes to the forearm's."""
 
     node: int
     share: float
@@ -43,7 +42,7 @@ class TwistBone:
 @dataclass(frozen=True)
 class Forearm:
     """Nodes of a forearm and its hand. axis: [3] from elbow to wrist, in the forearm's axes; base: [3, 3] the hand's
-    axes to the forearm's, in the pose that the mesh was bound in."""
+    axes to the forearm's, in the bind pose of the mesh."""
 
     node: int
     hand: int
@@ -53,7 +52,7 @@ class Forearm:
 
 
 def forearms(body: Body) -> list[Forearm]:
-    """The forearms that have twist bones, by name, or because they lie between elbow and wrist."""
+    """The forearms with twist bones, identified by name or by lying between elbow and wrist."""
     character, joints = body.character, body.mapping.joints
     bind = bind_matrices(character)
     turns, places = turns_of(bind), bind[:, :3, 3]
@@ -64,29 +63,29 @@ def forearms(body: Body) -> list[Forearm]:
         length = float(np.linalg.norm(way))
         line = ancestors(character.parents, hand)
         line = line[:line.index(node)]
-        found = []
+        twists = []
         for one in range(len(character)):
             above = ancestors(character.parents, one)
             if node not in above or one == hand or hand in above or one in joints.values():
                 continue
-            own = turns[node].T @ (places[one] - places[node])
-            place = float(own @ way) / length ** 2
-            aside = float(np.linalg.norm(own - place * way)) / length
+            offset = turns[node].T @ (places[one] - places[node])
+            place = float(offset @ way) / length ** 2
+            aside = float(np.linalg.norm(offset - place * way)) / length
             if (one in line or NAMED & set(words(character.names[one]))) and aside < _ASIDE:
-                found.append((place, one))
-        found.sort()
+                twists.append((place, one))
+        twists.sort()
         bones = tuple(TwistBone(
-            one, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(found) + 1), turns[node].T @ turns[one])
-            for rank, (place, one) in enumerate(found))
+            one, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1), turns[node].T @ turns[one])
+            for rank, (place, one) in enumerate(twists))
         if bones:
             out.append(Forearm(node, hand, way / length, turns[node].T @ turns[hand], bones))
     return out
 
 
 def roll(turns: dict[int, Array], forearm: Forearm) -> Array:
-    """[T] radians by which the hand is rolled about its forearm, against the bind pose; each frame by itself.
+    """[T] roll of the hand about its forearm relative to the bind pose, radians; each frame independently.
 
-    Half a turn to either side is the same: towards it the roll that is told fades, so that nothing jumps there.
+    Half a turn to either side is the same pose: the roll fades towards it, so that it is continuous there.
     """
     apart = np.swapaxes(turns[forearm.node], -1, -2) @ turns[forearm.hand] @ forearm.base.T
     q = Rotation.from_matrix(apart).as_quat(scalar_first=True)
@@ -97,7 +96,7 @@ def roll(turns: dict[int, Array], forearm: Forearm) -> Array:
 
 
 def share_roll(turns: dict[int, Array], body: Body) -> None:
-    """Add the twist bones' world rotations to `turns` (node -> [T, 3, 3]); what the hands do stays as it is."""
+    """Add the twist bones' world rotations to `turns` (node -> [T, 3, 3]); the hands are unchanged."""
     for forearm in forearms(body):
         angle = roll(turns, forearm)
         for bone in forearm.bones:

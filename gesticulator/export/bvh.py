@@ -1,4 +1,4 @@
-"""BVH, on the default skeleton or on a character."""
+"""`.bvh`: the default skeleton, or a character."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ if TYPE_CHECKING:
 
 
 def write_bvh_file(path: Path, scene: Scene, unit: str = "cm") -> Path:
-    """Write the motion, standing on the floor, at its own frame rate. Returns `path`.
-
-    A character of a BVH file is written as that file has her, in its own unit.
-    """
+    """Write the motion, standing on the floor, at its frame rate. A character from a BVH file keeps that file's
+    hierarchy and unit. Returns `path`."""
     from data_module.motion import bvh
 
     moved = scene.character

@@ -1,4 +1,4 @@
-"""`.fbx`: the GLB, converted by Blender in a process of its own; or a character's own FBX file, moved."""
+"""`.fbx`: the GLB converted by Blender; or a character's FBX file with the animation added."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ if TYPE_CHECKING:
 
 
 def write_fbx(path: Path, scene: Scene) -> Path:
-    """Write the motion as binary FBX, whole or not at all. Returns `path`.
+    """Write the motion as binary FBX, atomically. Returns `path`.
 
-    Our own skeleton moves at whole frames per second: another rate is brought to the nearest. `InputError` where there
-    is no Blender, or it fails.
-    """
-    own = own_character(scene)
-    if own is not None:
-        return write_animated(path, own)
+    The default skeleton uses an integer frame rate: other rates are resampled to the nearest. `InputError` without
+    Blender or if it fails. """
+    character = own_character(scene)
+    if character is not None:
+        return write_animated(path, character)
     rate = max(1, round(scene.fps))
     if scene.fps != rate:
         scene = replace(scene, motion=resample(scene.motion, float(rate)))

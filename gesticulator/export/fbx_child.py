@@ -1,10 +1,10 @@
-"""Run inside Blender: a GLB file becomes an FBX file; or a character's FBX file becomes a GLB or an FBX that moves.
+"""Run inside Blender: convert GLB to FBX, or animate a character's FBX file and save it as GLB or FBX.
 
     python fbx_child.py IN.glb OUT.fbx FRAMES_PER_SECOND
     python fbx_child.py IN.fbx OUT.glb|fbx FRAMES_PER_SECOND MOTION.npz
 
-MOTION.npz holds poses of bones, as `gesticulator.export.own_fbx.pose` tells them.
-It imports nothing of ours: Blender has a Python of its own.
+MOTION.npz holds bone poses, as from `gesticulator.export.own_fbx.pose`.
+It imports nothing from this package: Blender has its own Python.
 """
 
 from __future__ import annotations
@@ -14,21 +14,20 @@ import sys
 import types
 from typing import Any
 
-# What Blender writes into a file as the time of its making: the same bytes for the same motion.
+# The creation time that Blender writes into a file, fixed so that the same motion gives the same bytes.
 MOMENT = datetime.datetime(2000, 1, 1)
 
 
 class FixedDay(datetime.datetime):
-    """A moment that never passes."""
+    """A clock that always shows `MOMENT`."""
 
     @classmethod
     def now(cls, tz: datetime.tzinfo | None = None) -> Any:
-        """Always `MOMENT`."""
         return MOMENT
 
 
 def convert(source: str, target: str, fps: float, motion: str = "") -> None:
-    """Import a file into an empty scene at `fps` frames per second, move it, and export all of it."""
+    """Import a file into an empty scene at `fps` frames per second, animate it, and export the scene."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -37,7 +36,7 @@ def convert(source: str, target: str, fps: float, motion: str = "") -> None:
     scene.render.fps, scene.render.fps_base = rate
     if source.lower().endswith(".fbx"):
         bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
-        scene.render.fps, scene.render.fps_base = rate  # the importer takes that of the file
+        scene.render.fps, scene.render.fps_base = rate  # the importer sets that of the file
     else:
         bpy.ops.import_scene.gltf(filepath=source, disable_bone_shape=True, bone_heuristic="BLENDER")
     if motion:
@@ -52,25 +51,25 @@ def convert(source: str, target: str, fps: float, motion: str = "") -> None:
 
 
 def animate(motion: str) -> None:
-    """Give the largest armature an action of the poses in a file."""
+    """Add an action with the poses in a file to the largest armature."""
     import bpy
     import numpy as np
 
-    told = np.load(motion)
+    poses = np.load(motion)
     armature: Any = max((thing for thing in bpy.data.objects if thing.type == "ARMATURE"),
                         key=lambda thing: len(thing.data.bones))
     action: Any = bpy.data.actions.new("gesture")
     armature.animation_data_create().action = action
-    for place, name in enumerate(told["names"].tolist()):
+    for place, name in enumerate(poses["names"].tolist()):
         bone = armature.pose.bones[name]
         bone.rotation_mode = "QUATERNION"
-        keys(action, armature, bone.path_from_id("rotation_quaternion"), told["turns"][:, place])
-    if len(told["shifts"]):
-        keys(action, armature, armature.pose.bones[told["hips"].tolist()[0]].path_from_id("location"), told["shifts"])
+        keys(action, armature, bone.path_from_id("rotation_quaternion"), poses["turns"][:, place])
+    if len(poses["shifts"]):
+        keys(action, armature, armature.pose.bones[poses["hips"].tolist()[0]].path_from_id("location"), poses["shifts"])
 
 
 def keys(action: Any, armature: Any, path: str, values: Any) -> None:
-    """Keys of a property [T, n], one a frame from 0 on."""
+    """Add keyframes of a property [T, n], one per frame from 0."""
     for index, track in enumerate(values.T.tolist()):
         if hasattr(action, "fcurve_ensure_for_datablock"):  # since Blender 4.5
             curve = action.fcurve_ensure_for_datablock(armature, path, index=index)
@@ -83,7 +82,7 @@ def keys(action: Any, armature: Any, path: str, values: Any) -> None:
 
 
 def export_fbx(target: str) -> None:
-    """Export the scene with its animation, a key a frame."""
+    """Export the scene with its animation, one key per frame."""
     import bpy
     from io_scene_fbx import export_fbx_bin  # type: ignore[import-not-found, unused-ignore]
 
@@ -97,6 +96,6 @@ def export_fbx(target: str) -> None:
 
 
 if __name__ == "__main__":
-    # Blender, given this file, passes what stands behind "--"; a Python with bpy passes all.
+    # Blender passes the arguments after "--"; a Python with bpy passes all.
     given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
     convert(given[0], given[1], float(given[2]), *given[3:])

@@ -1,8 +1,8 @@
-"""The body that every picture and film draws: limbs of a 16-joint character as capsules, flattened by a way to look.
+"""The figure in pictures and films: limbs of a 16-joint character as capsules, projected by a view.
 
-A part is a few limbs with one thin outline around them all, such as the shirt; parts are drawn far ones first. Strips
-look straight at the figure from the front and from the side (`VIEWS`), films through a camera. Legs stand still, as
-models know nothing below the hips, unless a motion's own are asked for.
+A part is a group of limbs with one thin outline, such as the shirt; parts are drawn from back to front. Strips show the
+figure straight from the front and the side (`VIEWS`), films use a camera. Legs stand still, as the models generate
+nothing below the hips, unless the motion's own legs are requested.
 """
 
 from __future__ import annotations
@@ -22,28 +22,29 @@ INK, SOFT, FLOOR = "#262a31", "#8d8578", "#d9d0c2"
 SHIRT, TROUSERS, SKIN, HAIR, NOSE = "#3d7a85", "#4a4f5c", "#dcb999", "#5b493d", "#c79d7a"
 HANDS = {"Left": "#1f8a8a", "Right": "#c8553d"}
 HALO = 0.009
-"""Metres of the outline around a part."""
+"""Width of the outline around a part, metres."""
 ROUND = 18
-"""Corners of each half of a limb's outline."""
+"""Vertices of each half of a limb's outline."""
 _NOSE = np.array([0.0, 0.075, 0.125])
-"""Metres from the head's joint."""
+"""Position relative to the head joint, metres."""
 
 Look = Callable[[Array], tuple[Array, Array, Array]]
-"""Points [..., 3] in metres -> places [..., 2], scale [...], and depth [...] in metres, more towards the viewer."""
+"""Points [..., 3] in metres -> positions [..., 2], scale [...], and depth [...] in metres, larger towards the
+viewer."""
 
 
 def from_front(points: Array) -> tuple[Array, Array, Array]:
-    """The character's left is on the right; places are metres, up is up."""
+    """Front view in metres: the character's left is on the right."""
     return points[..., :2], np.ones(points.shape[:-1]), points[..., 2]
 
 
 def from_side(points: Array) -> tuple[Array, Array, Array]:
-    """She is seen from her left and faces left."""
+    """Side view from the character's left, facing left."""
     return points[..., 2:0:-1] * [-1.0, 1.0], np.ones(points.shape[:-1]), points[..., 0]
 
 
 class View(NamedTuple):
-    """A way to look, and how deep a trunk is seen as a share of its width."""
+    """A projection, and the visible thickness of the trunk as a share of its width."""
 
     look: Look
     trunk: float
@@ -53,17 +54,16 @@ VIEWS = {"front": View(from_front, 1.0), "side": View(from_side, 0.72)}
 
 
 def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: bool = False) -> dict[str, Array]:
-    """Where everything that is drawn lies: joint (or "LeftHandTip", "HeadTip", "Nose") -> [len(times), 3] metres.
+    """Positions to draw: joint (or "LeftHandTip", "HeadTip", "Nose") -> [len(times), 3] metres.
 
-    Any upper body is brought onto the 16-joint character, faces +Z, and stands at `skeletons.HIP_HEIGHT`. With `legs`,
-    a motion that has them is drawn on them, where it stands; InputError for one that has none. With `fingers`, those
-    that the motion has are there, too ("LeftHandIndex1" ... "LeftHandIndex3Tip").
-    """
+    Any upper body is converted to the 16-joint character, faces +Z, and stands at `skeletons.HIP_HEIGHT`. With `legs`,
+    the motion's legs are used where they stand; InputError if it has none. With `fingers`, existing fingers are
+    included ("LeftHandIndex1" ... "LeftHandIndex3Tip"). """
     if legs and not skeletons.has_legs(motion):
-        raise InputError("--legs", "are not in this motion", "make it with infer --legs, or leave them out")
+        raise InputError("--legs", "are not in this motion", "generate it with infer --legs, or leave them out")
     frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
     first = int(frames.min())
-    # Only the frames around these moments: a take may last an hour.
+    # Use only the frames around these times: a take may last an hour.
     near = motion.crop(first, int(np.ceil(frames.max())) + 1)
     root = np.tile([0.0, skeletons.HIP_HEIGHT, 0.0], (len(frames), 1))
     if legs:
@@ -91,7 +91,7 @@ def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: boo
 
 
 class Limb(NamedTuple):
-    """Two balls and what lies between them: places [T, 3] and diameters in metres, colour."""
+    """A capsule: end points [T, 3] and diameters in metres, and a colour."""
 
     start: Array
     end: Array
@@ -102,10 +102,8 @@ class Limb(NamedTuple):
 
 @dataclass(frozen=True)
 class BodyPart:
-    """Limbs with one outline; `lift` metres nearer to the viewer than they are; hand: whose hand it ends in, if any.
-
-    `shown` [T] says in which frames, where it is not all of them.
-    """
+    """Limbs with one outline. lift: metres by which it is moved towards the viewer in depth order; hand: side of the
+    hand that it ends in, if any; shown: [T] the frames in which it is visible, None for all."""
 
     limbs: tuple[Limb, ...]
     lift: float
@@ -114,7 +112,7 @@ class BodyPart:
 
 
 def legs(now: Mapping[str, Array] | None = None) -> list[BodyPart]:
-    """Of `figure_points` that have them; else at one moment, under hips at the origin."""
+    """The legs of `figure_points`; without them one static pose, under hips at the origin."""
     if now is not None and "LeftUpLeg" in now:
         return [_leg(now, side) for side in ("Left", "Right")]
 
@@ -134,7 +132,7 @@ def _leg(now: Mapping[str, Array], side: str) -> BodyPart:
 
 
 def body(now: Mapping[str, Array], look: Look, trunk: float = 1.0) -> list[BodyPart]:
-    """Everything over the legs, of `figure_points`. trunk: the trunk's thickness as a share of its width."""
+    """All parts above the legs, of `figure_points`. trunk: the trunk's thickness as a share of its width."""
     return [*_trunk(now, trunk), *_arm(now, "Left"), *_arm(now, "Right"), *_head(now, look)]
 
 
@@ -156,7 +154,7 @@ def _arm(now: Mapping[str, Array], side: str) -> list[BodyPart]:
 
 
 def _hand(now: Mapping[str, Array], side: str) -> tuple[Limb, ...]:
-    """A palm and its fingers, of `figure_points` that have them; the last two joints of a finger bend as one."""
+    """A palm and its fingers, if `figure_points` has them; the last two finger bones are drawn as one."""
     if f"{side}HandIndex1" not in now:
         return ()
     wrist = now[side + "Hand"]
@@ -168,7 +166,7 @@ def _hand(now: Mapping[str, Array], side: str) -> tuple[Limb, ...]:
 
 
 def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
-    """Hair is a ball, the face a smaller one where the nose points, so that one sees where the figure looks."""
+    """Hair is a ball, the face a smaller one towards the nose, so that the gaze direction is visible."""
     up = now["HeadTip"] - now["Head"]
     centre = now["Head"] + 0.52 * up
     gaze = now["Nose"] - centre
@@ -180,7 +178,7 @@ def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
 
 
 class FlatLimb(NamedTuple):
-    """A limb as it is seen: places [T, 2], radii [T], the scales [T] there, colour."""
+    """A projected limb: end points [T, 2], radii [T], the scales [T] there, and a colour."""
 
     start: Array
     end: Array
@@ -190,13 +188,13 @@ class FlatLimb(NamedTuple):
     colour: str
 
     def outline(self, halo: float = 0.0) -> Array:
-        """[T, 2 * ROUND, 2], with so many metres around it."""
+        """[T, 2 * ROUND, 2] outline, enlarged by `halo` metres."""
         first, second = self.scales
         return outlines(self.start, self.end, self.r0 + halo * first, self.r1 + halo * second)
 
 
 class FlatPart(NamedTuple):
-    """A part as it is seen: how near [T], in which frames, its limbs, and whose hand it ends in."""
+    """A projected part: depth [T], visible frames, limbs, and side of the hand that it ends in."""
 
     near: Array
     shown: NDArray[np.bool_] | None
@@ -204,13 +202,13 @@ class FlatPart(NamedTuple):
     hand: str
 
     def polygons(self, paper: str) -> Iterator[tuple[Array, str]]:
-        """Corners [T, K, 2] with their colour: the outline in the colour of the paper first."""
+        """Polygons [T, K, 2] with their colours: first the outline in the colour of the paper."""
         yield from ((limb.outline(HALO), paper) for limb in self.limbs)
         yield from ((limb.outline(), limb.colour) for limb in self.limbs)
 
 
 def flattened(part: BodyPart, look: Look) -> FlatPart:
-    """A part as it is seen; it is as near as its limbs' middles."""
+    """Project a part; its depth is the mean of its limbs' midpoints."""
     limbs, depths = [], []
     for limb in part.limbs:
         (start, scale, _), (end, other, _) = look(limb.start), look(limb.end)
@@ -221,18 +219,17 @@ def flattened(part: BodyPart, look: Look) -> FlatPart:
 
 
 def seen(points: Mapping[str, Array], view: View) -> list[FlatPart]:
-    """The figure of one moment, points [1, 3]: legs, then all parts that are shown, the far ones first."""
+    """The figure at one time, points [1, 3]: legs, then all visible parts, from back to front."""
     parts = [flattened(part, view.look) for part in body(points, view.look, view.trunk)]
     return [*sorted((flattened(part, view.look) for part in legs(points)), key=lambda part: float(np.mean(part.near))),
             *sorted((part for part in parts if part.shown is None or part.shown[0]), key=lambda part: part.near[0])]
 
 
 def outlines(start: Array, end: Array, r0: Array, r1: Array) -> Array:
-    """[T, 2 * ROUND, 2] outlines of the hulls of two discs each: centres [T, 2], radii [T].
+    """[T, 2 * ROUND, 2] outlines of the convex hulls of two discs: centres [T, 2], radii [T].
 
-    The sides touch both circles: they lean by asin((r0 - r1) / distance) against the axis. Where one disc holds the
-    other, its circle is the outline (and the other's one point lies within).
-    """
+    The sides are tangent to both circles, at asin((r0 - r1) / distance) to the axis. If one disc contains the other,
+    its circle is the outline. """
     way = end - start
     heading = np.arctan2(way[:, 1], way[:, 0])[:, None]
     touch = np.arccos(np.clip((r0 - r1) / np.maximum(np.hypot(*way.T), 1e-9), -1.0, 1.0))[:, None]

@@ -1,13 +1,13 @@
-"""`.mp4`, `.webm` and `.gif`: a figure that moves, with its sound; also the films of user studies.
+"""`.mp4`, `.webm` and `.gif`: an animated figure with audio; also the films of user studies.
 
-Raters of RG 7.3.3 and RACER 5.4 watch videos. The suffix picks the format: .mp4 (H.264 and AAC), .webm (VP9 and Opus),
-or .gif, which has no sound. Every motion is drawn in one body, by one camera, without text, so that a picture tells
-nothing but the movement. Picture and sound begin at 0 and are equally long. The same input gives the same pictures and
-samples as long as the encoders stay the same: one thread, no date, no version of the muxer. WebM and GIF give the same
-bytes too; an H.264 stream was seen to differ by a byte now and then, though not in what it shows.
+User studies (RG 7.3.3, RACER 5.4) show videos to raters. The suffix selects the format: .mp4 (H.264 and AAC), .webm
+(VP9 and Opus), or .gif without audio. All motions use the same figure and camera, without text, so that the picture
+shows only the movement. Video and audio start at 0 and are equally long. The same input gives the same pictures and
+samples for the same encoder versions: one thread, no date, no muxer version. WebM and GIF are byte-identical too; an
+H.264 stream occasionally differs by a byte without visible effect.
 
-What it cannot show: fingers, face, and a character of the user's; legs stand still where the motion has none. Outlines
-lie on half pixels, and colours are stored at half the resolution (4:2:0), as in most videos.
+Not shown: face and custom characters; legs stand still if the motion has none. Outlines are snapped to half pixels, and
+chroma is stored at half resolution (4:2:0), as in most videos.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ SIZE = (540, 720)
 """Pixels across and down."""
 FPS = 30
 SOUND_RATE = 48_000
-"""Hz; what Opus knows, and AAC too."""
+"""Sampling rate in Hz, supported by Opus and AAC."""
 
 
 class Format(NamedTuple):
-    """A file's container, its encoders, and their settings: good enough that no edge tells of the encoder."""
+    """A container and its encoders, with settings of sufficient quality to hide compression artefacts."""
 
     container: str
     container_options: dict[str, str]
@@ -59,7 +59,7 @@ class Format(NamedTuple):
     bit_rate: int
 
 
-# No picture is made from later ones (bf, lag-in-frames, auto-alt-ref): the first to be shown is the first in the file.
+# No frame depends on later ones (bf, lag-in-frames, auto-alt-ref), so the first frame shown is the first in the file.
 FORMATS = {
     ".mp4": Format("mp4", {"movflags": "+faststart"}, "libx264",
                    {"preset": "veryfast", "crf": "20", "bf": "0", "x264-params": "threads=1"}, "aac", 128_000),
@@ -67,20 +67,20 @@ FORMATS = {
                     {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "7", "lag-in-frames": "0",
                      "auto-alt-ref": "0"}, "libopus", 96_000),
 }
-"""Suffix -> how it is written."""
+"""Suffix -> format."""
 
 LEAST_FILLING = 9
-"""Bytes that `filled` needs at least."""
+"""Least number of bytes that `filled` can add."""
 
 GIF_FPS = 25
-"""Frames per second: a GIF counts hundredths of a second, and browsers slow down what is faster than two of them."""
+"""Frames per second: GIF delays are in hundredths of a second, and browsers slow down delays below two."""
 GIF_SIZE = (360, 480)
 GIF_COLOURS = 64
-"""The figure has a dozen flat colours; the rest are the edges between them."""
+"""Palette size: a dozen flat colours, and blends at their edges."""
 
 _OVER = 2
-"""Drawn this many times as large and scaled down, which smooths the edges."""
-# The numbers of ITU-T H.273 and of FFmpeg for BT.709 and the narrow range.
+"""Supersampling factor for smooth edges."""
+# Codes of ITU-T H.273 and FFmpeg for BT.709 and the narrow range.
 _BT709 = 1
 _NARROW = 1
 
@@ -92,10 +92,8 @@ _Ink = Callable[[str], _Colour]
 
 @dataclass(frozen=True)
 class Camera:
-    """A fixed look at the figure, from a little to its left and above, for the depth of a gesture (metres, radians).
-
-    A metre at `middle` is `zoom` times the picture's shorter side.
-    """
+    """A fixed camera a little to the figure's left and above it, which shows the depth of gestures (metres, radians). A
+    metre at `middle` is `zoom` times the picture's shorter side."""
 
     yaw: float = 0.3
     pitch: float = 0.09
@@ -104,7 +102,7 @@ class Camera:
     zoom: float = 0.47
 
     def project(self, points: Array, size: tuple[int, int]) -> tuple[Array, Array, Array]:
-        """Points [..., 3] in metres as places [..., 2] in pixels, pixels per metre [...] and depth [...] in metres.
+        """Project points [..., 3] in metres to pixels [..., 2], pixels per metre [...] and depth [...] in metres.
 
         Depth grows towards the viewer; scale = zoom * side * distance / (distance - depth).
         """
@@ -118,12 +116,12 @@ class Camera:
 
 
 def _polygons(part: FlatPart, ink: _Ink) -> list[tuple[NDArray[np.int64], _Colour]]:
-    """Corners [T, K, 2] in whole pixels, of which Pillow would cut the fractions off, and colours."""
+    """Polygons [T, K, 2] rounded to whole pixels (Pillow would truncate), with their colours."""
     return [(np.rint(corners).astype(np.int64), ink(colour)) for corners, colour in part.polygons(PAPER)]
 
 
 def _background(camera: Camera, size: tuple[int, int], ink: _Ink, still_legs: bool) -> Image:
-    """Paper, a soft shadow on the floor, and legs that stand still: what no frame changes."""
+    """The static background: paper, a soft shadow on the floor, and still legs."""
     from PIL import Image, ImageDraw, ImageFilter
 
     picture = Image.new("RGB", size, ink(PAPER))
@@ -153,9 +151,9 @@ def bt709(colour: str) -> _Colour:
 
 
 def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink = rgb) -> Iterator[Image]:
-    """One picture of `size` pixels for each of the T moments of `points`: name -> [T, 3], of `figure_points`.
+    """One picture of `size` pixels for each of the T times of `points`: name -> [T, 3], of `figure_points`.
 
-    ink: what stands in the three channels for a colour. Edges are means, which any linear code of colours allows.
+    ink: converts a colour to the three channels. Edges are averages, valid in any linear colour code.
     """
     try:
         from PIL import ImageDraw
@@ -166,7 +164,7 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
     look, background = partial(camera.project, size=large), _background(camera, large, ink, not moving)
     parts = [flattened(part, look) for part in (*moving, *body(points, look))]
     drawn = [_polygons(part, ink) for part in parts]
-    # Only the box that the figure ever touches is drawn anew: the rest, most of the picture, stays.
+    # Redraw only the bounding box of all frames: most of the picture is static.
     every = np.concatenate([corners.reshape(-1, 2) for polygons in drawn for corners, _ in polygons])
     low, high = (np.clip([every.min(0) // _OVER, every.max(0) // _OVER + 1], 0, size)).tolist()
     stage = background.crop((low[0] * _OVER, low[1] * _OVER, high[0] * _OVER, high[1] * _OVER))
@@ -191,11 +189,10 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
 
 def encode(points: dict[str, Array], speech: Speech, suffix: str, *, size: tuple[int, int] = SIZE,
            fps: int = FPS) -> bytes:
-    """A video's bytes: frame k shows moment k of `points` (name -> [T, 3]); its sound is `speech` from its start.
+    """The bytes of a video: frame k shows time k of `points` (name -> [T, 3]), with `speech` as audio from its start.
 
-    The sound is cut, or filled with silence, to T / fps seconds. suffix: ".mp4" or ".webm". InputError for another one,
-    for an impossible size or rate, and where PyAV or Pillow is not installed.
-    """
+    The audio is truncated, or padded with silence, to T / fps seconds. suffix: ".mp4" or ".webm". InputError for
+    another suffix, an invalid size or rate, or if PyAV or Pillow is not installed. """
     kind = format_of(suffix)
     if min(size) < 16 or size[0] % 2 or size[1] % 2:
         raise InputError("size", f"must be even and 16 or more, not {size[0]} x {size[1]}")
@@ -206,30 +203,29 @@ def encode(points: dict[str, Array], speech: Speech, suffix: str, *, size: tuple
         raise InputError("video", "would hold no frame", "give a longer stretch")
     sound = _resampled(speech, frames, fps)
     with tempfile.TemporaryDirectory() as folder:
-        # A file, not memory: moving the index to the front needs to read back what was written.
+        # A file, not memory: moving the index to the front reads back the written data.
         target = Path(folder) / f"clip{suffix.lower()}"
         _write(target, kind, pictures(points, size, bt709), sound, size, fps)
         return target.read_bytes()
 
 
 def format_of(suffix: str) -> Format:
-    """How a suffix is written; InputError for an unknown one, and where PyAV is not installed."""
+    """The format of a suffix; InputError for an unknown one, or if PyAV is not installed."""
     try:
-        import av  # noqa: F401 - asked for early, before minutes of drawing
+        import av  # noqa: F401 - fail before minutes of drawing
     except ImportError:
         raise _missing("PyAV") from None
     if suffix.lower() not in FORMATS:
-        raise InputError(suffix or "a name without a suffix", "is no video format that is written here",
+        raise InputError(suffix or "a name without a suffix", "is not a supported video format",
                          f"use {' or '.join(FORMATS)}")
     return FORMATS[suffix.lower()]
 
 
 def filled(data: bytes, size: int, suffix: str) -> bytes:
-    """The file made `size` bytes long by an element at its end that players skip ("free" or Void, full of zeros).
+    """Pad a file to `size` bytes with an element that players skip ("free" or Void, filled with zeros).
 
-    Lengths tell how much a figure moves, and so which of two is the still one. `size` must be `LEAST_FILLING` more
-    than the file, or equal to it.
-    """
+    File sizes reveal how much a figure moves, and so which of two is the still one. `size` must equal the size of the
+    file or exceed it by at least `LEAST_FILLING`. """
     gap = size - len(data)
     if gap == 0:
         return data
@@ -237,7 +233,7 @@ def filled(data: bytes, size: int, suffix: str) -> bytes:
         raise ValueError(f"{gap} bytes are too few to fill")
     if FORMATS[suffix.lower()].container == "mp4":
         return data + struct.pack(">I", gap) + b"free" + bytes(gap - 8)
-    # EBML: Void's id, and its length as a number of eight bytes, whose first bit says that it has eight.
+    # EBML: the id of Void, and its length as an eight-byte number, marked as such by its first bit.
     return data + b"\xec" + struct.pack(">Q", (gap - 9) | 1 << 56) + bytes(gap - 9)
 
 
@@ -246,9 +242,9 @@ def _missing(what: str) -> InputError:
 
 
 def _resampled(speech: Speech, frames: int, fps: int) -> Samples:
-    """The first frames / fps seconds at `SOUND_RATE`."""
+    """The first frames / fps seconds, resampled to `SOUND_RATE`."""
     wanted = round(frames * SOUND_RATE / fps)
-    # A little more than that goes in, so that the filter does not hear an end.
+    # Include a little more, so that the resampling filter does not see an edge.
     enough = speech.samples[:math.ceil((frames / fps + 0.1) * speech.sample_rate)]
     samples = enough if speech.sample_rate == SOUND_RATE else soxr.resample(enough, speech.sample_rate, SOUND_RATE)
     samples = np.clip(samples[:wanted], -1.0, 1.0).astype(np.float32)
@@ -256,17 +252,17 @@ def _resampled(speech: Speech, frames: int, fps: int) -> Samples:
 
 
 def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, size: tuple[int, int], fps: int) -> None:
-    """Picture and sound in turn, so that a player finds what belongs together in one place."""
+    """Interleave video and audio, so that players find matching data together."""
     import av
 
     options = kind.container_options | {"fflags": "+bitexact"}
     with av.open(str(target), "w", format=kind.container, options=options) as container:
         video: Any = container.add_stream(kind.video, rate=fps, options=kind.video_options)
         video.width, video.height, video.pix_fmt = *size, "yuv420p"
-        # Said in the file, lest a player guess from the height and show other colours.
-        own = video.codec_context
-        own.colorspace, own.color_primaries, own.color_trc, own.color_range = _BT709, _BT709, _BT709, _NARROW
-        own.gop_size = 2 * fps
+        # Stored in the file, so that players do not guess the colour space from the height.
+        codec = video.codec_context
+        codec.colorspace, codec.color_primaries, codec.color_trc, codec.color_range = _BT709, _BT709, _BT709, _NARROW
+        codec.gop_size = 2 * fps
         voice: Any = container.add_stream(kind.audio, rate=SOUND_RATE, layout="mono")
         voice.bit_rate = kind.bit_rate
         for stream in (video, voice):
@@ -281,10 +277,7 @@ def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, s
 
 
 def _frame(picture: Image, number: int, fps: int) -> Any:
-    """A picture in the colours of `bt709` as frame `number`.
-
-    Drawn in these colours from the start, which saves a slow conversion of every frame.
-    """
+    """A picture in the colours of `bt709` as frame `number`; drawn in these colours to avoid a slow conversion."""
     import av
 
     light, blue, red = picture.split()
@@ -292,7 +285,7 @@ def _frame(picture: Image, number: int, fps: int) -> Any:
     for plane, channel in zip(frame.planes, (light, blue.reduce(2), red.reduce(2)), strict=True):
         rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
         rows[:, :channel.width] = np.asarray(channel)
-        # A row has room behind its end, which an encoder may read.
+        # Rows are padded, and an encoder may read the padding.
         rows[:, channel.width:] = rows[:, channel.width - 1:channel.width]
     frame.pts, frame.time_base = number, Fraction(1, fps)
     frame.colorspace, frame.color_range = _BT709, _NARROW
@@ -300,7 +293,7 @@ def _frame(picture: Image, number: int, fps: int) -> Any:
 
 
 def _sound_frame(samples: Samples, first: int) -> Any:
-    """Samples as a frame of sound that begins at sample `first`."""
+    """Samples as an audio frame that starts at sample `first`."""
     import av
 
     frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(samples[None]), format="fltp", layout="mono")
@@ -311,26 +304,27 @@ def _sound_frame(samples: Samples, first: int) -> Any:
 # ---------------------------------------------------------------- a scene
 
 def write_film(path: Path, scene: Scene) -> Path:
-    """Write the scene as a video with its sound, whole or not at all. Returns `path`."""
+    """Write the scene as a video with audio, atomically. Returns `path`."""
     points = _moments(scene.motion, scene.duration, FPS)
     write_bytes(path, encode(points, scene.speech, path.suffix))
     return path
 
 
 def write_gif(path: Path, scene: Scene) -> Path:
-    """Write the scene as a GIF that repeats, without sound, whole or not at all. Returns `path`."""
+    """Write the scene as a looping GIF without audio, atomically. Returns `path`."""
     write_bytes(path, gif(_moments(scene.motion, scene.duration, GIF_FPS)))
     return path
 
 
 def _moments(motion: Motion, duration: float, fps: int) -> dict[str, Array]:
-    """What is drawn at each frame of a film; on her own legs and with her own fingers where she has them."""
+    """The points to draw at each frame of a film, with the motion's legs and fingers if it has them."""
     times = np.arange(max(1, math.floor(duration * fps + 1e-9))) / fps
     return figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
 
 
 def gif(points: dict[str, Array]) -> bytes:
-    """A GIF's bytes: frame k shows moment k of `points` (name -> [T, 3]) at `GIF_FPS`; one palette for all frames."""
+    """The bytes of a GIF: frame k shows time k of `points` (name -> [T, 3]) at `GIF_FPS`; one palette for all
+    frames."""
     from PIL import Image
 
     frames = len(next(iter(points.values())))

@@ -1,4 +1,4 @@
-"""`.g1.csv`: joint angles of a Unitree G1, a row for each frame, as MuJoCo takes them."""
+"""`.g1.csv`: joint angles of a Unitree G1 in MuJoCo's convention, one row per frame."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from gesticulator.export.scene import Scene
 
 COLUMNS = ("time", "base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz", *NAMES)
-"""time: seconds. base: where the pelvis is, metres (X ahead, Y left, Z up, the floor at 0), and how it is turned, a
-unit quaternion. Then the 29 joints, radians. All but the first are `qpos` of the model in MuJoCo, in its order."""
+"""time: seconds. base: position of the pelvis, metres (X ahead, Y left, Z up, floor at 0), and its rotation, a unit
+quaternion. Then the 29 joints, radians. All but the first are `qpos` of the model in MuJoCo, in its order."""
 
 
 class RobotWarning(UserWarning):
-    """What a robot could not do as it was asked."""
+    """A motion that the robot can only approximate."""
 
 
 def write_g1(path: Path, scene: Scene) -> Path:
-    """Write the motion for a G1, whole or not at all; a `RobotWarning` tells what its limits cut. Returns `path`."""
+    """Write the motion for a G1, atomically; a `RobotWarning` describes clipped motion. Returns `path`."""
     moved = to_robot(scene.motion)
     rows = np.concatenate([np.arange(len(moved))[:, None] / moved.fps, moved.places, moved.turns, moved.angles], axis=1)
     out = io.StringIO()

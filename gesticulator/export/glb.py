@@ -1,4 +1,4 @@
-"""`.glb`: the skeleton as nodes with a plain figure on it, and one animation; or the user's own character, animated."""
+"""`.glb`: the skeleton with a plain figure and one animation, or the user's character with the animation added."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from data_module.files import write_bytes
 from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion
-from gesticulator.export.own_fbx import own_character, write_animated
+from gesticulator.export.own_fbx import write_animated
 from gesticulator.export.stick_figure import figure
 
 if TYPE_CHECKING:
@@ -18,35 +18,33 @@ if TYPE_CHECKING:
     from gesticulator.export.scene import Scene
 
 ANIMATION = "gesture"
-"""Name of the one animation that is added."""
+"""Name of the added animation."""
 _COLOUR = [0.24, 0.45, 0.47, 1.0]
-"""Of the figure: linear red, green, blue, opacity."""
+"""Colour of the figure: linear red, green, blue, opacity."""
 
 
 def write_glb(path: Path, scene: Scene) -> Path:
-    """Write the motion as GLB, whole or not at all. Returns `path`. A character that came as FBX needs Blender."""
-    from_fbx = own_character(scene)
-    if from_fbx is not None:
-        return write_animated(path, from_fbx)
+    """Write the motion as GLB, atomically. Returns `path`. An FBX character needs Blender."""
     character = scene.character
-    own = character is not None and character.character.kind == "glb"
-    write_bytes(path, character_glb(character) if character is not None and own
-                else skeleton_glb(scene.nodes))
+    if character is not None and character.character.kind == "fbx":
+        return write_animated(path, character)
+    is_glb = character is not None and character.character.kind == "glb"
+    write_bytes(path, character_glb(character) if character is not None and is_glb else skeleton_glb(scene.nodes))
     return path
 
 
 def character_glb(moved: CharacterMotion) -> bytes:
-    """The character's own file with one animation more: the bytes of a GLB file.
+    """The character's file with one animation added: the bytes of a GLB file.
 
-    Nothing else in it changes, apart from nodes that are moved and have a matrix, which becomes a translation, a
-    rotation and a scale. Buffers and pictures that lie beside a .gltf are put inside.
+    Nothing else changes, except that animated nodes with a matrix get a translation, a rotation and a scale instead.
+    Buffers and images in separate files are embedded.
     """
     character = moved.character
     gltf = open_gltf(character.path)
     for node in moved.moved:
-        own = gltf.document["nodes"][character.node_ids[node]]
-        if own.pop("matrix", None) is not None:
-            own |= transform(character.translations[node], character.rotations[node], character.scales[node])
+        entry = gltf.document["nodes"][character.node_ids[node]]
+        if entry.pop("matrix", None) is not None:
+            entry |= transform(character.translations[node], character.rotations[node], character.scales[node])
     shifts = {} if moved.translations is None else {moved.hips: moved.translations}
     motion = NodeMotion(character.names, character.parents, character.translations, character.rotations,
                         character.scales, moved.rotations, shifts, {}, moved.fps)
@@ -55,14 +53,14 @@ def character_glb(moved: CharacterMotion) -> bytes:
 
 
 def skeleton_glb(motion: NodeMotion) -> bytes:
-    """A skeleton with a figure of spindles on it, that moves: the bytes of a GLB file."""
+    """An animated skeleton with a figure of spindles: the bytes of a GLB file."""
     gltf = skeleton_document(motion)
     gltf.animate(ANIMATION, motion, {node: node for node in range(len(motion.names))})
     return gltf.to_bytes()
 
 
 def skeleton_document(motion: NodeMotion) -> GltfDocument:
-    """A skeleton at rest with a figure of spindles on it."""
+    """A skeleton at rest with a figure of spindles."""
     from gesticulator.version import __version__
 
     gltf = GltfDocument({
@@ -76,10 +74,10 @@ def skeleton_document(motion: NodeMotion) -> GltfDocument:
 
 
 def _dress(gltf: GltfDocument, motion: NodeMotion) -> None:
-    """Hang the figure on the joints, as a skin: what tools take for an armature."""
+    """Attach the figure to the joints as a skin, which tools import as an armature."""
     body, bind = figure(motion), motion.rest_matrices()
     inverse = np.linalg.inv(bind)
-    inverse[:, 3] = [0, 0, 0, 1]  # to the last bit, as the format asks for
+    inverse[:, 3] = [0, 0, 0, 1]  # exactly, as the format requires
     joints = np.zeros((len(body.joints), 4), "<u2")
     joints[:, 0] = body.joints
     weights = np.zeros((len(body.joints), 4), "<f4")
@@ -96,6 +94,6 @@ def _dress(gltf: GltfDocument, motion: NodeMotion) -> None:
     document["meshes"] = [{"name": "figure", "primitives": [{"attributes": attributes, "material": 0}]}]
     document["materials"] = [{"name": "figure", "pbrMetallicRoughness": {
         "baseColorFactor": _COLOUR, "metallicFactor": 0.0, "roughnessFactor": 0.8}}]
-    # Beside the skeleton, not in it: where a skinned mesh stands is told by its joints alone.
+    # Beside the skeleton, not in it: the position of a skinned mesh is defined by its joints alone.
     document["scenes"][0]["nodes"].append(len(document["nodes"]))
     document["nodes"].append({"name": "figure", "mesh": 0, "skin": 0})

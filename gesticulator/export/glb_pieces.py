@@ -1,4 +1,4 @@
-"""`.glb` of a motion whose frames come in pieces: the bytes of the motion at once, in bounded memory."""
+"""`.glb` of a motion whose frames arrive in pieces: identical bytes, in bounded memory."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from gesticulator.export.nodes import NodeMotion, of_motion
 from gesticulator.export.number_file import NumberFile
 
 _NOT_MOTION = 1 << 17
-"""Bytes (128 KiB) kept free for what does not grow with the motion, the figure and the JSON: 95 kB with 54 joints."""
+"""Bytes (128 KiB) reserved for the figure and the JSON: 95 kB with 54 joints."""
 
 
 class GlbFile:
-    """A .glb file. It lists times, then the root's path, then each joint's turns: all wait in files of their own."""
+    """A .glb file. Times, root positions and each joint's rotations are buffered in separate temporary files."""
 
     def __init__(self, path: Path, skeleton: Skeleton, fps: float) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -31,13 +31,11 @@ class GlbFile:
         self._turns = [NumberFile(path.parent, (4,)) for _ in range(len(skeleton))]
 
     def expect(self, frames: int) -> None:
-        """`InputError` where so many frames are more than the file can hold."""
         size = frames * 4 * (1 + 3 + 4 * len(self._turns)) + _NOT_MOTION
         if size > LARGEST:
             raise too_large(size)
 
     def add(self, motion: Motion) -> None:
-        """Some more frames."""
         begin = len(self._times)
         self.expect(begin + len(motion))
         nodes = of_motion(standing(motion), self._continuous)
@@ -48,9 +46,8 @@ class GlbFile:
             turns.add(as_gltf(nodes.turns[:, node]))
 
     def finish(self) -> None:
-        """Give the file its name; nothing follows."""
         if self._rest is None:
-            raise ValueError("a motion has one frame at least")
+            raise ValueError("a motion needs at least one frame")
         gltf = skeleton_document(self._rest)
         gltf.add_animation(ANIMATION, self._times, [(0, TRANSLATION, self._places), *(
             (node, ROTATION, turns) for node, turns in enumerate(self._turns))])
@@ -58,6 +55,5 @@ class GlbFile:
             gltf.write(out)
 
     def close(self) -> None:
-        """Let go of the temporary files."""
         for numbers in (self._times, self._places, *self._turns):
             numbers.close()

@@ -1,7 +1,6 @@
-"""GLB, the binary form of glTF 2.0: a document in JSON and a block of numbers, in one file.
+"""Writes GLB, the binary form of glTF 2.0: a JSON document and a binary buffer in one file.
 
-Lengths are metres, Y is up, quaternions are w last (glTF 2.0, section 3.4). The document is kept as it was read, so
-that what is not known here stays untouched.
+Lengths are metres, Y is up, quaternions are w last (glTF 2.0, section 3.4). Unknown content of a document is preserved.
 """
 
 from __future__ import annotations
@@ -27,20 +26,20 @@ _FLOAT, _UINT8, _UINT16 = 5126, 5121, 5123
 _TYPES = {np.dtype("<f4"): _FLOAT, np.dtype("u1"): _UINT8, np.dtype("<u2"): _UINT16}
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTICES = 34962
-"""What a buffer view is for: the attributes of vertices."""
+"""Target of a buffer view: vertex attributes."""
 TRANSLATION, ROTATION = "translation", "rotation"
-"""What of a node an animation moves."""
+"""Animated properties of a node."""
 LARGEST = (1 << 32) - 1
-"""Bytes of a GLB file: its header tells how many in 32 bits (4 GiB)."""
+"""Largest size of a GLB file, bytes (4 GiB): its header has 32 bits for it."""
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 
 
 Numbers: TypeAlias = "NDArray[Any] | NumberFile"
-"""Numbers [n, ...], in memory or on the disk."""
+"""Numbers [n, ...], in memory or on disk."""
 
 
 class GltfDocument:
-    """A glTF document and its binary buffer, to which accessors and animations can be added."""
+    """A glTF document and its binary buffer; accessors and animations can be added."""
 
     def __init__(self, document: dict[str, Any], binary: bytes = b"") -> None:
         self.document = document
@@ -48,10 +47,8 @@ class GltfDocument:
         self._size = len(binary)
 
     def accessor(self, values: Numbers, target: int | None = None, bounds: bool = False) -> int:
-        """Add numbers [n, ...] (float32, uint8 or uint16, little-endian); the accessor's index.
-
-        bounds: tell the lowest and the highest values, as times and positions must.
-        """
+        """Add numbers [n, ...] (float32, uint8 or uint16, little-endian); returns the accessor's index. bounds: store
+        minimum and maximum, as required for times and positions."""
         if isinstance(values, NumberFile):
             entry: dict[str, Any] = {"bufferView": self.view(values, target), "componentType": _FLOAT,
                                      "count": len(values), "type": _KINDS[values.shape]}
@@ -69,7 +66,7 @@ class GltfDocument:
         return self._added("accessors", accessor)
 
     def view(self, data: bytes | NumberFile, target: int | None = None) -> int:
-        """Add bytes; the buffer view's index."""
+        """Add bytes; returns the buffer view's index."""
         size = data.size if isinstance(data, NumberFile) else len(data)
         self._append(bytes(-self._size % 4), -self._size % 4)
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": size}
@@ -79,18 +76,18 @@ class GltfDocument:
         return self._added("bufferViews", view)
 
     def animate(self, name: str, motion: NodeMotion, nodes: dict[int, int]) -> None:
-        """Add one animation. nodes: index in the motion -> index in the document, for the nodes that move."""
+        """Add one animation. nodes: index in the motion -> index in the document, for moved nodes."""
         def tracks() -> Iterable[tuple[int, str, Numbers]]:
-            for own, node in nodes.items():
-                if own in motion.shifts:
-                    yield node, TRANSLATION, motion.shifts[own].astype("<f4")
-                yield node, ROTATION, as_gltf(motion.turns[:, own])
+            for source, node in nodes.items():
+                if source in motion.shifts:
+                    yield node, TRANSLATION, motion.shifts[source].astype("<f4")
+                yield node, ROTATION, as_gltf(motion.turns[:, source])
 
         self.add_animation(name, motion.times.astype("<f4"), tracks())
 
     def add_animation(self, name: str, times: Numbers, tracks: Iterable[tuple[int, str, Numbers]]) -> None:
-        """Add one animation. times: [T] seconds, rising; tracks: node, what of it moves (`TRANSLATION`, `ROTATION`),
-        and its values, [T, 3] or [T, 4] with w last; all float32."""
+        """Add one animation. times: [T] seconds, rising; tracks: node, property (`TRANSLATION`, `ROTATION`), and
+        values, [T, 3] or [T, 4] with w last; all float32."""
         seconds = self.accessor(times, bounds=True)
         samplers: list[dict[str, Any]] = []
         channels: list[dict[str, Any]] = []
@@ -100,13 +97,12 @@ class GltfDocument:
         self._added("animations", {"name": name, "samplers": samplers, "channels": channels})
 
     def to_bytes(self) -> bytes:
-        """The file."""
         out = io.BytesIO()
         self.write(out)
         return out.getvalue()
 
     def write(self, out: BinaryIO) -> None:
-        """Write the file. `InputError` where it is larger than a GLB can be."""
+        """Write the file. `InputError` if it exceeds the size limit of GLB."""
         self._append(bytes(-self._size % 4), -self._size % 4)
         self.document.setdefault("buffers", [{}])[0]["byteLength"] = self._size
         text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
@@ -133,28 +129,27 @@ class GltfDocument:
 
 
 def too_large(size: int) -> InputError:
-    """What to say of a GLB file of so many bytes, more than it can have."""
+    """The error for a GLB file of `size` bytes."""
     return InputError("the motion", f"would take {size / 1e9:.1f} GB, and a GLB file holds {LARGEST / 1e9:.1f} GB",
                       "ask for fewer frames per second (--fps), write .bvh, or cut the recording in parts")
 
 
 def as_gltf(turns: Array) -> NDArray[np.float32]:
-    """Quaternions [..., 4], w first, as glTF has them: w last, float32."""
-    moved: NDArray[np.float32] = turns[..., [1, 2, 3, 0]].astype("<f4")
-    return moved
+    """Convert quaternions [..., 4] from w first to glTF's w last, float32."""
+    return np.asarray(turns[..., [1, 2, 3, 0]].astype("<f4"))
 
 
 def transform(translation: Array, turn: Array, scale: Array) -> dict[str, Any]:
-    """A node's local transform as glTF tells it; turn: w first. What is the default is left out."""
+    """A node's local transform in glTF, without default values; turn: w first."""
     rows = (("translation", translation, [0, 0, 0]), ("rotation", turn[[1, 2, 3, 0]], [0, 0, 0, 1]),
             ("scale", scale, [1, 1, 1]))
     return {name: [float(v) for v in value] for name, value, default in rows if not np.array_equal(value, default)}
 
 
 def open_gltf(path: Path) -> GltfDocument:
-    """A .glb, .vrm or .gltf file, with all its buffers in one and all its pictures inside, each file once.
+    """Read a .glb, .vrm or .gltf file with all buffers joined and all images embedded, each file once.
 
-    `InputError` where it is none, or lacks a file beside it.
+    `InputError` for an invalid file or a missing separate file.
     """
     file = read_gltf(path)
     gltf = GltfDocument(file.document, file.one_buffer())
@@ -174,7 +169,7 @@ def open_gltf(path: Path) -> GltfDocument:
 
 
 def node_tree(motion: NodeMotion) -> list[dict[str, Any]]:
-    """The nodes at rest as glTF has them; what is the default (no turn, no shift, no scale) is left out."""
+    """The nodes at rest in glTF, without default values."""
     nodes: list[dict[str, Any]] = []
     for index, name in enumerate(motion.names):
         node: dict[str, Any] = {"name": name}

@@ -1,7 +1,7 @@
-"""The preview: one page that shows, plays and edits performances, with everything inside it and no network.
+"""The preview: a self-contained page that plays and edits performances, without network access.
 
-The page's script is built from `viewer/` into `gesticulator/assets`. What it may load is fixed by a policy in the page:
-its own script and style by their hashes, and nothing from another host.
+The page's script is built from `viewer/` into `gesticulator/assets`. A content security policy allows only its own
+script and style, by their hashes, and nothing from other hosts.
 """
 
 from __future__ import annotations
@@ -32,40 +32,40 @@ if TYPE_CHECKING:
 
 
 class HasScene(Protocol):
-    """What can give its scene, as a performance does."""
+    """An object with a scene, such as a performance."""
 
     def scene(self) -> Scene:
-        """What writers are given."""
+        """The input of writers."""
         ...
 
 
 __all__ = ["write_comparison", "write_preview"]
 
 LONG = 600.0
-"""Seconds of sound above which the page holds `LONG_FPS` frames of motion a second, so that it still opens well: an
-hour is then about 40 MB, of which half is the sound."""
+"""Duration in seconds above which the page uses `LONG_FPS`, so that it still opens quickly: an hour is then about 40
+MB, half of it audio."""
 LONG_FPS = 30.0
-"""Frames per second of a long recording's page, which interpolates between them; the models' own rate is 20."""
+"""Frames per second in the page of a long recording, which interpolates; the models' rate is 20."""
 QUATERNION_STEPS = 32767
-"""Quaternions travel as int16 of this many steps per unit: 3e-5, about 0.003 degrees."""
+"""Quaternions are stored as int16 with this many steps per unit: 3e-5, about 0.003 degrees."""
 PEAKS_PER_SECOND = 100
 LARGEST_CHARACTER = 48 << 20
-"""Bytes of a character's file that a page holds: in a page they are a third more, and browsers open 100 MB slowly."""
+"""Largest character file in a page, bytes: base64 adds a third, and browsers open 100 MB slowly."""
 _SAME = 0.05
-"""Seconds by which two takes of one recording may differ: a cut on the frame grid."""
+"""Largest difference in duration of two takes of one recording, seconds: rounding to frames."""
 _SLOT = re.compile(r"\{\{([a-z_]+)\}\}")
 
 
 def write_preview(path: Path, scene: Scene) -> Path:
-    """Write the preview page, whole or not at all. Returns `path`."""
+    """Write the preview page, atomically. Returns `path`."""
     write_text(path, page({"take": scene}, title_of(path)))
     return path
 
 
 def write_comparison(path: Path, takes: Mapping[str, Scene | HasScene]) -> Path:
-    """Write one page with two performances of one recording, side by side, whole or not at all. Returns `path`.
+    """Write one page with two performances of one recording side by side, atomically. Returns `path`.
 
-    takes: what each is called -> a performance, or its scene. `InputError` unless they are two of one recording.
+    takes: name -> a performance, or its scene. `InputError` unless they are two of one recording.
     """
     write_text(path, page({name: take if isinstance(take, Scene) else take.scene() for name, take in takes.items()},
                           title_of(path), together=True))
@@ -73,7 +73,7 @@ def write_comparison(path: Path, takes: Mapping[str, Scene | HasScene]) -> Path:
 
 
 def title_of(path: Path) -> str:
-    """What a page is called: the file's name without its suffix, which may hold bytes that are no text."""
+    """The title of a page: the file's name without its suffix, with bytes that are not text replaced."""
     return path.stem.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
@@ -81,9 +81,8 @@ def page(takes: Mapping[str, Scene], title: str, *, together: bool = False,
          more: Mapping[str, Any] | None = None) -> str:
     """The self-contained page as text.
 
-    takes: what each is called -> its scene, one or two of one recording; the sound is the first one's.
-    together: both are on the stage at once. more: members of its data beside those that are made here, such as `live`,
-    where `gesticulator view` renders edited plans for it.
+    takes: name -> scene, one or two of one recording; the audio is that of the first. together: show both at once.
+    more: further members of the page's data, such as `live`, with which `gesticulator view` renders edited plans.
     """
     first = next(iter(takes.values()))
     if len(takes) > 2:
@@ -91,7 +90,7 @@ def page(takes: Mapping[str, Scene], title: str, *, together: bool = False,
     if any(abs(other.duration - first.duration) > _SAME for other in takes.values()):
         raise InputError("two takes", "are of recordings of different length", "give two takes of one recording")
     if together and len(takes) < 2:
-        raise InputError("one take", "stands beside none", "give two")
+        raise InputError("one take", "cannot be compared", "give two")
     live = more is not None and more.get("live") is not None
     data = {
         "title": title,
@@ -109,11 +108,10 @@ def page(takes: Mapping[str, Scene], title: str, *, together: bool = False,
 
 
 def describe(scene: Scene) -> dict[str, Any]:
-    """What the page is told of a take: times in seconds, lengths in metres, arrays as base64 of little-endian numbers.
+    """The data of a take for the page: times in seconds, lengths in metres, arrays as base64 of little-endian numbers.
 
-    `rotations` is int16 [T, J, 4], w first, in steps of 1 / `QUATERNION_STEPS`; `root` is float32 [T, 3], or [1, 3]
-    where the root does not move; `plan` is the gesture plan.
-    """
+    `rotations` is int16 [T, J, 4], w first, in steps of 1 / `QUATERNION_STEPS`; `root` is float32 [T, 3], or [1, 3] for
+    a still root; `plan` is the gesture plan. """
     return {**describe_motion(scene), "plan": scene.plan.to_dict()}
 
 
@@ -137,7 +135,7 @@ def describe_motion(scene: Scene) -> dict[str, Any]:
 
 
 def _character(moved: CharacterMotion | None) -> dict[str, Any]:
-    """The members of the page's data about the user's character; none where she cannot be shown in a page."""
+    """The page's data about the user's character; empty if its format cannot be shown."""
     if moved is None or moved.character.kind != "glb":
         return {}
     rig = moved.character
@@ -145,10 +143,8 @@ def _character(moved: CharacterMotion | None) -> dict[str, Any]:
 
 
 def character_data(path: Path, joints: Mapping[str, int]) -> dict[str, Any]:
-    """A character as the page takes it: her file as GLB, and our joint -> its node in the file.
-
-    A file of more than `LARGEST_CHARACTER` bytes is left out, and the page says so.
-    """
+    """The page's data of a character: its file as GLB, and our joint -> its node in the file. A file of more than
+    `LARGEST_CHARACTER` bytes is omitted, and the page says so."""
     name = title_of(path) + path.suffix
     file = open_gltf(path).to_bytes() if path.suffix.lower() == ".gltf" else path.read_bytes()
     if len(file) > LARGEST_CHARACTER:
@@ -178,17 +174,17 @@ def _fill(title: str, data: str, live: bool) -> str:
         "libraries": html.escape(", ".join(re.findall(r"^(\S+ \d+\.\d+\.\d+)$", notices, re.MULTILINE))),
         "notices": html.escape(notices),
     }
-    # One pass: what is put in is not searched again.
+    # A single pass: inserted text is not searched again.
     return _SLOT.sub(lambda found: parts[found.group(1)], _asset("viewer.html"))
 
 
 def policy(script: str, style: str, live: bool) -> str:
-    """What the page may load (Content Security Policy, level 3): the script and the style that have these hashes, its
-    own sound and the user's pictures, and, with `live`, answers of the server that it came from."""
+    """The page's content security policy (level 3): the script and style with these hashes, its own audio and the
+    user's images, and, with `live`, responses of its server."""
     own = "'self' " if live else ""
     return ("default-src 'none'; base-uri 'none'; form-action 'none'; "
             f"script-src {_hash(script)}; style-src {_hash(style)}; media-src blob:; img-src data: blob:; "
-            # Pictures of a character's file are read from its bytes by way of blob:.
+            # Images in a character's file are loaded through blob:.
             f"connect-src {own}blob: data:")
 
 
@@ -201,7 +197,7 @@ def _asset(name: str) -> str:
 
 
 def embedded(data: Mapping[str, Any]) -> str:
-    """JSON that can stand in an element: "</script>" in a name would end that; "\\u003c" is the same to JSON."""
+    """JSON safe for embedding in a script element: "<" is escaped, so that "</script>" in a name cannot end it."""
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 

@@ -1,4 +1,4 @@
-"""What the writers of animations write: a tree of nodes at rest, and how it moves."""
+"""The input of animation writers: a tree of nodes at rest, and its motion."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
 
 
 _CHUNK = 1024
-"""Frames whose matrices are held at once: an hour of them would take gigabytes."""
+"""Frames whose matrices are computed at a time, to bound memory."""
 
 
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""Takes Z up, facing -Y, to Y up, facing +Z."""
+"""Rotates Z up, facing -Y, to Y up, facing +Z."""
 
 
 @dataclass(frozen=True)
 class NodeMotion:
-    """N nodes, parents before children, that move over T frames; frame t is the pose at t / fps seconds.
+    """N nodes, parents before children, over T frames; frame t is the pose at t / fps seconds.
 
-    names: N names, of which none is empty and none repeats. parents: N indices, -1 at the top.
+    names: N unique, non-empty names. parents: N indices, -1 for a root.
     translations: [N, 3], rotations: [N, 4] (unit quaternions, w first), scales: [N, 3]: the local transforms at rest,
         x_parent = translation + rotation * (scale * x), Y up.
-    turns: [T, N, 4] the local rotations over time, in place of those at rest.
-    shifts: node -> [T, 3] local translations over time, for the nodes whose place changes.
-    tips: node -> [3] the end of its bone in its own frame, where no child tells it.
+    turns: [T, N, 4] local rotations over time, replacing those at rest.
+    shifts: node -> [T, 3] local translations over time, for nodes that translate.
+    tips: node -> [3] the end of its bone in its frame, for nodes without a child.
     unit: metres per unit of length.
     """
 
@@ -66,7 +66,7 @@ class NodeMotion:
         return self._worlds(self.rotations[None], {})[0]
 
     def positions(self) -> Array:
-        """[T, N, 3] where the nodes are, metres."""
+        """[T, N, 3] world positions of the nodes, metres."""
         return np.concatenate([self._worlds(self.turns[start:start + _CHUNK], {
             node: places[start:start + _CHUNK] for node, places in self.shifts.items()})[..., :3, 3]
             for start in range(0, len(self), _CHUNK)]) * self.unit
@@ -86,8 +86,9 @@ class NodeMotion:
 
 
 def of_motion(motion: Motion, continuous: Callable[[Array], Array] = rotation.continuous) -> NodeMotion:
-    """A motion as nodes. At rest she stands in a T-pose on the floor, also where she sits in the motion: players of VRM
-    animations scale her path by how high her hips are at rest. continuous: chooses the signs of the quaternions."""
+    """A motion as nodes. The rest pose is a T-pose standing on the floor, even for a seated motion: players of VRM
+    animations scale the root path by the height of the hips at rest. continuous: chooses the signs of the
+    quaternions."""
     skeleton = motion.skeleton
     rest = skeleton.offsets.copy()
     rest[0] = [0.0, skeletons.HIP_HEIGHT, 0.0]
@@ -99,20 +100,19 @@ def of_motion(motion: Motion, continuous: Callable[[Array], Array] = rotation.co
 
 
 def of_character(moved: CharacterMotion) -> NodeMotion:
-    """The joints of a character from the hips on, in her file's axes, in metres; the hips stand free of what carries
-    them. Joints are the nodes of a skin, those that move, and what lies between; meshes and cameras are left out.
+    """The joints of a character from the hips down the tree, in the file's axes, in metres; the hips become the root.
 
-    A scale of a node is taken into the lengths below it, so that nodes only turn.
-    """
+    Joints are the skin's nodes, the moved nodes, and nodes between them; meshes and cameras are omitted. Node scales
+    are applied to the lengths below, so that nodes only rotate. """
     character = moved.character
-    kept = _joints_below(character, moved.hips, {*np.flatnonzero(character.skinned).tolist(), *moved.moved})
+    nodes = _joints_below(character, moved.hips, {*np.flatnonzero(character.skinned).tolist(), *moved.moved})
     rest, world = character.world_matrices(), moved.world_matrices()
     if character.kind == "fbx":  # as Blender reads it: Z up
         rest, world = _UPRIGHT @ rest, _UPRIGHT @ world
-    rest_turns, turns = (_turns(matrices[..., kept, :, :]) for matrices in (rest, world))
-    parents = [kept.index(character.parents[node]) if node != moved.hips else -1 for node in kept]
-    places = rest[kept, :3, 3] * moved.unit
-    count = len(kept)
+    rest_turns, turns = (_turns(matrices[..., nodes, :, :]) for matrices in (rest, world))
+    parents = [nodes.index(character.parents[node]) if node != moved.hips else -1 for node in nodes]
+    places = rest[nodes, :3, 3] * moved.unit
+    count = len(nodes)
     offsets, local_rest, local = np.zeros((count, 3)), np.zeros((count, 4)), np.zeros((len(moved), count, 4))
     for index, parent in enumerate(parents):
         back = rotation.conjugate(rest_turns[parent]) if parent >= 0 else np.array([1.0, 0.0, 0.0, 0.0])
@@ -120,10 +120,10 @@ def of_character(moved: CharacterMotion) -> NodeMotion:
         local_rest[index] = rotation.multiply(back, rest_turns[index])
         local[:, index] = turns[:, index] if parent < 0 else rotation.multiply(rotation.conjugate(turns[:, parent]),
                                                                                turns[:, index])
-    tips = {kept.index(node): rotation.rotate(rotation.conjugate(_turns(rest[node])),
+    tips = {nodes.index(node): rotation.rotate(rotation.conjugate(_turns(rest[node])),
                                               rest[node, :3, :3] @ tip) * moved.unit
-            for node, tip in character.tips.items() if node in kept}
-    return NodeMotion(_unique([character.names[node] for node in kept]), tuple(parents), offsets, local_rest,
+            for node, tip in character.tips.items() if node in nodes}
+    return NodeMotion(_unique([character.names[node] for node in nodes]), tuple(parents), offsets, local_rest,
                       np.ones((count, 3)), rotation.continuous(rotation.normalise(local)),
                       {0: world[:, moved.hips, :3, 3] * moved.unit}, tips, moved.fps)
 
@@ -141,31 +141,31 @@ def _joints_below(character: Character, top: int, joints: set[int]) -> list[int]
 
 
 def _turns(matrices: Array) -> Array:
-    """[..., 4] rotations of matrices [..., 4, 4], whose scales are left out."""
+    """[..., 4] rotations of matrices [..., 4, 4], without their scales."""
     turns = matrices[..., :3, :3] / np.linalg.norm(matrices[..., :3, :3], axis=-2, keepdims=True)
     return Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*matrices.shape[:-2], 4)
 
 
 def _unique(names: list[str]) -> tuple[str, ...]:
-    """The names, with a number behind those that are empty or come again."""
-    found: list[str] = []
+    """The names, with a number appended to empty or repeated ones."""
+    unique: list[str] = []
     for index, name in enumerate(names):
-        own = name or f"node_{index}"
-        found.append(own if own not in found else f"{own}_{index}")
-    return tuple(found)
+        name = name or f"node_{index}"
+        unique.append(name if name not in unique else f"{name}_{index}")
+    return tuple(unique)
 
 
 def with_identity_rest(motion: NodeMotion) -> Motion:
-    """The motion on a skeleton whose joints all rest unturned in the same pose, as BVH has them, Y up, in metres.
+    """The motion on a skeleton with the same rest pose but identity rest rotations, as BVH requires, Y up, in metres.
 
-    A joint's world rotation is then the one that takes it from rest to where it is: W(t) W(rest)^-1.
+    A joint's world rotation is then that from rest to its pose: W(t) W(rest)^-1.
     """
     rest = motion.rest_matrices()
     turns = motion.turns.copy()
     origin = _turns(rest)
     above = [origin[parent] if parent >= 0 else np.array([1.0, 0.0, 0.0, 0.0]) for parent in motion.parents]
     for node in range(len(motion.names)):
-        # Local rotations in the rest frame of the joint above: with W = prod L, the product telescopes.
+        # Local rotations in the rest frame of the parent joint: with W = prod L, the product telescopes.
         turns[:, node] = rotation.multiply(rotation.multiply(above[node], motion.turns[:, node]),
                                            rotation.conjugate(origin[node]))
     places = rest[:, :3, 3] * motion.unit

@@ -1,4 +1,4 @@
-"""Numbers that are too many for memory: they wait in a file without a name until they are copied into another."""
+"""A temporary file for numbers that do not fit into memory, later copied into the output file."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 _COPIED = 1 << 20
-"""Bytes that are copied at a time."""
 
 
 class NumberFile:
-    """Rows of float32 [n, *shape], little-endian, that come piece by piece. The system deletes it with the process."""
+    """Rows of float32 [n, *shape], little-endian, appended in pieces. The system deletes the file with the process."""
 
     def __init__(self, folder: Path, shape: tuple[int, ...] = ()) -> None:
-        """folder: where it lies, best that of the file it is copied into; shape: of a row."""
+        """folder: where to create it, preferably that of the final file; shape: of a row."""
         self.shape = shape
         self.lowest = np.full(max(1, int(np.prod(shape))), np.inf)
         """The lowest value of each column."""
@@ -32,11 +31,10 @@ class NumberFile:
 
     @property
     def size(self) -> int:
-        """Bytes."""
         return 4 * self._rows * len(self.lowest)
 
     def add(self, values: NDArray[np.floating]) -> None:
-        """Some more rows [n, *shape], one at least."""
+        """Append rows [n, *shape], at least one."""
         data = np.ascontiguousarray(values, dtype="<f4").reshape(len(values), -1)
         self._file.write(data.tobytes())
         self._rows += len(data)
@@ -48,5 +46,4 @@ class NumberFile:
         shutil.copyfileobj(self._file, out, _COPIED)
 
     def close(self) -> None:
-        """Delete it."""
         self._file.close()

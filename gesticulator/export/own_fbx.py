@@ -1,4 +1,4 @@
-"""A character that came as FBX, moved in her own file: mesh, skin and materials as Blender reads and writes them."""
+"""Animates a character's own FBX file through Blender, which keeps mesh, skin and materials."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ SCRIPT = Path(__file__).with_name("fbx_child.py")
 
 
 def own_character(scene: Scene) -> CharacterMotion | None:
-    """The scene's character where it came as FBX."""
+    """The scene's character if it came from FBX."""
     character = scene.character
     return character if character is not None and character.character.kind == "fbx" else None
 
 
 def write_animated(path: Path, moved: CharacterMotion) -> Path:
-    """Write the character's file with our animation as `.glb` or `.fbx`, whole or not at all. Returns `path`.
+    """Write the character's file with our animation as `.glb` or `.fbx`, atomically. Returns `path`.
 
-    Animations that were in it are left out. `InputError` where there is no Blender, or it fails.
+    Animations in the file are omitted. `InputError` without Blender or if it fails.
     """
     with tempfile.TemporaryDirectory() as folder:
         target, motion = Path(folder) / f"out{path.suffix.lower()}", Path(folder) / "motion.npz"
@@ -39,9 +39,9 @@ def write_animated(path: Path, moved: CharacterMotion) -> Path:
 
 
 def pose(moved: CharacterMotion) -> dict[str, Any]:
-    """What Blender calls the pose of bones, against their rest and in their own axes.
+    """Bone poses as Blender defines them: relative to rest, in the bone's axes.
 
-    names: [n] bones; turns: [T, n, 4] w first; hips: [1] the bone that is shifted; shifts: [T, 3], empty for none.
+    names: [n] bones; turns: [T, n, 4] w first; hips: [1] the translated bone; shifts: [T, 3], empty for none.
     """
     character = moved.character
     nodes = [node for node in moved.moved if node]  # node 0 is the armature's object

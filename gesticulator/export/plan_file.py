@@ -1,4 +1,4 @@
-"""`.json` and `.bml`: the plan of a scene, in our own format and in Behavior Markup Language."""
+"""`.json` and `.bml`: the plan of a scene, in our format and in Behavior Markup Language."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
 
 def write_plan(path: Path, scene: Scene) -> Path:
-    """Write the plan as JSON, whole or not at all. Returns `path`."""
+    """Write the plan as JSON, atomically. Returns `path`."""
     write_text(path, scene.plan.to_json())
     return path
 
 
 def write_bml(path: Path, scene: Scene) -> Path:
-    """Write the plan as BML, whole or not at all. Returns `path`."""
+    """Write the plan as BML, atomically. Returns `path`."""
     from gesticulator.plan.bml import bml_of
 
     write_text(path, bml_of(scene.plan))

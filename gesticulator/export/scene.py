@@ -1,4 +1,4 @@
-"""What every writer is given: how the character moves, what is heard, and the plan behind it."""
+"""The input of every writer: motion, audio and plan."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scene:
-    """A recording with gesture, ready to be written.
+    """A recording with gestures, ready to be written.
 
-    motion: on the default skeleton, as it was generated. speech: the sound. make_plan: gives the plan, worked out only
-    for the writers that want it. character: the same motion on a character of the user's, None for none.
-    """
+    motion: on the default skeleton, as generated. speech: the audio. make_plan: computes the plan, only for writers
+    that need it. character: the same motion on the user's character, if any. """
 
     motion: Motion
     speech: Speech
@@ -30,7 +29,7 @@ class Scene:
 
     @property
     def duration(self) -> float:
-        """Seconds of sound."""
+        """Duration of the audio, seconds."""
         return self.speech.duration
 
     @property
@@ -40,7 +39,7 @@ class Scene:
 
     @property
     def plan(self) -> GesturePlan:
-        """The blocks with their gestures, and why each was chosen; lexemes with their names."""
+        """The blocks with their gestures, the reasons for them, and the names of the lexemes."""
         return self.make_plan()
 
     @property
@@ -50,5 +49,5 @@ class Scene:
 
     @property
     def nodes(self) -> NodeMotion:
-        """What a file shows: the user's character where there is one, else the default skeleton."""
+        """The nodes to write: the user's character if there is one, else the default skeleton."""
         return of_motion(self.standing) if self.character is None else of_character(self.character)

@@ -1,4 +1,4 @@
-"""`.npz`: SMPL-X poses at 30 frames per second, as the leaderboard of BEAT2 takes them."""
+"""`.npz`: SMPL-X poses at 30 frames per second, the format of the BEAT2 leaderboard."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from gesticulator.export.scene import Scene
 
 FPS = 30.0
-"""Frames per second, whatever the scene has: those of BEAT2."""
+"""Frames per second of BEAT2; the scene is resampled."""
 
 
 def write_smplx(path: Path, scene: Scene) -> Path:
-    """Write the motion as an SMPL-X file (`data_module.motion.smplx.smplx_arrays`), whole or not at all."""
+    """Write the motion as an SMPL-X file (`data_module.motion.smplx.smplx_arrays`), atomically."""
     out = io.BytesIO()
     np.savez(out, **smplx_arrays(resample(scene.standing, FPS)))  # type: ignore[arg-type, unused-ignore]
     write_bytes(path, out.getvalue())

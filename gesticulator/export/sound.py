@@ -1,4 +1,4 @@
-"""Sound small enough to travel inside a page: Ogg Vorbis, the same bytes every time."""
+"""Compressed audio for embedding in a page: Ogg Vorbis with reproducible bytes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from data_module.types import Speech
 MEDIA_TYPE = "audio/ogg"
 # About 35 kbit/s for 16 kHz speech.
 _COMPRESSION = 0.7
-# Long writes in one call overflow the encoder's stack; a second at a time does not.
+# Long writes in one call overflow the encoder's stack, so write a second at a time.
 _CHUNK_SECONDS = 1
 _SERIAL = 0x67657374
 _REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def compress(speech: Speech) -> bytes:
-    """The speech as an Ogg Vorbis file, at its own rate; its samples start at time 0 (no encoder delay)."""
+    """The speech as an Ogg Vorbis file at its sampling rate, without encoder delay."""
     out = io.BytesIO()
     step = _CHUNK_SECONDS * speech.sample_rate
     with soundfile.SoundFile(out, "w", speech.sample_rate, 1, "VORBIS", format="OGG",
@@ -32,10 +32,10 @@ def compress(speech: Speech) -> bytes:
 
 
 def with_serial(ogg: bytes, serial: int) -> bytes:
-    """The same Ogg stream with its serial number replaced.
+    """The Ogg stream with its serial number replaced.
 
-    The encoder draws that number at random, and two runs would differ for no other reason. Each page (RFC 3533) holds
-    it at byte 14, and a checksum over the page at byte 22.
+    The encoder chooses that number at random, so two runs would differ. Each page (RFC 3533) holds it at byte 14, and a
+    checksum over the page at byte 22.
     """
     out, at = bytearray(ogg), 0
     while at < len(out):
@@ -60,10 +60,8 @@ def checksum(page: bytes) -> int:
 
 
 def peaks(speech: Speech, per_second: int) -> np.ndarray:
-    """The outline of the waveform for a picture: [P, 2] int8, lowest and highest of each 1 / per_second seconds.
-
-    Scaled so that the loudest sample of the recording is 127.
-    """
+    """Envelope of the waveform for plotting: [P, 2] int8, minimum and maximum of each 1 / per_second seconds, scaled so
+    that the loudest sample of the recording is 127."""
     count = max(1, int(np.ceil(speech.duration * per_second)))
     starts = np.minimum(np.arange(count) * speech.sample_rate // per_second, len(speech.samples) - 1)
     outline = np.stack([np.minimum.reduceat(speech.samples, starts), np.maximum.reduceat(speech.samples, starts)], 1)

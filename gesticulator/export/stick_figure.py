@@ -1,6 +1,6 @@
-"""A body for a skeleton that has none: one spindle of eight triangles for each bone, so that a viewer shows something.
+"""A visible body for a bare skeleton: one spindle of eight triangles per bone.
 
-The mesh is in the world of the rest pose, metres; each spindle hangs rigidly on the joint that turns it.
+The mesh is in the world of the rest pose, metres; each spindle is rigidly attached to its joint.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from data_module.types import Array
 from gesticulator.export.nodes import NodeMotion
 
 WIDEST = 0.14
-"""Half the width of a spindle as a share of its length."""
+"""Half width of a spindle as a share of its length."""
 _MOST = 0.035
-"""Metres: no bone is thicker than this on either side."""
+"""Largest half width, metres."""
 _LEAST = 1e-4
-"""Metres: shorter bones are left out."""
+"""Shorter bones are omitted, metres."""
 _BELLY = 0.18
-"""Where along the bone it is thickest."""
+"""Position of the widest point along the bone."""
 _FACES = np.array([(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 1, 4), (5, 1, 2), (5, 2, 3), (5, 3, 4), (5, 4, 1)])
 
 
 @dataclass(frozen=True)
 class FigureMesh:
-    """V corners, each in one triangle (the faces are flat): positions and normals [V, 3], and the joint of each [V]."""
+    """V vertices, each in one triangle (flat shading): positions and normals [V, 3], and the joint of each [V]."""
 
     positions: Array
     normals: Array
@@ -34,7 +34,7 @@ class FigureMesh:
 
 
 def figure(motion: NodeMotion) -> FigureMesh:
-    """The mesh of all bones of a skeleton at rest; [0, 3] where no bone has a length."""
+    """The mesh of all bones of a skeleton at rest; [0, 3] if no bone has a length."""
     world = motion.rest_matrices()
     bones = [(parent, world[node, :3, 3]) for node, parent in enumerate(motion.parents) if parent >= 0]
     bones += [(node, world[node, :3, :3] @ tip + world[node, :3, 3]) for node, tip in motion.tips.items()]
@@ -52,7 +52,7 @@ def figure(motion: NodeMotion) -> FigureMesh:
 
 
 def _spindle(start: Array, end: Array, most: float) -> Array:
-    """[6, 3] its first point, four around its belly, its last."""
+    """[6, 3] the first point, four around the widest place, and the last."""
     way = end - start
     length = float(np.linalg.norm(way))
     along = way / length

@@ -1,4 +1,4 @@
-"""`.csv` and `.parquet`: a row for each joint of each frame, for a spreadsheet, pandas or a database."""
+"""`.csv` and `.parquet`: one row per joint and frame, for spreadsheets, pandas or databases."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from gesticulator.export.scene import Scene
 
 COLUMNS = ("time", "joint", "parent", "x", "y", "z", "qw", "qx", "qy", "qz")
-"""time: seconds. joint and the joint above it ("" for the root): names. x, y, z: where the joint is in the world,
-metres, Y up. qw, qx, qy, qz: its rotation in the frame of the joint above it, a unit quaternion; for our own skeleton
-the identity is the T-pose."""
+"""time: seconds. joint, parent: names of the joint and its parent ("" for the root). x, y, z: world position, metres, Y
+up. qw, qx, qy, qz: rotation in the parent's frame, a unit quaternion; on the default skeleton the identity is the
+T-pose."""
 
 
 def write_csv(path: Path, scene: Scene) -> Path:
-    """Write the motion as a table with a head and commas, whole or not at all. Returns `path`."""
+    """Write the motion as CSV with a header, atomically. Returns `path`."""
     times, joints, parents, numbers = _cells(scene.nodes)
     labels = [f"{_quoted(joint)},{_quoted(parent)}" for joint, parent in zip(joints, parents, strict=True)]
     body = io.StringIO()
@@ -34,10 +34,8 @@ def write_csv(path: Path, scene: Scene) -> Path:
 
 
 def write_parquet(path: Path, scene: Scene) -> Path:
-    """Write the motion as Apache Parquet (float32), whole or not at all. Returns `path`.
-
-    The file's own metadata hold `frames_per_second` and `generator`.
-    """
+    """Write the motion as Apache Parquet (float32), atomically; the metadata hold `frames_per_second` and `generator`.
+    Returns `path`."""
     import pyarrow
     from pyarrow import parquet
 
@@ -60,11 +58,11 @@ def write_parquet(path: Path, scene: Scene) -> Path:
 
 
 def _cells(motion: NodeMotion) -> tuple[np.ndarray, list[str], list[str], np.ndarray]:
-    """Times [T], joints and their parents (N names each), and the seven numbers of each [T, N, 7]."""
+    """Times [T], names of joints and parents (N each), and positions with rotations [T, N, 7]."""
     above = ["" if parent < 0 else motion.names[parent] for parent in motion.parents]
     return motion.times, list(motion.names), above, np.concatenate([motion.positions(), motion.turns], axis=-1)
 
 
 def _quoted(name: str) -> str:
-    """A name as a cell: in quotes where it would break the row."""
+    """A name as a CSV cell, quoted if necessary."""
     return '"' + name.replace('"', '""') + '"' if set(name) & set(',"\r\n') else name

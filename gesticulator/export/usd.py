@@ -1,7 +1,7 @@
-"""`.usda` and `.usdc`: OpenUSD (UsdSkel), in text and in binary: a skeleton, a plain figure bound to it, an animation.
+"""`.usda` and `.usdc`: OpenUSD (UsdSkel) as text and binary: a skeleton, a plain figure bound to it, an animation.
 
-One time code is one frame; metres, Y up. Joints are paths of names ("Hips/Spine"); what USD does not take in a name
-becomes "_".
+One time code is one frame; metres, Y up. Joints are paths of names ("Hips/Spine"); characters not allowed in USD names
+become "_".
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ROOT = "/Character"
 
 
 def write_usd(path: Path, scene: Scene) -> Path:
-    """Write the motion as USD, whole or not at all. Returns `path`."""
+    """Write the motion as USD, atomically. Returns `path`."""
     from pxr import Usd
 
     suffix = path.suffix.lower()
@@ -51,11 +51,11 @@ def _fill(stage: Any, motion: NodeMotion) -> None:
     rest = motion.rest_matrices()
     skeleton = UsdSkel.Skeleton.Define(stage, f"{ROOT}/Skeleton")
     skeleton.CreateJointsAttr(joints)
-    # USD's vectors are rows: its matrices are the transposes of ours.
-    skeleton.CreateBindTransformsAttr([Gf.Matrix4d(*own.T.ravel().tolist()) for own in rest])
-    local = [own if parent < 0 else np.linalg.inv(rest[parent]) @ own
-             for own, parent in zip(rest, motion.parents, strict=True)]
-    skeleton.CreateRestTransformsAttr([Gf.Matrix4d(*own.T.ravel().tolist()) for own in local])
+    # USD uses row vectors: its matrices are the transposes of ours.
+    skeleton.CreateBindTransformsAttr([Gf.Matrix4d(*matrix.T.ravel().tolist()) for matrix in rest])
+    local = [matrix if parent < 0 else np.linalg.inv(rest[parent]) @ matrix
+             for matrix, parent in zip(rest, motion.parents, strict=True)]
+    skeleton.CreateRestTransformsAttr([Gf.Matrix4d(*matrix.T.ravel().tolist()) for matrix in local])
     animation = UsdSkel.Animation.Define(stage, f"{ROOT}/Skeleton/Gesture")
     animation.CreateJointsAttr(joints)
     _animate(animation, motion, Usd)
@@ -100,7 +100,7 @@ def _dress(stage: Any, skeleton: Any, body: FigureMesh) -> None:
 
 
 def joint_paths(motion: NodeMotion) -> list[str]:
-    """The nodes as paths of names that USD takes: "Hips/Spine"."""
+    """The nodes as paths of valid USD names: "Hips/Spine"."""
     paths: list[str] = []
     for name, parent in zip(motion.names, motion.parents, strict=True):
         plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)

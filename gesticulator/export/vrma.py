@@ -1,8 +1,8 @@
-"""`.vrma`: a motion for every VRM character (VRMC_vrm_animation 1.0), a GLB without a mesh.
+"""`.vrma`: a motion for any VRM character (VRMC_vrm_animation 1.0), a GLB without a mesh.
 
-It moves the bones of the VRM humanoid, at rest in a T-pose, and the place of the hips, which players scale by the
-height of the character's own hips. Our four joints of the spine become `spine` and `chest`: `upperChest` is left alone,
-since a character may lack it, and a turn of a bone that is not there would be lost with all that hangs on it.
+It animates the bones of the VRM humanoid, with a T-pose at rest, and the position of the hips, which players scale by
+the height of the character's hips. Our four spine joints become `spine` and `chest`: `upperChest` is not used, since a
+character may lack it, and rotations of a missing bone would be lost with everything attached to it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gesticulator.export.scene import Scene
 
 EXTENSION = "VRMC_vrm_animation"
-# Bone of the humanoid -> the bone above it, our joints whose world rotations it takes, the joint where it begins.
+# Bone of the humanoid -> parent bone, our joints whose world rotations it takes, and the joint where it begins.
 _TRUNK: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "hips": (None, ("Hips",), "Hips"),
     "spine": ("hips", ("Spine", "Spine1"), "Spine"),
@@ -57,20 +57,18 @@ def _bones() -> dict[str, tuple[str | None, tuple[str, ...], str]]:
 
 
 BONES = _bones()
-"""Bone of the VRM humanoid -> the bone above it, our joints whose rotations it takes, and the joint where it begins."""
+"""Bone of the VRM humanoid -> parent bone, our joints whose world rotations it takes, and the joint where it begins."""
 
 
 def write_vrma(path: Path, scene: Scene) -> Path:
-    """Write the motion as a VRM animation, whole or not at all. Returns `path`."""
+    """Write the motion as a VRM animation, atomically. Returns `path`."""
     write_bytes(path, vrm_animation(scene.standing))
     return path
 
 
 def vrm_animation(motion: Motion) -> bytes:
-    """The bytes of a .vrma file for a motion of our skeleton in any of its sizes.
-
-    Joints that the motion lacks are left out, so that a character keeps its own rest or another animation there.
-    """
+    """The bytes of a .vrma file for a motion of our skeleton in any of its sizes. Joints that the motion lacks are
+    omitted, so that a character keeps its rest pose or another animation there."""
     from gesticulator.version import __version__
 
     nodes = humanoid(motion)
@@ -88,7 +86,7 @@ def vrm_animation(motion: Motion) -> bytes:
 
 
 def humanoid(motion: Motion) -> NodeMotion:
-    """The motion on the bones of the VRM humanoid, named as the extension names them."""
+    """The motion on the bones of the VRM humanoid, with the names of the extension."""
     there = set(motion.skeleton.names) - set(motion.absent)
     bones = {bone: row for bone, row in BONES.items() if set(row[1]) <= there}
     local = copied_rotations(motion, {bone: row[1] for bone, row in bones.items()},

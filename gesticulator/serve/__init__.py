@@ -1,1 +1,1 @@
-"""The live server (audio in over a WebSocket, poses out), and the page of gesticulator view."""
+"""The live server (audio in and poses out over a WebSocket), and the page of gesticulator view."""

@@ -1,4 +1,4 @@
-"""The verb `serve`. Nothing heavy is imported before it runs."""
+"""`gesticulator serve` and `gesticulator live`."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ if TYPE_CHECKING:
     from gesticulator.serve.settings import ServerLimits
 
 TOKEN_VARIABLE = "GESTICULATOR_TOKEN"
-"""Environment variable with the token, so that it stands in no list of processes."""
+"""Environment variable with the token, which keeps it out of process lists."""
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
     from gesticulator.serve.settings import ServerLimits
 
     plain = ServerLimits()
@@ -51,32 +50,32 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--threads", type=int, default=1, metavar="N", help="torch threads per worker (default 1)")
 
 
-def run(asked: argparse.Namespace) -> int:
-    """Serve until SIGTERM or SIGINT; exit code 0 then."""
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT; exit code 0."""
     from gesticulator.serve.launch import Launch, launch
 
     return launch(Launch(
-        host=asked.host, port=asked.port, origins=tuple(asked.origin), token=read_token(asked),
-        limits=read_limits(asked), workers=asked.workers, vmc=asked.vmc, bundle=asked.bundle, threads=asked.threads))
+        host=args.host, port=args.port, origins=tuple(args.origin), token=read_token(args),
+        limits=read_limits(args), workers=args.workers, vmc=args.vmc, bundle=args.bundle, threads=args.threads))
 
 
-def read_limits(asked: argparse.Namespace) -> ServerLimits:
-    """The limits that the command line names; `InputError` for one that cannot be."""
+def read_limits(args: argparse.Namespace) -> ServerLimits:
+    """The limits given on the command line; `InputError` for an invalid one."""
     from gesticulator.serve.settings import ServerLimits
 
     names = ("streams", "stream_seconds", "waiting_seconds", "message_bytes", "unread_bytes", "drain_seconds")
-    return ServerLimits(**{name: getattr(asked, name) for name in names})
+    return ServerLimits(**{name: getattr(args, name) for name in names})
 
 
-def read_token(asked: argparse.Namespace) -> str:
-    """The token that clients must send, "" for none; `InputError` where others could come without one."""
+def read_token(args: argparse.Namespace) -> str:
+    """The token that clients must send, "" for none; `InputError` if other machines could connect without one."""
     token = os.environ.get(TOKEN_VARIABLE, "")
-    if asked.token_file is not None:
-        token = read_text(asked.token_file, "write one line into it", 1 << 12).strip()
+    if args.token_file is not None:
+        token = read_text(args.token_file, "write one line into it", 1 << 12).strip()
         if not token:
-            raise InputError(asked.token_file, "holds no token", "write one into it")
-    if not token and not asked.no_token and asked.host not in ("127.0.0.1", "::1", "localhost"):
-        raise InputError(f"--host {asked.host}", "lets others connect", "give a --token-file, or say --no-token")
+            raise InputError(args.token_file, "holds no token", "write one into it")
+    if not token and not args.no_token and args.host not in ("127.0.0.1", "::1", "localhost"):
+        raise InputError(f"--host {args.host}", "lets other machines connect", "give a --token-file, or --no-token")
     return token
 
 
@@ -91,7 +90,6 @@ COMMAND = Command(
 
 
 def live_arguments(p: argparse.ArgumentParser) -> None:
-    """Add what the verb `live` takes."""
     p.add_argument("--port", type=int, default=8765, help="port (default 8765; 0 chooses a free one)")
     p.add_argument("--no-browser", action="store_true", help="serve the page without opening it")
     p.add_argument("--vmc", metavar="HOST:PORT", help="also send the poses by VMC, such as 127.0.0.1:39539")
@@ -99,14 +97,14 @@ def live_arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--threads", type=int, default=1, metavar="N", help="torch threads (default 1)")
 
 
-def run_live(asked: argparse.Namespace) -> int:
-    """Serve the page to this machine until SIGTERM or SIGINT; exit code 0 then."""
+def run_live(args: argparse.Namespace) -> int:
+    """Serve the page on this machine until SIGTERM or SIGINT; exit code 0."""
     from gesticulator.serve.launch import Launch, launch
     from gesticulator.serve.settings import ServerLimits
 
     limits = ServerLimits(drain_seconds=1.0)
-    return launch(Launch(host="127.0.0.1", port=asked.port, origins=(), token="", limits=limits, vmc=asked.vmc,
-                         bundle=asked.bundle, threads=asked.threads, live=True, browser=not asked.no_browser))
+    return launch(Launch(host="127.0.0.1", port=args.port, origins=(), token="", limits=limits, vmc=args.vmc,
+                         bundle=args.bundle, threads=args.threads, live=True, browser=not args.no_browser))
 
 
 LIVE = Command(

@@ -1,8 +1,8 @@
-"""One client: what came waits in a bounded queue, is worked on piece by piece, and its poses wait in another.
+"""One client connection: messages wait in a bounded queue, are processed piece by piece, and poses wait in another.
 
-Three tasks share a connection. `_read` takes messages and refuses what is too much; `_work` hands pieces of sound to
-the one thread that computes, in turn with all other streams; `_write` sends. A client that does not read fills its
-own queue of poses: then work on its stream stops, and nobody else notices.
+Three tasks share a connection. `_read` takes messages and rejects excess; `_work` hands pieces of audio to the compute
+thread, in turn with all other streams; `_write` sends. A client that does not read fills its own queue of poses: then
+its stream pauses, and other streams are not affected.
 """
 
 from __future__ import annotations
@@ -33,20 +33,22 @@ if TYPE_CHECKING:
     from gesticulator.serve.vmc import VmcOutput
 
 PIECE_SECONDS = 0.5
-"""Sound that is worked on at a time: short enough that others wait little, long enough that calls cost little."""
+"""Audio processed at a time, seconds: short enough that other streams wait little, long enough for low overhead."""
 IDLE_SECONDS = 0.1
-"""Idle motion that is made at a time while a client asked for it until there is sound."""
+"""Idle motion generated at a time, seconds, after a client requested it until audio arrives."""
 CLOSE_SECONDS = 2.0
-"""How long a client may take to answer a close; then the connection is cut."""
+"""Time for a client to answer a close frame, seconds; then the connection is aborted."""
 _REASON_BYTES = 120
-"""A close frame holds 123 bytes of reason."""
+"""Bytes of the reason in a close frame; the limit is 123."""
+_MOST_WAITING = 10_000
+"""Most queued messages: a minute of 6 ms packets; bounds empty commands too."""
 
 
 @dataclass(frozen=True)
 class _Sound:
     samples: Samples
     heard: bool
-    """Another's voice."""
+    """Whether it is another's voice."""
     arrived: float
     """time.monotonic()"""
     effort: Effort = Effort.FULL
@@ -59,10 +61,10 @@ class _Command:
 
 @dataclass(frozen=True)
 class Workplace:
-    """What connections share.
+    """Resources shared by connections.
 
-    compute: runs a function in the thread that computes, and waits for it. open_session: makes a session of a request,
-    in that thread. output: gets the motion too, beside the WebSocket.
+    compute: runs a function in the compute thread and awaits it. open_session: creates a session for a request, in that
+    thread. output: also receives the motion, beside the WebSocket.
     """
 
     limits: ServerLimits
@@ -74,7 +76,7 @@ class Workplace:
 
 
 class Connection:
-    """One client's stream from its hello to its end."""
+    """A client's stream from its hello to its end."""
 
     def __init__(self, socket: ServerConnection, name: str, workplace: Workplace) -> None:
         self.socket, self.name, self.place = socket, name, workplace
@@ -88,18 +90,18 @@ class Connection:
         self._unread_bytes = 0
         self._changed = asyncio.Condition()
         self._idling: float | None = None
-        """time.monotonic() up to which idle motion was made; None where it is not asked for."""
+        """time.monotonic() up to which idle motion was generated; None if it is not requested."""
         self._waits = "idle"
-        """How she waits meanwhile: "idle" or "think"."""
+        """The kind of idle motion: "idle" or "think"."""
         self._leaving = False
         self._pace = Pace()
         self._taken_back = 0.0
-        """Seconds that cannot have been played by an interruption that waits to be worked on."""
+        """Seconds that cannot have been played at the time of a pending interruption."""
         self._keeps_up = False
-        """Sound that is late is worked on at less cost, or passed over."""
+        """Whether late audio is processed at lower cost or skipped."""
 
     async def run(self) -> None:
-        """Serve the client. Whatever it does, this returns."""
+        """Serve the client; returns whatever the client does."""
         try:
             request = await self._hello()
             session = await self.place.compute(lambda: self.place.open_session(self.name, request))
@@ -110,7 +112,7 @@ class Connection:
         except InputError as error:
             await self.refuse(RefusedError(CloseCode.BAD_MESSAGE, str(error)))
         except ConnectionClosed as closed:
-            self._note(closed)
+            self._record_close(closed)
         except Exception as error:  # noqa: BLE001 - one stream's failure must end that stream alone
             await self.refuse(RefusedError(CloseCode.FAILED, f"the stream failed ({type(error).__name__}: {error})"))
         finally:
@@ -122,7 +124,7 @@ class Connection:
             self._unread.clear()
 
     async def leave(self) -> None:
-        """Answer what was received, and close: the server is stopping."""
+        """Finish processing and close, because the server is stopping."""
         async with self._changed:
             self._leaving = True
             self._changed.notify_all()
@@ -152,7 +154,7 @@ class Connection:
             while writer in tasks:
                 done, tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 for task in done:
-                    task.result()  # raises what ended it
+                    task.result()  # re-raise its exception
         finally:
             for task in tasks:
                 task.cancel()
@@ -160,7 +162,7 @@ class Connection:
         await self._close(self.code, self.reason if self._leaving else "")
 
     async def _read(self, request: StreamRequest) -> None:
-        """Take messages until the client finishes; `RefusedError` where it sends too much, too little or nonsense."""
+        """Take messages until the client finishes; `RefusedError` for too much, too little or invalid data."""
         limits, heard = self.place.limits, False
         while True:
             try:
@@ -173,15 +175,15 @@ class Connection:
                 if len(samples):
                     await self._wait_with(_Sound(samples, heard, time.monotonic()), len(samples) / request.sample_rate)
                 continue
-            told = read_message(message)
-            if told["type"] == "hello":
+            command = read_message(message)
+            if command["type"] == "hello":
                 raise RefusedError(CloseCode.BAD_MESSAGE, "a second hello came")
-            heard = told["type"] == "listen" or (heard and told["type"] != "speak")
-            self._pace.arrived(float(told.get("seconds", 0.0)))
-            if told["type"] == "interrupt":
+            heard = command["type"] == "listen" or (heard and command["type"] != "speak")
+            self._pace.arrived(float(command.get("seconds", 0.0)))
+            if command["type"] == "interrupt":
                 await self._drop_waiting(request)
-            await self._wait_with(_Command(told), 0.0)
-            if told["type"] == "finish":
+            await self._wait_with(_Command(command), 0.0)
+            if command["type"] == "finish":
                 return
 
     async def _wait_with(self, item: _Sound | _Command, seconds: float) -> None:
@@ -200,7 +202,7 @@ class Connection:
             self._changed.notify_all()
 
     async def _drop_waiting(self, request: StreamRequest) -> None:
-        """Let go of the avatar's own sound that was not worked on: it will not be heard."""
+        """Drop unprocessed audio of the avatar, which will not be played."""
         self._taken_back = max(self._taken_back, self._pace.ahead)
         self._pace.forget()
         async with self._changed:
@@ -217,7 +219,7 @@ class Connection:
         self.place.metrics.add("waiting_seconds", seconds)
 
     async def _work(self, session: Session) -> None:
-        """Turn what waits into poses, piece by piece, until the stream is finished."""
+        """Turn queued messages into poses, piece by piece, until the stream is finished."""
         while True:
             item = await self._next(session.request.sample_rate, session.lacking)
             begin = time.monotonic()
@@ -237,11 +239,13 @@ class Connection:
             await self._put(answer)
             if isinstance(item, _Command) and item.message["type"] == "finish":
                 self.reason = self.reason if self._leaving else "finished"
-                await self._end()
+                async with self._changed:
+                    self._unread.append(None)
+                    self._changed.notify_all()
                 return
 
     def _count_sound(self, sound: _Sound, seconds: float, took: float) -> None:
-        """Count a piece of sound that was worked on; took: seconds."""
+        """Count a processed piece of audio; took: processing time in seconds."""
         metrics = self.place.metrics
         metrics.time("answer_seconds", time.monotonic() - sound.arrived)
         if sound.effort != Effort.NONE:
@@ -259,11 +263,10 @@ class Connection:
         return answer
 
     async def _next(self, sample_rate: int, lacking: float) -> _Sound | _Command | None:
-        """What to work on now: the next command, half a second of sound at most, or None for idle motion that is due.
+        """The next item: a command, up to half a second of audio, or None for idle motion that is due.
 
-        Waits until there is something, and until the client has read enough. lacking: seconds of her own sound that
-        would change nothing if they came alone, so that they are not worth the way to the thread that computes.
-        """
+        Waits for an item, and until the client has read enough. lacking: seconds of the avatar's audio below which
+        processing would produce nothing, and is not worth a round trip to the compute thread. """
         async with self._changed:
             await self._room()
             while self._too_little(lacking):
@@ -280,7 +283,7 @@ class Connection:
             return self._piece(sample_rate)
 
     def _too_little(self, lacking: float) -> bool:
-        """Whether nothing waits, or less of the avatar's own sound than that, and more may come."""
+        """Whether the queue holds less than `lacking` seconds of the avatar's audio, and more may come."""
         if not self._waiting:
             return True
         if self._waiting_seconds >= lacking - 1e-6 or self._leaving or self._idling is not None:
@@ -288,8 +291,7 @@ class Connection:
         return all(isinstance(item, _Sound) and not item.heard for item in self._waiting)
 
     def _piece(self, sample_rate: int) -> _Sound:
-        """Half a second of the sound that waits, or as much as there is of one voice; all of it, to be passed over,
-        where it comes too late."""
+        """Up to half a second of queued audio of one voice; all of it, to be skipped, if it comes too late."""
         first = self._waiting[0]
         assert isinstance(first, _Sound)
         self.place.metrics.time("late_seconds", self._pace.late(self._waiting_seconds))
@@ -311,7 +313,7 @@ class Connection:
         return _Sound(samples, first.heard, first.arrived, effort)
 
     async def _sleep(self) -> bool:
-        """Wait for a change; False where idle motion is due before one comes. Called with the lock held."""
+        """Wait for a change; False if idle motion is due first. Called with the lock held."""
         if self._idling is None:
             await self._changed.wait()
             return True
@@ -328,7 +330,7 @@ class Connection:
         return False
 
     async def _room(self) -> None:
-        """Wait until fewer poses are unread than may be; `RefusedError` after too long. Called with the lock held."""
+        """Wait until few enough poses are unread; `RefusedError` after a timeout. Called with the lock held."""
         limits = self.place.limits
         try:
             async with asyncio.timeout(limits.unread_seconds):
@@ -338,7 +340,7 @@ class Connection:
                           f"{limits.unread_seconds:g} s") from None
 
     async def _put(self, answer: SessionAnswer) -> None:
-        """Queue an answer for the client, and show its motion elsewhere."""
+        """Queue an answer for the client, and pass its motion to the other output."""
         for frames in answer.frames:
             self.frames += len(frames)
             self.place.metrics.add("frames_total", len(frames))
@@ -350,17 +352,12 @@ class Connection:
                 self._count_unread(len(message))
             self._changed.notify_all()
 
-    async def _end(self) -> None:
-        async with self._changed:
-            self._unread.append(None)
-            self._changed.notify_all()
-
     def _count_unread(self, size: int) -> None:
         self._unread_bytes += size
         self.place.metrics.add("unread_bytes", size)
 
     async def _write(self) -> None:
-        """Send what is queued until the end; each message counts as unread until the system took it."""
+        """Send queued messages until the end; each counts as unread until the system has accepted it."""
         while True:
             async with self._changed:
                 await self._changed.wait_for(lambda: bool(self._unread))
@@ -374,8 +371,8 @@ class Connection:
                 self._changed.notify_all()
             self.place.metrics.add("sent_bytes_total", len(message))
 
-    def _note(self, closed: ConnectionClosed) -> None:
-        """Remember how the connection came to its end."""
+    def _record_close(self, closed: ConnectionClosed) -> None:
+        """Record why the connection ended."""
         if closed.rcvd is not None and not (closed.sent is not None and closed.rcvd_then_sent is False):
             self.code, self.reason = closed.rcvd.code, "closed by the client"
         elif closed.sent is not None:
@@ -384,18 +381,18 @@ class Connection:
             self.code, self.reason = 1006, "the connection broke"
 
     async def refuse(self, refused: RefusedError) -> None:
-        """Tell the client why, where it still listens, and close."""
+        """Send the client the reason, if it is still connected, and close."""
         self.code, self.reason = refused.code, refused.reason
-        told = json.dumps({"type": "error", "code": int(refused.code), "message": refused.reason})
+        message = json.dumps({"type": "error", "code": int(refused.code), "message": refused.reason})
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             async with asyncio.timeout(1.0):
-                await self.socket.send(told)
+                await self.socket.send(message)
         await self._close(refused.code, refused.reason)
 
     async def _close(self, code: int, reason: str) -> None:
-        """Close, or cut the connection of a client that does not even read the close."""
+        """Close, or abort the connection of a client that does not answer the close frame."""
         short = reason.encode()[:_REASON_BYTES].decode(errors="ignore")
-        # The client's answer comes after what it sent before, which nobody reads any more.
+        # The client's answer comes after earlier messages, which must be read first.
         swallowing = asyncio.create_task(self._swallow())
         try:
             async with asyncio.timeout(CLOSE_SECONDS):
@@ -409,7 +406,3 @@ class Connection:
         with contextlib.suppress(ConnectionClosed):
             while True:
                 await self.socket.recv()
-
-
-_MOST_WAITING = 10_000
-"""Messages that may wait: a minute of 6 ms packets, and no more of empty commands."""

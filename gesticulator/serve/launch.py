@@ -1,4 +1,4 @@
-"""Starts a server: in this process, or as several workers that share one socket and are replaced when they die."""
+"""Starts a server: in this process, or as several workers that share a socket and are restarted when they die."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import signal
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
@@ -24,27 +24,26 @@ from gesticulator.serve.settings import ServerLimits
 
 if TYPE_CHECKING:
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.serve.server import Page
 
 LOG = logging.getLogger("gesticulator.serve")
 SAMPLE_RATE = 16000
-"""Hertz that the models work at."""
+"""Sampling rate of the models, Hz."""
 _WARM_UP = 2
-"""Seconds of sound: a block or two."""
+"""Audio for warming up, seconds: a block or two."""
 _WARM = "warm"
-"""File that says that a worker of this server is ready."""
+"""Marker file: a worker of this server has warmed up."""
 _TURN_SECONDS = 0.05
 _MOST_WORKERS = 256
 _SHORT_LIFE = 5.0
-"""Seconds: a worker that dies sooner did not do any work."""
+"""A worker that dies sooner, in seconds, did no work."""
 _MOST_SHORT_LIVES = 5
-"""So many one after the other, and it is no accident."""
+"""Short-lived workers in a row after which the server gives up."""
 
 
 @dataclass(frozen=True)
 class Launch:
-    """What to serve and where; picklable, so that workers get it as it is. vmc: "HOST:PORT" or None; live: with the
-    page of `gesticulator live`; browser: open it when it is there."""
+    """The configuration of a server, picklable for workers. vmc: "HOST:PORT" or None; live: serve the page of
+    `gesticulator live`; browser: open it when ready."""
 
     host: str
     port: int
@@ -59,39 +58,39 @@ class Launch:
     browser: bool = False
 
 
-def launch(asked: Launch) -> int:
-    """Serve until SIGTERM or SIGINT; exit code 0. `InputError` where that cannot be."""
+def launch(config: Launch) -> int:
+    """Serve until SIGTERM or SIGINT; exit code 0. `InputError` for an invalid configuration."""
     from gesticulator.options import RANGES
     from gesticulator.serve.server import ServerAddress, log_to_stderr
 
     _check_library()
-    if not 1 <= asked.workers <= _MOST_WORKERS:
-        raise InputError(f"--workers {asked.workers}", "is out of range", f"choose 1 to {_MOST_WORKERS}")
-    RANGES["threads"].check("--threads", asked.threads)
-    if asked.vmc is not None:
+    if not 1 <= config.workers <= _MOST_WORKERS:
+        raise InputError(f"--workers {config.workers}", "is out of range", f"choose 1 to {_MOST_WORKERS}")
+    RANGES["threads"].check("--threads", config.threads)
+    if config.vmc is not None:
         from gesticulator.serve.vmc import read_target
 
-        read_target(asked.vmc)
-        if asked.workers > 1:
-            raise InputError("--vmc", "is for one worker", "leave --workers out")
-    if asked.bundle is not None and not Path(asked.bundle).is_dir():
-        raise InputError(asked.bundle, "is no folder", "name a trained bundle")
+        read_target(config.vmc)
+        if config.workers > 1:
+            raise InputError("--vmc", "works with one worker only", "leave --workers out")
+    if config.bundle is not None and not Path(config.bundle).is_dir():
+        raise InputError(config.bundle, "is not a folder", "name a trained bundle")
     log_to_stderr()
-    listening = ServerAddress(asked.host, asked.port, asked.origins, asked.token).listen()
+    listening = ServerAddress(config.host, config.port, config.origins, config.token).listen()
     with listening:
         host, port = listening.getsockname()[:2]
         LOG.info("listening on ws://%s:%d/stream, /healthz and /metrics", f"[{host}]" if ":" in host else host, port)
-        if asked.workers == 1:
-            serve_here(asked, listening)
+        if config.workers == 1:
+            serve_here(config, listening)
         else:
             with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
-                _Parent(asked, listening, Path(folder)).run()
+                _Parent(config, listening, Path(folder)).run()
     LOG.info("stopped")
     return 0
 
 
-def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder: Path | None = None) -> None:
-    """Load the models and serve in this process until it is told to stop."""
+def serve_here(config: Launch, listening: socket.socket, worker: int = 0, folder: Path | None = None) -> None:
+    """Load the models and serve in this process until stopped."""
     import asyncio
 
     import torch
@@ -100,22 +99,24 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
     from gesticulator.serve.server import LiveServer, ServerAddress
     from gesticulator.serve.session import session_opener
 
-    torch.set_num_threads(asked.threads)
-    system = Gesticulator.from_pretrained(asked.bundle)
+    torch.set_num_threads(config.threads)
+    system = Gesticulator.from_pretrained(config.bundle)
     _warm_up_in_turn(system, folder)
 
     async def serve() -> None:
         output = None
-        if asked.vmc is not None:
+        if config.vmc is not None:
             from gesticulator.serve.vmc import VmcOutput
 
-            output = VmcOutput(asked.vmc)
+            output = VmcOutput(config.vmc)
+        if config.live:
+            from gesticulator.serve.page import pages
         server = LiveServer(
-            ServerAddress(asked.host, asked.port, asked.origins, asked.token), asked.limits,
-            session_opener(system, asked.limits), output, _pages(asked), folder, worker)
+            ServerAddress(config.host, config.port, config.origins, config.token), config.limits,
+            session_opener(system, config.limits), output, pages() if config.live else {}, folder, worker)
         playing = None if output is None else asyncio.create_task(output.run())
         _end_with_parent(server.stop)
-        await server.run(listening, lambda: _tell_ready(asked, listening, worker))
+        await server.run(listening, lambda: _tell_ready(config, listening, worker))
         if playing is not None:
             playing.cancel()
 
@@ -123,14 +124,14 @@ def serve_here(asked: Launch, listening: socket.socket, worker: int = 0, folder:
 
 
 def _warm_up_in_turn(system: Gesticulator, folder: Path | None) -> None:
-    """Warm up; of the workers of one server the others only after the first one has. What numba compiles for librosa it
-    keeps in files, and of two processes that write them at once one crashes, every third time."""
+    """Warm up, one worker first and the others after it: numba caches code compiled for librosa in files, and two
+    processes that write them at once crash in a third of cases."""
     with contextlib.ExitStack() as held:
         while folder is not None and not (folder / _WARM).exists():
             try:
                 held.enter_context(lock(folder / "first", "a worker's start"))
                 break
-            except InputError:  # another worker is at it; should it die, the system lets go of the lock
+            except InputError:  # another worker holds it; the system releases the lock if it dies
                 time.sleep(_TURN_SECONDS)
         _warm_up(system)
         if folder is not None:
@@ -138,7 +139,7 @@ def _warm_up_in_turn(system: Gesticulator, folder: Path | None) -> None:
 
 
 def _warm_up(system: Gesticulator) -> None:
-    """Have everything loaded that is loaded when it is first used, so that no client waits for it."""
+    """Trigger everything that is loaded on first use, so that no client waits for it."""
     import numpy as np
 
     noise = np.random.default_rng(0).normal(0, 0.05, _WARM_UP * SAMPLE_RATE).astype(np.float32)
@@ -149,7 +150,7 @@ def _warm_up(system: Gesticulator) -> None:
 
 
 def _end_with_parent(stop: Callable[[], None]) -> None:
-    """In a worker: stop where the process that started it is no more, so that none is left behind if that is killed."""
+    """In a worker: stop when the parent process ends, even if it is killed."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -162,29 +163,21 @@ def _end_with_parent(stop: Callable[[], None]) -> None:
         LOG.warning("the process that started this worker is gone")
         stop()
 
-    with contextlib.suppress(NotImplementedError):  # Windows, which ends them together
+    with contextlib.suppress(NotImplementedError):  # Windows, which ends both together
         loop.add_reader(sentinel, ended)
 
 
-def _tell_ready(asked: Launch, listening: socket.socket, worker: int) -> None:
+def _tell_ready(config: Launch, listening: socket.socket, worker: int) -> None:
     LOG.info("worker %d is ready", worker)
-    if asked.live:
+    if config.live:
         page = f"http://127.0.0.1:{listening.getsockname()[1]}/"
         LOG.info("the page is %s", page)
-        if asked.browser:
+        if config.browser:
             import threading
             import webbrowser
 
-            # It may wait for the browser, and the server must answer meanwhile.
+            # In a thread: opening may block until the browser has loaded the page.
             threading.Thread(target=webbrowser.open, args=(page,), daemon=True).start()
-
-
-def _pages(asked: Launch) -> Mapping[str, Page]:
-    if not asked.live:
-        return {}
-    from gesticulator.serve.page import pages
-
-    return pages()
 
 
 def _check_library() -> None:
@@ -194,33 +187,33 @@ def _check_library() -> None:
         raise InputError("serve", "needs the package websockets", "pip install 'gesticulator[live]'") from None
 
 
-def _worker(asked: Launch, listening: socket.socket, number: int, folder: str) -> None:
-    """Main function of a worker's process."""
+def _worker(config: Launch, listening: socket.socket, number: int, folder: str) -> None:
+    """Main function of a worker process."""
     from data_module.errors import one_line_errors
     from gesticulator.serve.server import log_to_stderr
 
     log_to_stderr()
     with one_line_errors("gesticulator serve"):
-        serve_here(asked, listening, number, Path(folder))
+        serve_here(config, listening, number, Path(folder))
 
 
 class _Parent:
-    """Keeps `workers` processes alive that accept on one socket, and passes the order to stop on to them."""
+    """Keeps worker processes alive that accept on one socket, and forwards the signal to stop."""
 
-    def __init__(self, asked: Launch, listening: socket.socket, folder: Path) -> None:
-        self.asked, self.listening, self.folder = asked, listening, folder
+    def __init__(self, config: Launch, listening: socket.socket, folder: Path) -> None:
+        self.config, self.listening, self.folder = config, listening, folder
         self.context = multiprocessing.get_context("spawn")
         self.workers: dict[int, BaseProcess] = {}
         self.born: dict[int, float] = {}
         self.short_lives = 0
-        # The handler writes a byte here, so that waiting for workers and for a signal is one wait.
+        # The signal handler writes a byte here, so that one call waits for workers and signals.
         self.woken, self.waker = os.pipe()
 
     def run(self) -> None:
-        """Until a signal comes and the workers have drained."""
+        """Run until a signal comes and the workers have drained."""
         for name in (signal.SIGTERM, signal.SIGINT):
             signal.signal(name, lambda *_: os.write(self.waker, b"."))
-        for number in range(self.asked.workers):
+        for number in range(self.config.workers):
             self._start(number)
         try:
             while self.woken not in wait([self.woken, *(worker.sentinel for worker in self.workers.values())]):
@@ -230,7 +223,7 @@ class _Parent:
             for worker in self.workers.values():
                 with contextlib.suppress(OSError):
                     worker.terminate()  # SIGTERM: it drains
-            patience = time.monotonic() + 2 * self.asked.limits.drain_seconds + 5
+            patience = time.monotonic() + 2 * self.config.limits.drain_seconds + 5
             for worker in self.workers.values():
                 worker.join(max(0.0, patience - time.monotonic()))
                 if worker.is_alive():
@@ -238,7 +231,7 @@ class _Parent:
                     worker.join()
 
     def _start(self, number: int) -> None:
-        worker = self.context.Process(target=_worker, args=(self.asked, self.listening, number, str(self.folder)),
+        worker = self.context.Process(target=_worker, args=(self.config, self.listening, number, str(self.folder)),
                                       name=f"gesticulator-worker-{number}", daemon=True)
         worker.start()
         self.workers[number], self.born[number] = worker, time.monotonic()
@@ -251,7 +244,7 @@ class _Parent:
             lived = time.monotonic() - self.born[number]
             self.short_lives = self.short_lives + 1 if lived < _SHORT_LIFE else 0
             if self.short_lives >= _MOST_SHORT_LIVES:
-                raise InputError("workers", "end as soon as they begin", "see what they print")
+                raise InputError("workers", "exit right after starting", "see their output")
             figures_file(self.folder, number).unlink(missing_ok=True)  # its streams are gone
             LOG.error("worker %d (process %d) died with exit code %s; another takes its place", number, worker.pid,
                       worker.exitcode)

@@ -1,4 +1,4 @@
-"""The page of `gesticulator live`, as files that the server gives to a browser."""
+"""The files of the page of `gesticulator live`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _KINDS = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=
 
 
 def pages() -> dict[str, Page]:
-    """Path -> file."""
+    """URL path -> file."""
     folder = resources.files("gesticulator") / "assets" / "live"
     names = {"/": "live.html", **{f"/{name}": name for name in (
         "live.css", "live.min.js", "capture.js", "licences.txt")}}

@@ -1,9 +1,8 @@
-"""A server for one page and one user: it listens on this computer only, and renders the plans that its page sends.
+"""A server for one page and one user: it listens on this machine only, and renders the plans sent by its page.
 
-`GET /` is the page, `POST /render` takes `{"plan": ...}` and answers with what the page is told of a take, or with
-`{"error": ...}`. Any page that is open in a browser can send requests to a server on the same computer; so a request
-must name this server as its host (which a foreign name that was pointed here does not), a rendering must come from
-its own page, and must carry the token that stands in it.
+`GET /` is the page; `POST /render` takes `{"plan": ...}` and answers with the data of a take or with `{"error": ...}`.
+Any page open in a browser can send requests to a local server; so a request must name this server as its host (which a
+foreign name resolved to this machine does not), and a rendering must come from its own page and carry the page's token.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from data_module.json_files import parse_json
 HOST = "127.0.0.1"
 TOKEN_HEADER = "X-Gesticulator-Token"
 MOST_BYTES = 16 << 20
-"""Bytes of a request: the plan of an hour is about 10 million."""
+"""Largest request, bytes: the plan of an hour is about 10 million."""
 MOST_CONNECTIONS = 16
-"""At once; a browser opens up to 6."""
+"""Concurrent connections; a browser opens up to 6."""
 PATIENCE = 30.0
-"""Seconds that a connection may stay silent."""
+"""Idle timeout of a connection, seconds."""
 HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "frame-ancestors 'none'",  # beside the policy in the page, which cannot tell this one
+    "Content-Security-Policy": "frame-ancestors 'none'",  # cannot be set by the policy in the page
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -40,21 +39,21 @@ HEADERS = {
 }
 
 Render = Callable[[dict[str, Any]], dict[str, Any]]
-"""A plan as JSON -> what the page is told of its take; `InputError` with what is wrong with the plan."""
+"""A plan as JSON -> the page's data of its take; `InputError` for an invalid plan."""
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a page until `shutdown`. The page and what renders are given after the port is known to be free."""
+    """Serves a page until `shutdown`. Page and renderer are set after the port has been opened."""
 
     daemon_threads = True
     block_on_close = False
     page: bytes = b""
     render: Render | None = None
     queue = 20.0
-    """Seconds that a plan waits for another one that is being rendered, before it is refused."""
+    """Seconds that a plan waits for another rendering before it is refused."""
 
     def __init__(self, port: int = 0) -> None:
-        """port: 0 takes any that is free. `InputError` where it is taken or not allowed."""
+        """port: 0 for any free one. `InputError` if it is taken or not allowed."""
         try:
             super().__init__((HOST, port), _PageHandler)
         except (OSError, OverflowError) as error:
@@ -67,30 +66,29 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """URL of the page."""
         return f"http://{HOST}:{self.server_port}/"
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """What a request may call this server."""
+        """Accepted values of the Host header."""
         return f"{HOST}:{self.server_port}", f"localhost:{self.server_port}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve it in a thread of its own; one connection too many is closed."""
+        """Serve a connection in a new thread; close excess connections."""
         if not self._connections.acquire(blocking=False):
             self.shutdown_request(request)
             return
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """What the thread does."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._connections.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that went away in the middle is no fault."""
+        """Ignore browsers that disconnect early."""
         if not isinstance(sys.exc_info()[1], ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
@@ -111,7 +109,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         self._answer(HTTPStatus.OK, self.server.page, "text/html; charset=utf-8")
 
     def do_POST(self) -> None:
-        # What was not read of a request would be taken for the next one.
+        # An unread body would be parsed as the next request.
         self.close_connection = True
         if not self._is_ours() or not self._is_from_page():
             return
@@ -145,11 +143,11 @@ class _PageHandler(BaseHTTPRequestHandler):
 
     def _render(self, body: bytes) -> None:
         try:
-            asked = parse_json(body, "the request", "")
+            request = parse_json(body, "the request", "")
         except InputError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
             return
-        plan = asked.get("plan") if isinstance(asked, dict) else None
+        plan = request.get("plan") if isinstance(request, dict) else None
         if not isinstance(plan, dict) or self.server.render is None:
             self._refuse(HTTPStatus.BAD_REQUEST, "the request holds no plan")
             return
@@ -157,7 +155,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "another plan is being rendered")
             return
         try:
-            made = self.server.render(plan)
+            take = self.server.render(plan)
         except (InputError, OSError) as error:
             self._refuse(HTTPStatus.BAD_REQUEST, one_line(error))
         except Exception as error:  # noqa: BLE001 - one plan that fails must not end the session
@@ -165,7 +163,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"rendering failed ({type(error).__name__}); the terminal "
                          "tells more")
         else:
-            self._answer(HTTPStatus.OK, json.dumps(made, allow_nan=False).encode(), "application/json")
+            self._answer(HTTPStatus.OK, json.dumps(take, allow_nan=False).encode(), "application/json")
         finally:
             self.server.rendering.release()
 
@@ -185,5 +183,5 @@ class _PageHandler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Requests are not worth a line each."""
+        """Do not log requests."""
 

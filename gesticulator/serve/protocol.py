@@ -1,4 +1,4 @@
-"""The server's half of the protocol, read from the schema that the client's package publishes."""
+"""The server side of the protocol, defined by the schema in the client's package."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _PLACES = (
     Path(__file__).resolve().parent / "protocol.json",
 )
 _PCM16_FULL = 32768.0
-"""The number that 1.0 is in 16 bit sound."""
+"""Full scale of 16-bit audio."""
 _MOST_SAMPLE = 1e4
-"""A float sample of more is no sound: full scale is 1, and somebody's 16 bit numbers as floats reach 32768."""
+"""Largest float sample: full scale is 1; 16-bit values sent as floats by mistake reach 32768."""
 
 
 class CloseCode(IntEnum):
-    """Why a connection is closed; the schema says it in words."""
+    """Reasons for closing a connection; described in the schema."""
 
     NORMAL = 1000
     GOING_AWAY = 1001
@@ -48,7 +48,7 @@ class CloseCode(IntEnum):
 
 
 class RefusedError(Exception):
-    """A client is told why, and its connection is closed."""
+    """Closes a connection with a code and a reason for the client."""
 
     def __init__(self, code: CloseCode, reason: str) -> None:
         self.code, self.reason = code, reason
@@ -57,20 +57,19 @@ class RefusedError(Exception):
 
 @functools.cache
 def published() -> dict[str, Any]:
-    """The published schema."""
     for place in _PLACES:
         if place.is_file():
-            found: dict[str, Any] = read_object(place, "install gesticulator again")
-            if found["version"] != VERSION:
-                raise InputError(place, f"is version {found['version']} of the protocol, and the server speaks "
+            document: dict[str, Any] = read_object(place, "install gesticulator again")
+            if document["version"] != VERSION:
+                raise InputError(place, f"is version {document['version']} of the protocol, and the server uses "
                                  f"{VERSION}", "install both from one release")
-            return found
-    raise InputError("protocol.json", "is not there", "install gesticulator again")
+            return document
+    raise InputError("protocol.json", "is missing", "install gesticulator again")
 
 
 @dataclass(frozen=True)
 class StreamRequest:
-    """What a client's hello asks for; see the schema."""
+    """The request in a client's hello; see the schema."""
 
     sample_rate: int
     format: str = "pcm16"
@@ -82,16 +81,16 @@ class StreamRequest:
 
     @property
     def keeps_up(self) -> bool:
-        """Sound that is late is worked on at less cost, or passed over: behind a microphone unless it is told."""
+        """Whether late audio is processed at lower cost or skipped; by default only for low latency (microphones)."""
         return bool(self.options.get("keep_up", self.options.get("latency") == "low"))
 
     @property
     def sample_bytes(self) -> int:
-        """Bytes of one sample."""
+        """Bytes per sample."""
         return 2 if self.format == "pcm16" else 4
 
     def samples(self, sound: bytes) -> Samples:
-        """A binary message as float32 samples [n]; `RefusedError` for what is no sound of the format."""
+        """A binary message as float32 samples [n]; `RefusedError` for invalid audio."""
         if len(sound) % self.sample_bytes:
             raise RefusedError(CloseCode.BAD_MESSAGE, f"{len(sound)} bytes are no whole number of "
                                f"{self.format} samples")
@@ -106,7 +105,7 @@ class StreamRequest:
 
 
 def read_message(text: str) -> dict[str, Any]:
-    """A text message of a client; `RefusedError` where it is none of the schema's."""
+    """Parse a client's text message; `RefusedError` if it does not match the schema."""
     try:
         message = parse_json(text, "the message", "")
     except InputError as error:
@@ -123,7 +122,7 @@ def read_message(text: str) -> dict[str, Any]:
 
 
 def read_hello(text: str) -> StreamRequest:
-    """A client's first message; `RefusedError` where it is none."""
+    """Parse a client's first message; `RefusedError` if it is not a hello."""
     message = read_message(text)
     if message.pop("type") != "hello":
         raise RefusedError(CloseCode.BAD_MESSAGE, "the first message must be a hello")
@@ -134,10 +133,8 @@ def read_hello(text: str) -> StreamRequest:
 
 
 def pack(frames: StreamFrames, request: StreamRequest, state: str, received: float) -> bytes:
-    """A packet of poses, one at least: header and float32 numbers, as the schema has it.
-
-    received: seconds of sound that were taken in.
-    """
+    """A packet of at least one pose: header and float32 values, as in the schema. received: seconds of audio
+    received."""
     if request.output == "smplx":
         from data_module.motion.smplx import smplx_arrays
 
@@ -149,13 +146,13 @@ def pack(frames: StreamFrames, request: StreamRequest, state: str, received: flo
         "type": "poses", "first": frames.first, "count": len(frames), "time": round(frames.first / request.fps, 6),
         "fps": request.fps, "joints": rotations.shape[1], "state": state, "received": round(received, 6),
     }, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 4)  # numbers begin at a multiple of their size, as typed arrays want it
+    header += b" " * (-len(header) % 4)  # align the numbers for typed arrays
     return b"".join((struct.pack("<I", len(header)), header, rotations.astype("<f4").tobytes(),
                      root.astype("<f4").tobytes()))
 
 
 def joints(skeleton: Skeleton) -> list[dict[str, Any]]:
-    """The skeleton as a hello tells it."""
+    """The skeleton as in the server's hello."""
     out: list[dict[str, Any]] = [
         {"name": name, "parent": parent, "offset": np.round(offset, 6).tolist()}
         for name, parent, offset in zip(skeleton.names, skeleton.parents, skeleton.offsets, strict=True)]

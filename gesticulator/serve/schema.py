@@ -1,4 +1,4 @@
-"""Checks a value against a JSON Schema: the part of draft 2020-12 that the protocol's own file uses."""
+"""Validates values against a JSON Schema, for the part of draft 2020-12 that the protocol uses."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ _TYPES: dict[str, tuple[type, ...]] = {"object": (dict,), "array": (list,), "str
                                        "integer": (int,), "number": (int, float)}
 KNOWN = {"type", "const", "enum", "minimum", "maximum", "maxLength", "minItems", "maxItems", "items", "properties",
          "required", "additionalProperties", "$ref", "description", "default"}
-"""Keywords that are understood, or say nothing about validity; a test holds the schema against it."""
+"""Supported keywords, and annotations without effect; a test checks that the schema uses no others."""
 
 
 def check(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any], place: str = "message") -> None:
-    """`InputError` with the place and the rule where a value does not fit.
-
-    root: the whole schema, where "$ref" looks; place: how messages name the value.
-    """
+    """`InputError` with the place and the rule if a value is invalid. root: the whole schema, for "$ref"; place: the
+    name of the value in messages."""
     if "$ref" in schema:
         schema = root["$defs"][schema["$ref"].removeprefix("#/$defs/")]
     _check_kind(value, schema, place)
@@ -38,7 +36,7 @@ def _check_kind(value: Any, schema: Mapping[str, Any], place: str) -> None:
     if "type" in schema:
         kind = schema["type"]
         fits = isinstance(value, _TYPES[kind]) and (kind == "boolean" or not isinstance(value, bool))
-        # A number without a fraction is an integer to JSON, however it is written.
+        # JSON Schema counts a float without a fraction as an integer.
         if not (fits or (kind == "integer" and isinstance(value, float) and value.is_integer())):
             raise InputError(place, f"is {shown(value)}", f"give {'an' if kind[0] in 'aio' else 'a'} {kind}")
     allowed = [schema["const"]] if "const" in schema else schema.get("enum")
@@ -58,9 +56,9 @@ def _check_object(value: dict[str, Any], schema: Mapping[str, Any], root: Mappin
     for name in schema.get("required", ()):
         if name not in value:
             raise InputError(place, f"lacks {name}", "see the published schema")
-    for name, own in value.items():
+    for name, member in value.items():
         if name in properties:
-            check(own, properties[name], root, f"{place}.{name}")
+            check(member, properties[name], root, f"{place}.{name}")
         elif schema.get("additionalProperties", True) is False:
             raise InputError(place, f"has {shown(name)}, which is unknown", "it has " + ", ".join(properties))
 
@@ -69,5 +67,5 @@ def _check_array(value: list[Any], schema: Mapping[str, Any], root: Mapping[str,
     if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", math.inf):
         raise InputError(place, f"has {len(value)} entries", f"{schema.get('minItems', 0)} to "
                          f"{schema.get('maxItems', 'any number')}")
-    for number, own in enumerate(value if "items" in schema else ()):
-        check(own, schema["items"], root, f"{place}[{number}]")
+    for number, item in enumerate(value if "items" in schema else ()):
+        check(item, schema["items"], root, f"{place}[{number}]")

@@ -1,4 +1,4 @@
-"""The server: WebSocket streams, `/healthz` and `/metrics` on one port, one thread that computes for all streams."""
+"""The server: WebSocket streams, `/healthz` and `/metrics` on one port, and one compute thread for all streams."""
 
 from __future__ import annotations
 
@@ -35,25 +35,24 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("gesticulator.serve")
 ANSWER_SECONDS = 10.0
-"""How long the answer to what was received may take, at least, once a server stops."""
+"""Least time for finishing received audio when the server stops, seconds."""
 SAVE_SECONDS = 1.0
-"""How often a worker writes its figures for the others."""
+"""Interval in seconds at which a worker writes its metrics for the others."""
 _BACKLOG = 512
-"""Connections that wait to be accepted: a burst of hundreds a second."""
+"""Connections waiting to be accepted: enough for a burst of hundreds per second."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _PING_SECONDS = 20.0
-"""A client whose machine is gone is noticed after two of them."""
+"""Ping interval, seconds; a vanished client is noticed after two of them."""
 _SOUND_QUEUE = 4
-"""Messages that the WebSocket library reads ahead; ours are counted in seconds of sound."""
+"""Messages read ahead by the WebSocket library; our own queue is bounded in seconds of audio."""
 
 
 @dataclass(frozen=True)
 class ServerAddress:
-    """Where to listen, and who may come.
+    """Where to listen, and who may connect.
 
-    port: 0 for any that is free. origins: web pages that may connect, such as "https://example.org"; pages of this
-    machine and programs that are no browsers always may. token: what a client's hello must hold; "" for none.
-    """
+    port: 0 for any free one. origins: web pages that may connect, such as "https://example.org"; pages of this machine
+    and clients other than browsers always may. token: required in a client's hello; "" for none. """
 
     host: str = "127.0.0.1"
     port: int = 8765
@@ -62,15 +61,15 @@ class ServerAddress:
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
-            raise InputError(f"port {self.port}", "is none", "choose 0 (any that is free) to 65535")
+            raise InputError(f"port {self.port}", "is not a port", "choose 0 (any free one) to 65535")
 
     @property
     def local(self) -> bool:
-        """True where only this machine can connect."""
+        """Whether only this machine can connect."""
         return self.host in _LOOPBACK
 
     def listen(self) -> socket.socket:
-        """A socket that listens; `InputError` where that cannot be."""
+        """Open a listening socket; `InputError` if that fails."""
         try:
             family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
             listening = socket.create_server((self.host, self.port), family=family, backlog=_BACKLOG)
@@ -80,14 +79,14 @@ class ServerAddress:
                              "choose another --port" if taken else "choose another --host or --port") from None
         for direction in (socket.SO_SNDBUF, socket.SO_RCVBUF):
             listening.setsockopt(socket.SOL_SOCKET, direction, SOCKET_BYTES)  # connections inherit it
-        # asyncio sets it only where a socket names its protocol; without it, every other packet waits 40 ms.
+        # asyncio sets it only for sockets with an explicit protocol; without it, every other packet waits 40 ms.
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return listening
 
 
 @dataclass(frozen=True)
 class Page:
-    """A file that the server gives to a browser."""
+    """A file served to browsers."""
 
     body: bytes
     kind: str
@@ -95,11 +94,10 @@ class Page:
 
 @dataclass
 class LiveServer:
-    """Serves streams until it is told to stop.
+    """Serves streams until stopped.
 
-    open_session: makes a session of a stream's name and request; output: gets the motion too; pages: path -> what a
-    browser gets there; folder: where workers of one server tell each other their figures.
-    """
+    open_session: creates a session for a stream's name and request; output: also receives the motion; pages: URL path
+    -> file; folder: where workers of one server share their metrics. """
 
     address: ServerAddress
     limits: ServerLimits
@@ -113,28 +111,28 @@ class LiveServer:
         self.metrics = ServerMetrics(self.worker)
         self.connections: set[Connection] = set()
         self.draining = False
-        # One thread: the models hold one set of weights and Python runs one thread at a time. More cores, more workers.
+        # One thread: Python runs one at a time. Use more workers for more cores.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="compute")
         self._numbers = itertools.count(1)
         self._stop = asyncio.Event()
-        self._untold = False
-        """The last attempt to tell the other workers the figures failed."""
+        self._save_failed = False
+        """Whether the last attempt to write the metrics failed."""
 
     def stop(self) -> None:
-        """End: no new streams, `drain_seconds` for those that are open, then their rest. Twice: at once."""
+        """Stop: no new streams, `drain_seconds` for open ones, then finish them. A second call aborts at once."""
         if self._stop.is_set():
             for connection in self.connections:
                 connection.socket.transport.abort()
         self._stop.set()
 
     async def run(self, listening: socket.socket, ready: Callable[[], None] | None = None) -> None:
-        """Serve on a socket that listens, until `stop` is called or SIGTERM or SIGINT comes."""
-        published()  # an installation without the schema is told of before anybody connects
+        """Serve on a listening socket until `stop`, SIGTERM or SIGINT."""
+        published()  # report a missing schema before anyone connects
         loop = asyncio.get_running_loop()
         for name in (signal.SIGTERM, signal.SIGINT):
             with contextlib.suppress(NotImplementedError, ValueError, RuntimeError):  # Windows; not the main thread
                 loop.add_signal_handler(name, self.stop)
-        await self._save()  # who is asked for the figures can tell those of all that are ready
+        await self._save()  # so that each worker can report the metrics of all ready ones
         server = await serve(
             self._serve_one, sock=listening, process_request=self._answer, select_subprotocol=_subprotocol,
             max_size=self.limits.message_bytes, max_queue=_SOUND_QUEUE, compression=None, open_timeout=10,
@@ -153,7 +151,7 @@ class LiveServer:
             self._thread.shutdown(wait=False, cancel_futures=True)
 
     async def compute(self, job: Callable[[], Any]) -> Any:
-        """Run a job in the thread that computes, after those that wait."""
+        """Run a job in the compute thread, after those queued."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, job)
 
     async def _serve_one(self, ws: ServerConnection) -> None:
@@ -187,7 +185,7 @@ class LiveServer:
     async def _drain(self, server: Server) -> None:
         self.draining = True
         self.metrics.numbers["draining"] = 1
-        # Later connects are refused by the system; with workers, the others' and the parent's socket are closed too.
+        # The system refuses later connections; with workers, the sockets of the others and the parent are closed too.
         server.close(close_connections=False)
         if self.connections:
             LOG.info("stopping: %d streams have %g s", len(self.connections), self.limits.drain_seconds)
@@ -210,27 +208,27 @@ class LiveServer:
             await self._save()
 
     async def _save(self) -> None:
-        """Tell the other workers the figures. A thread writes them, so that a slow disk stops no stream."""
+        """Write the metrics for the other workers, in a thread so that a slow disk blocks no stream."""
         if self.folder is None:
             return
         text = json.dumps(self.metrics.figures())
         try:
             await asyncio.to_thread(write_figures, self.folder, self.worker, text)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the next second may do better
-            if not self._untold:
-                LOG.warning("the other workers cannot be told the figures (%s: %s)", type(error).__name__, error)
-            self._untold = True
+        except Exception as error:  # noqa: BLE001 - whatever it is, the next attempt may succeed
+            if not self._save_failed:
+                LOG.warning("cannot write the metrics for the other workers (%s: %s)", type(error).__name__, error)
+            self._save_failed = True
         else:
-            self._untold = False
+            self._save_failed = False
 
     async def _figures(self) -> str:
         others = [] if self.folder is None else await asyncio.to_thread(read_figures, self.folder, self.worker)
         return exposition([self.metrics.figures(), *others])
 
-    # ------------------------------------------------------------ what is asked before there is a WebSocket
+    # ------------------------------------------------------------ HTTP requests
 
     async def _answer(self, ws: ServerConnection, request: Request) -> Response | None:
-        """None to open a WebSocket; else the response."""
+        """None to open a WebSocket, else the HTTP response."""
         path = request.path.partition("?")[0]
         if path == published()["path"]:
             origin = request.headers.get("Origin")
@@ -253,8 +251,8 @@ class LiveServer:
     def _may(self, origin: str) -> bool:
         """Whether a web page of that origin may connect.
 
-        The page's host is held against names of this machine and not against the request's own Host, which a page
-        that had its name's address changed to 127.0.0.1 would match.
+        The page's host is compared with names of this machine, not with the request's Host, which a page whose name was
+        re-resolved to 127.0.0.1 would match.
         """
         if "*" in self.address.origins or origin in self.address.origins:
             return True
@@ -266,7 +264,7 @@ class LiveServer:
 
 
 def _subprotocol(ws: ServerConnection, offered: Any) -> Any:
-    """Ours where it is offered. A client that names none is served as well: the hello tells the version."""
+    """Our subprotocol if it is offered; a client without one is served too, since the hello holds the version."""
     return published()["subprotocol"] if published()["subprotocol"] in offered else None
 
 
@@ -277,14 +275,14 @@ def _response(status: http.HTTPStatus, body: bytes, kind: str) -> Response:
 
 
 def _quiet() -> logging.Logger:
-    """The WebSocket library's own log: garbage from a client is no news, and would come with a traceback."""
+    """The WebSocket library's log, silenced: it would print a traceback for every invalid client message."""
     log = logging.getLogger("gesticulator.serve.websockets")
     log.setLevel(logging.CRITICAL)
     return log
 
 
 def log_to_stderr() -> None:
-    """Print the server's log, a line for each event, on standard error."""
+    """Print the server's log on standard error, one line per event."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     LOG.handlers[:] = [handler]

@@ -1,4 +1,4 @@
-"""One stream between the wire and the models: samples and commands in, packets and events out. No network here."""
+"""A stream without networking: samples and commands in, packets and events out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SessionFacts:
-    """What a client is told of a stream. look_ahead: seconds of sound that a pose waits for, at most."""
+    """Facts about a stream sent to the client. look_ahead: longest time that a pose waits for audio, seconds."""
 
     look_ahead: float
     limits: ServerLimits
@@ -33,7 +33,7 @@ class SessionFacts:
 
 @dataclass
 class SessionAnswer:
-    """What one piece of work gave. messages: packets (bytes) and events (text), in their order; frames: the same
+    """The result of one piece of processing. messages: packets (bytes) and events (text), in order; frames: the same
     poses."""
 
     messages: list[bytes | str] = field(default_factory=list)
@@ -52,19 +52,20 @@ class Session:
         self._stream = stream
         self._received = 0.0
         self._state = "idle"
-        self._effort, self._passed = Effort.FULL, 0.0
+        self._effort, self._skipped = Effort.FULL, 0.0
         self._lift: float | None = None
-        """Metres."""
+        """Offset of the root above the floor, metres."""
         self._words: list[Word] = []
-        """Those whose poses were not sent."""
+        """Words whose poses have not been sent."""
 
     @property
     def lacking(self) -> float:
-        """Seconds of the avatar's own sound that make a difference, at least."""
+        """Least duration of the avatar's audio that produces output, seconds."""
         return self._stream.lacking
 
     def unplayed(self, seconds: float) -> None:
-        """So many seconds of what was sent cannot have been played yet: an interruption may take them back."""
+        """Record that the last `seconds` sent cannot have been played yet, so that an interruption can take them
+        back."""
         self._stream.history = min(HISTORY + seconds, LONGEST_HISTORY)
 
     def welcome(self) -> dict[str, Any]:
@@ -82,13 +83,13 @@ class Session:
         }
 
     def feed(self, samples: Samples, heard: bool = False, effort: Effort = Effort.FULL) -> SessionAnswer:
-        """The avatar's own voice went on; with `heard`, another's. effort: what there is time for."""
+        """Process audio of the avatar or, with `heard`, of another speaker."""
         seconds = len(samples) / self.request.sample_rate
         self._received += seconds
         if heard:
             return self._answer(self._stream.listen(samples))
         if effort == Effort.NONE:
-            self._passed += seconds
+            self._skipped += seconds
             frames = self._pass_over(seconds)
         else:
             self._stream.hurried = effort == Effort.LESS
@@ -96,11 +97,11 @@ class Session:
         answer = self._answer(frames)
         if effort != self._effort or effort == Effort.NONE:
             self._effort = effort
-            answer.say("pace", effort=str(effort.value), passed=round(self._passed, 6))
+            answer.say("pace", effort=str(effort.value), passed=round(self._skipped, 6))
         return answer
 
     def obey(self, message: dict[str, Any]) -> SessionAnswer:
-        """Do what a client's command says; see the schema."""
+        """Execute a client's command; see the schema."""
         kind = message["type"]
         if kind in ("idle", "think"):
             return self.wait(kind, float(message.get("seconds", 0.0)))
@@ -111,35 +112,35 @@ class Session:
         if kind == "words":
             return self._add_words(message["words"])
         if kind == "finish":
-            # A stream that took nothing in has no rest to give.
+            # A stream without input has no remaining frames.
             answer = self._answer(self._stream.finish()) if self._stream.time > 0 else SessionAnswer()
             answer.say("done", frames=self._stream.made)
             return answer
-        return SessionAnswer()  # listen and speak: the sound that follows tells the stream
+        return SessionAnswer()  # listen and speak affect the audio that follows
 
     def wait(self, kind: str, seconds: float) -> SessionAnswer:
-        """Media time goes on without sound. kind: "idle" or "think"."""
+        """Advance media time without audio. kind: "idle" or "think"."""
         return self._answer(self._stream.think(seconds) if kind == "think" else self._stream.idle(seconds))
 
     def _pass_over(self, seconds: float) -> StreamFrames:
         frames = self._stream.pass_over(seconds)
         later = [word for word in self._words if word.start >= self._stream.time]
         if later:
-            self._stream.add_words(later)  # those for what was passed over are forgotten, and no others
+            self._stream.add_words(later)  # only words of the skipped audio are dropped
         return frames
 
     def _interrupt(self, at: float | None) -> StreamFrames:
         stream = self._stream
         try:
             return stream.interrupt(None if at is None else min(at, stream.time))
-        except InputError:  # longer ago than the stream remembers: what was sent is played, and then she stops
+        except InputError:  # too long ago to take back: stop after what was sent
             return stream.interrupt(None)
 
-    def _add_words(self, told: list[dict[str, Any]]) -> SessionAnswer:
+    def _add_words(self, entries: list[dict[str, Any]]) -> SessionAnswer:
         if not self.request.options.get("text", False):
             raise RefusedError(CloseCode.BAD_MESSAGE, "words came for a stream without the option text")
         try:
-            words = [Word(one["text"], float(one["start"]), float(one["end"])) for one in told]
+            words = [Word(one["text"], float(one["start"]), float(one["end"])) for one in entries]
         except ValueError as error:
             raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
         if len(self._words) + len(words) > _MOST_WORDS:
@@ -168,9 +169,8 @@ class Session:
             answer.frames.append(frames)
         return answer
 
-
     def _standing(self, frames: StreamFrames) -> StreamFrames:
-        """The frames with her hips above the floor where the models have them at the origin; decided once."""
+        """The frames with the hips lifted above the floor if the models place them at the origin; decided once."""
         if len(frames) and self._lift is None:
             self._lift = HIP_HEIGHT if frames.root_positions[0, 1] < HIP_HEIGHT / 4 else 0.0
         if not self._lift or not len(frames):
@@ -179,11 +179,11 @@ class Session:
 
 
 _MOST_WORDS = 20_000
-"""Two hours of speech."""
+"""Most pending words: two hours of speech."""
 
 
 def session_opener(system: Gesticulator, limits: ServerLimits) -> Callable[[str, StreamRequest], Session]:
-    """What opens a session of a stream's name and request; `InputError` for a request that cannot be met."""
+    """A function that opens a session for a stream's name and request; `InputError` for an unsupported request."""
     def open_session(name: str, request: StreamRequest) -> Session:
         options = {name: value for name, value in request.options.items() if name != "keep_up"}
         stream = system.stream(sample_rate=request.sample_rate, seed=request.seed, fps=request.fps, **options)

@@ -1,8 +1,8 @@
-"""Poses by the Virtual Motion Capture protocol (OSC over UDP), which avatar programs read.
+"""Sends poses by the Virtual Motion Capture protocol (OSC over UDP), which avatar programs receive.
 
-Each frame is one OSC bundle: that the model is there, the sender's time, the root, and every bone of the VRM humanoid
-under the name that Unity gives it, with its place and turn in the frame of the bone above. Unity's axes are
-left-handed: Y up, the character faces +Z, and her left is -X. Ours are their mirror image in X.
+Each frame is one OSC bundle: the model's availability, the sender's time, the root, and every bone of the VRM humanoid
+under its Unity name, with position and rotation in the parent bone's frame. Unity's axes are left-handed: Y up, the
+character faces +Z, and its left is -X. Ours are their mirror image in X.
 """
 
 from __future__ import annotations
@@ -28,24 +28,23 @@ if TYPE_CHECKING:
     from gesticulator.stream import StreamFrames
 
 PORT = 39539
-"""Where receivers listen, as a rule."""
+"""Usual port of receivers."""
 LATEST = 0.25
-"""Seconds that frames may come late before the clock that plays them is set back: a hitch less than that is caught
-up."""
+"""Delay of frames in seconds above which the playback clock is reset; smaller delays are caught up."""
 MOST_SECONDS = 600.0
-"""Of motion that waits to be played."""
+"""Most motion waiting to be played, seconds."""
 _BUNDLE = b"#bundle\0" + struct.pack(">Q", 1)
-"""Head of a bundle that is meant for at once."""
+"""Header of a bundle for immediate use."""
 _THUMB = {"Metacarpal": "Proximal", "Proximal": "Intermediate", "Distal": "Distal"}
-"""Unity names the three joints of the thumb like those of a finger; VRM 1.0 names its bones."""
+"""Thumb bones of VRM 1.0 -> Unity, which names them like those of a finger."""
 
 
 def read_target(text: str) -> tuple[str, int]:
-    """Host and port of "HOST:PORT"; `InputError` for what is none."""
+    """Host and port of "HOST:PORT"; `InputError` for anything else."""
     host, _, port = text.rpartition(":")
     number = whole_number(port, 65535)
     if not host or not number:
-        raise InputError(f"--vmc {text[:80]}", "is no HOST:PORT", f"such as 127.0.0.1:{PORT}")
+        raise InputError(f"--vmc {text[:80]}", "is not HOST:PORT", f"such as 127.0.0.1:{PORT}")
     try:
         import pythonosc  # noqa: F401
     except ImportError:
@@ -55,23 +54,23 @@ def read_target(text: str) -> tuple[str, int]:
 
 def unity_bone(vrm: str) -> str:
     """Unity's name (HumanBodyBones) of a bone of VRM 1.0: "leftThumbMetacarpal" is "LeftThumbProximal"."""
-    side, found, place = vrm.partition("Thumb")
-    name = side + found + _THUMB[place] if found else vrm
+    side, thumb, place = vrm.partition("Thumb")
+    name = side + thumb + _THUMB[place] if thumb else vrm
     return name[0].upper() + name[1:]
 
 
 def mirrored_place(place: Array) -> Array:
-    """[..., 3] of our axes in Unity's, and back."""
+    """[..., 3] a position in our axes converted to Unity's, or back."""
     return place * np.array([-1.0, 1.0, 1.0])
 
 
 def mirrored_turn(turn: Array) -> Array:
-    """[..., 4] (x, y, z, w) in Unity's axes of [..., 4] (w, x, y, z) in ours."""
+    """[..., 4] (x, y, z, w) a rotation in Unity's axes from [..., 4] (w, x, y, z) in ours."""
     return turn[..., [1, 2, 3, 0]] * np.array([1.0, -1.0, -1.0, 1.0])
 
 
 class VmcFrames:
-    """A motion as bundles of OSC."""
+    """A motion as OSC bundles."""
 
     def __init__(self, motion: Motion) -> None:
         from gesticulator.export.vrma import humanoid
@@ -83,7 +82,7 @@ class VmcFrames:
 
     @staticmethod
     def _poses(nodes: NodeMotion) -> Array:
-        """[T, N, 7] of every bone: place (x, y, z) in the frame of the one above, turn (x, y, z, w)."""
+        """[T, N, 7] of every bone: position (x, y, z) in the parent's frame, rotation (x, y, z, w)."""
         places = np.broadcast_to(nodes.translations, (len(nodes), *nodes.translations.shape)).copy()
         for node, path in nodes.shifts.items():
             places[:, node] = path
@@ -93,15 +92,15 @@ class VmcFrames:
         return len(self._numbers)
 
     def bundle(self, frame: int, seconds: float) -> bytes:
-        """The frame as a bundle; seconds: the sender's time."""
-        messages = [_ok(1), _time(seconds), _ROOT + struct.pack(">7f", 0, 0, 0, 0, 0, 0, 1)]
+        """A frame as a bundle; seconds: the sender's time."""
+        messages = [*_available(1, seconds), _ROOT + struct.pack(">7f", 0, 0, 0, 0, 0, 0, 1)]
         numbers = self._numbers[frame].astype(">f4").tobytes()
         messages += [head + numbers[28 * bone:28 * bone + 28] for bone, head in enumerate(self._heads)]
         return _bundled(messages)
 
 
 def _head(address: str, name: str) -> bytes:
-    """An OSC message of a name and seven floats, up to the floats."""
+    """The start of an OSC message of a name and seven floats, up to the floats."""
     from pythonosc.osc_message_builder import OscMessageBuilder
 
     builder = OscMessageBuilder(address)
@@ -119,12 +118,9 @@ def _message(address: str, kind: str, value: float) -> bytes:
     return bytes(builder.build().dgram)
 
 
-def _ok(loaded: int) -> bytes:
-    return _message("/VMC/Ext/OK", "i", loaded)
-
-
-def _time(seconds: float) -> bytes:
-    return _message("/VMC/Ext/T", "f", seconds)
+def _available(loaded: int, seconds: float) -> list[bytes]:
+    """Whether the model is available, and the sender's time."""
+    return [_message("/VMC/Ext/OK", "i", loaded), _message("/VMC/Ext/T", "f", seconds)]
 
 
 def _bundled(messages: list[bytes]) -> bytes:
@@ -132,7 +128,7 @@ def _bundled(messages: list[bytes]) -> bytes:
 
 
 _ROOT = b"/VMC/Ext/Root/Pos\0\0\0,sfffffff\0\0\0root\0\0\0\0"
-"""The message of the root up to its numbers; a test holds it against python-osc."""
+"""The start of the root's message, up to its floats; a test compares it with python-osc."""
 
 
 @dataclass
@@ -142,9 +138,9 @@ class _Played:
 
 
 class VmcOutput:
-    """Plays one stream's frames in their own time, each once: poses may come much earlier than they are due.
+    """Plays the frames of one stream at their times, each once: poses may arrive long before they are due.
 
-    The first stream that has frames has the output until it ends. A frame that was sent before is replaced.
+    The first stream with frames has the output until it ends. A frame that is sent again replaces the earlier one.
     """
 
     def __init__(self, target: str) -> None:
@@ -158,13 +154,13 @@ class VmcOutput:
         try:
             family, _, _, _, address = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)[0]
         except OSError as error:
-            raise InputError(f"--vmc {target}", f"is not known ({error.strerror})", "name an address") from None
+            raise InputError(f"--vmc {target}", f"cannot be resolved ({error.strerror})", "name an address") from None
         self._address = address
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
     def take(self, stream: str, frames: StreamFrames) -> None:
-        """Frames of a stream, one at least."""
+        """Add at least one frame of a stream."""
         first, fps = frames.first, frames.fps
         if self.stream not in (None, stream):
             return
@@ -178,12 +174,12 @@ class VmcOutput:
             self._came.set()
 
     def leave(self, stream: str) -> None:
-        """A stream has ended. What is left of it is played, unless another has frames before."""
+        """End a stream. Its remaining frames are played unless another stream adds frames."""
         if self.stream == stream:
             self.stream = None
 
     def due(self, now: float) -> bytes | None:
-        """The bundle of the frame that is due at a time of time.monotonic(); of the last there is, where none is."""
+        """The bundle of the frame due at a time of time.monotonic(), or of the last frame."""
         if not self._parts:
             return None
         fps = self._parts[0].frames.fps
@@ -196,7 +192,7 @@ class VmcOutput:
         return part.frames.bundle(min(at, len(part.frames) - 1), now - self._begin)
 
     async def _wait(self, now: float) -> None:
-        """Until the next frame is due, or there is a first; a second at most."""
+        """Wait until the next frame is due, or for the first one; at most a second."""
         if self._parts:
             period = 1 / self._parts[0].frames.fps
             await asyncio.sleep(period - (now - self._zero) % period)
@@ -211,10 +207,10 @@ class VmcOutput:
         try:
             while True:
                 now = time.monotonic()
-                found = self.due(now)
-                # A receiver that is not there, or a network that is full, must not end the streams.
+                bundle = self.due(now)
+                # A missing receiver or a congested network must not end the streams.
                 with contextlib.suppress(OSError):
-                    self._socket.sendto(found or _bundled([_ok(0), _time(now - self._begin)]), self._address)
+                    self._socket.sendto(bundle or _bundled(_available(0, now - self._begin)), self._address)
                 await self._wait(now)
         finally:
             self._socket.close()

@@ -1,7 +1,4 @@
-"""`gesticulator train --data STORE --out BUNDLE`: every stage, resumable, from a store to a bundle.
-
-What is heavy is imported when the arguments are understood.
-"""
+"""`gesticulator train --data STORE --out BUNDLE`: all stages from a store to a bundle, resumable."""
 
 from __future__ import annotations
 
@@ -16,12 +13,12 @@ from data_module.errors import InputError, complain
 from gesticulator.cli import PROGRAM, Command
 
 MOST_THREADS = 1024
-"""More threads than any machine has cores: a slip of the finger, which torch would try to start."""
+"""Upper limit of --threads: catches typing errors, which torch would try to start."""
 LARGEST_SEED = 2**31 - 1
 
 
 class _List(argparse.Action):
-    """Print the names of presets or stages and leave, whatever else is asked."""
+    """Print the names of presets and stages and exit, ignoring other arguments."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
         from gesticulator.training.presets import PRESETS
@@ -32,7 +29,6 @@ class _List(argparse.Action):
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
-    """What the command takes."""
     p.add_argument("--data", required=True, metavar="STORE", help="a store made by gesticulator build")
     p.add_argument("--out", required=True, metavar="BUNDLE", help="output folder for the bundle")
     p.add_argument("--preset", default="default", help="a set of settings (--list shows them)")
@@ -56,13 +52,13 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--list", action=_List, nargs=0, help="list the presets and the stages and exit")
 
 
-def run(asked: argparse.Namespace) -> int:
-    """Train; InputError for what cannot be."""
-    machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes here, that torchrun started
-    threads = asked.threads if asked.threads is not None else max(1, (os.cpu_count() or 1) // machine)
+def run(args: argparse.Namespace) -> int:
+    """Train; InputError for invalid arguments."""
+    machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes started here by torchrun
+    threads = args.threads if args.threads is not None else max(1, (os.cpu_count() or 1) // machine)
     for flag, value, least, most in (("--threads", threads, 1, MOST_THREADS),
-                                     ("--seed", asked.seed or 0, 0, LARGEST_SEED),
-                                     ("--corpus-memory", asked.corpus_memory, 0, 1e6)):
+                                     ("--seed", args.seed or 0, 0, LARGEST_SEED),
+                                     ("--corpus-memory", args.corpus_memory, 0, 1e6)):
         if not least <= value <= most:
             raise InputError(f"{flag} {value}", "is out of range", f"choose {least} to {most}")
     import torch
@@ -75,32 +71,32 @@ def run(asked: argparse.Namespace) -> int:
     from gesticulator.training.stages import STAGES
     from gesticulator.training.stages.training import TrainOptions, train
 
-    for flag, names in (("--stage", [asked.stage] if asked.stage else []), ("--redo", asked.redo)):
+    for flag, names in (("--stage", [args.stage] if args.stage else []), ("--redo", args.redo)):
         for name in names:
             if name not in STAGES:
                 raise InputError(f"{flag} {name}", "is not a stage", f"choose among {', '.join(STAGES)}")
-    if asked.device == "cuda" and not torch.cuda.is_available():
+    if args.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda", "there is no CUDA device", "use --device cpu")
-    if asked.precision != "float32" and asked.device == "cpu":
-        raise InputError(f"--precision {asked.precision}", "is for GPUs", "add --device cuda, or leave it out")
+    if args.precision != "float32" and args.device == "cpu":
+        raise InputError(f"--precision {args.precision}", "is for GPUs", "add --device cuda, or leave it out")
     torch.set_num_threads(threads)
-    config = with_settings(preset(asked.preset), asked.settings)
-    if asked.seed is not None:
-        config = dataclasses.replace(config, seed=asked.seed)
-    out = Path(asked.out)
-    work = Path(asked.work) if asked.work else out.with_name(out.name + ".work")
-    store = Store.open(asked.data)
-    for line in () if asked.quiet else doubts(store):
-        complain(f"{PROGRAM}: warning: {asked.data}: {line}")
-    with joined(asked.device) as device:
-        made = train(config, store, out, work, TrainOptions(
-            device, threads * machine, not asked.quiet, tuple(map(Path, asked.speech)), tuple(asked.redo), asked.stage,
-            asked.precision, asked.corpus_memory * 1e9))
+    config = with_settings(preset(args.preset), args.settings)
+    if args.seed is not None:
+        config = dataclasses.replace(config, seed=args.seed)
+    out = Path(args.out)
+    work = Path(args.work) if args.work else out.with_name(out.name + ".work")
+    store = Store.open(args.data)
+    for line in () if args.quiet else doubts(store):
+        complain(f"{PROGRAM}: warning: {args.data}: {line}")
+    with joined(args.device) as device:
+        bundle = train(config, store, out, work, TrainOptions(
+            device, threads * machine, not args.quiet, tuple(map(Path, args.speech)), tuple(args.redo), args.stage,
+            args.precision, args.corpus_memory * 1e9))
         speaks = leads()
-    if made is not None and speaks:
-        hours = float(made.provenance["hours"]["train"])
+    if bundle is not None and speaks:
+        hours = float(bundle.provenance["hours"]["train"])
         print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")
-        for stage, figures in made.figures.items() if asked.verbose else ():
+        for stage, figures in bundle.figures.items() if args.verbose else ():
             print(f"  {stage}: " + ", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
     return 0
 

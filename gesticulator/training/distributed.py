@@ -1,9 +1,9 @@
-"""Training in several processes, on one machine or more, as `torchrun` starts them.
+"""Training in several processes started by `torchrun`, on one or more machines.
 
-Each process takes its rows of every batch (`data_module.parallel`), and the gradients are added up: the weights go the
-way that one process with the whole batch would have gone. Random numbers are drawn for the whole batch, and each
-process takes those of its rows. What is not a training step (k-means, statistics, closed forms, validation, files) is
-done by the first process; the others wait and take over what it found. Alone, everything here does nothing.
+Each process takes its rows of every batch (`data_module.parallel`), and gradients are summed: the weights follow the
+same path as in one process with the whole batch. Random numbers are generated for the whole batch, and each process
+takes those of its rows. Everything but training steps (k-means, statistics, closed forms, validation, files) is done by
+the first process; the others wait and receive the result. In a single process everything here does nothing.
 """
 
 from __future__ import annotations
@@ -25,26 +25,21 @@ from data_module.parallel import rows_of_draws, share, shares, sharing
 T = TypeVar("T")
 
 _PATIENCE = timedelta(hours=12)
-"""For the first process, which may label a corpus or validate meanwhile; torchrun itself ends all when one dies."""
+"""Timeout while the first process labels a corpus or validates; torchrun itself ends all processes when one dies."""
 _leading = False
-"""Whether the first process does something for all: nothing that runs meanwhile may wait for the others."""
+"""Whether the first process is working for all, during which nothing may wait for the others."""
 
 
 def expected() -> int:
-    """Processes that `torchrun` says there are; 1 without it."""
+    """Number of processes according to `torchrun`; 1 without it."""
     return int(os.environ.get("WORLD_SIZE", "1"))
-
-
-def on_this_machine() -> int:
-    """Of these the ones on this machine."""
-    return int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
 
 
 @contextlib.contextmanager
 def joined(device: str = "cpu") -> Iterator[str]:
-    """Join the processes that `torchrun` started, for a while; gives the device of this one ("cuda:1").
+    """Join the processes started by `torchrun`; gives the device of this one ("cuda:1"). Does nothing without torchrun.
 
-    InputError where a machine has fewer GPUs than processes. Without torchrun it does nothing.
+    InputError if a machine has fewer GPUs than processes.
     """
     if expected() == 1:
         yield device
@@ -52,8 +47,9 @@ def joined(device: str = "cpu") -> Iterator[str]:
     place = int(os.environ.get("LOCAL_RANK", "0"))
     if device == "cuda":
         if place >= torch.cuda.device_count():
-            raise InputError("--device cuda", f"this machine has {torch.cuda.device_count()} GPUs and is to run "
-                             f"{on_this_machine()} processes", "start fewer with --nproc_per_node")
+            local = os.environ.get("LOCAL_WORLD_SIZE", "1")
+            raise InputError("--device cuda", f"this machine has {torch.cuda.device_count()} GPUs for {local} "
+                             "processes", "start fewer with --nproc_per_node")
         device = f"cuda:{place}"
         torch.cuda.set_device(place)
     process_group.init_process_group("cpu:gloo,cuda:nccl" if device != "cpu" else "gloo", timeout=_PATIENCE)
@@ -68,12 +64,12 @@ def _in_group() -> bool:
 
 
 def processes() -> int:
-    """Among how many processes a training step is divided."""
+    """Number of processes that share a training step."""
     return process_group.get_world_size() if _in_group() and not _leading else 1
 
 
 def leads() -> bool:
-    """Whether this process writes the files and talks to the user."""
+    """Whether this process writes files and prints messages."""
     return not _in_group() or process_group.get_rank() == 0
 
 
@@ -90,39 +86,40 @@ def _by_itself() -> Iterator[None]:
 
 
 def lead(work: Callable[[], T]) -> T:
-    """What `work` gives, done by the first process alone; the others wait for it and get the same. Where it fails they
-    end too: SystemExit with the exit code of the first process, as it tells the user why."""
+    """The result of `work`, computed by the first process and sent to the others. If it fails, the others exit too:
+    SystemExit with the exit code of the first process, which prints the error."""
     if processes() == 1:
         return work()
-    told: list[Any] = [None, None]
+    outcome: list[Any] = [None, None]
     try:
         if leads():
             with _by_itself():
-                told[1] = work()
+                outcome[1] = work()
     except BaseException as error:
-        told[0] = 2 if isinstance(error, InputError) else 1
+        outcome[0] = 2 if isinstance(error, InputError) else 1
         raise
     finally:
-        process_group.broadcast_object_list(told, device=torch.device("cpu"))
-    if told[0] is not None:
-        raise SystemExit(told[0])
-    return cast(T, told[1])
+        process_group.broadcast_object_list(outcome, device=torch.device("cpu"))
+    if outcome[0] is not None:
+        raise SystemExit(outcome[0])
+    return cast(T, outcome[1])
 
 
 def lead_first(work: Callable[[], T]) -> T:
-    """What `work` gives, done by the first process and then by the others, who find the files that it has written."""
+    """The result of `work`, computed by the first process and then by the others, which find the files it has
+    written."""
     if processes() == 1:
         return work()
-    kept: list[T] = []
-    lead(lambda: kept.append(work()))
-    if not kept:
+    results: list[T] = []
+    lead(lambda: results.append(work()))
+    if not results:
         with _by_itself():
-            kept.append(work())
-    return kept[0]
+            results.append(work())
+    return results[0]
 
 
 def lead_model(model: nn.Module, work: Callable[[], Any]) -> None:
-    """Do to a model what changes its state: the first process does it, and the others take its state over."""
+    """Apply `work`, which changes a model's state, in the first process and copy the state to the others."""
     def changed() -> None:
         work()
 
@@ -132,7 +129,7 @@ def lead_model(model: nn.Module, work: Callable[[], Any]) -> None:
 
 @torch.no_grad()
 def spread(model: nn.Module) -> None:
-    """Give every process the first one's weights."""
+    """Copy the first process's weights to all."""
     if processes() > 1:
         for value in model.state_dict().values():
             process_group.broadcast(value, 0)
@@ -142,27 +139,25 @@ def spread(model: nn.Module) -> None:
 
 @contextlib.contextmanager
 def dividing() -> Iterator[None]:
-    """For a while a batch is divided among the processes: its rows, its sums, and what is drawn at random for it."""
-    if processes() == 1:
-        yield
-        return
-    with sharing(process_group.get_rank(), processes()):
+    """Context in which a batch is divided among the processes: its rows, its sums, and its random numbers."""
+    alone = processes() == 1
+    with contextlib.nullcontext() if alone else sharing(process_group.get_rank(), processes()):
         yield
 
 
 @contextlib.contextmanager
 def batch_draws() -> Iterator[None]:
-    """For a while random numbers are those of the batch's rows that are this process's."""
+    """Context in which random numbers are those of this process's rows of the batch."""
     if shares() == 1:
         yield
         return
-    # The fused kernels of attention draw their dropout inside: no one could divide it.
+    # The fused attention kernels generate their dropout internally, which cannot be divided.
     with BatchDraws(), nn.attention.sdpa_kernel(nn.attention.SDPBackend.MATH):
         yield
 
 
 def backward(total: Tensor, parameters: Sequence[Tensor]) -> None:
-    """The gradients of a loss that was computed while `dividing`, the same in every process."""
+    """Compute the gradients of a loss computed while `dividing`, identical in all processes."""
     count = processes()
     if count == 1:
         total.backward()
@@ -180,24 +175,24 @@ def backward(total: Tensor, parameters: Sequence[Tensor]) -> None:
 
 
 def _sparse_sum(gradient: Tensor) -> Tensor:
-    """The sum of the processes' sparse gradients [N, D], in which each has rows of its own."""
+    """The sum of the processes' sparse gradients [N, D], each with different rows."""
     rows, values = gradient._indices()[0], gradient._values()
     counts = torch.zeros(processes(), dtype=torch.long, device=rows.device)
     counts[process_group.get_rank()] = len(rows)
     process_group.all_reduce(counts)
     most, sizes = int(counts.max()), counts.tolist()
     parts = []
-    for own in (rows, values):
-        filled = own.new_zeros(most, *own.shape[1:])
-        filled[:len(own)] = own
-        every = [torch.empty_like(filled) for _ in sizes]
-        process_group.all_gather(every, filled)
-        parts.append(torch.cat([part[:size] for part, size in zip(every, sizes, strict=True)]))
+    for part in (rows, values):
+        padded = part.new_zeros(most, *part.shape[1:])
+        padded[:len(part)] = part
+        every = [torch.empty_like(padded) for _ in sizes]
+        process_group.all_gather(every, padded)
+        parts.append(torch.cat([rows_of[:size] for rows_of, size in zip(every, sizes, strict=True)]))
     return torch.sparse_coo_tensor(parts[0][None], parts[1], gradient.shape, check_invariants=False)
 
 
 def mean(figures: dict[str, float]) -> dict[str, float]:
-    """The mean of each figure over the processes."""
+    """The mean of each figure over all processes."""
     if processes() == 1:
         return figures
     values = torch.tensor(list(figures.values()), dtype=torch.float64)
@@ -207,21 +202,21 @@ def mean(figures: dict[str, float]) -> dict[str, float]:
 
 _aten = torch.ops.aten
 _SIZED = {_aten.rand.default: 0, _aten.randn.default: 0, _aten.randint.default: 1, _aten.randint.low: 2}
-"""Draws of a size, which is the argument of that number."""
+"""Random functions with a size -> position of the size argument."""
 _ALIKE = {_aten.rand_like.default, _aten.randn_like.default, _aten.randint_like.default,
           _aten.randint_like.low_dtype}
-"""Draws in the shape of another tensor."""
+"""Random functions with the shape of another tensor."""
 _FILLED = {_aten.bernoulli_.float, _aten.exponential_.default, _aten.uniform_.default, _aten.normal_.default}
-"""Draws into a tensor that is there."""
+"""Random functions that fill a tensor."""
 
 
 class BatchDraws(TorchDispatchMode):
-    """Every random tensor is drawn for the whole batch, as one process would draw it, and cut down to the rows of this
-    one: the noise of a row does not depend on who computes it.
+    """Generates every random tensor for the whole batch, as a single process would, and narrows it to this process's
+    rows,
+    so that the noise of a row does not depend on the process that computes it.
 
-    A process that has n rows (of the batch, or of anything that the batch was flattened to) is given rows n * share to
-    n * (share + 1) of n * shares. Drawing for all is what this costs: it is little beside the layers.
-    """
+    A process with n rows (of the batch, or of a flattened form of it) gets rows n * share to n * (share + 1) of n *
+    shares. The cost of generating all rows is small compared with the layers. """
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
@@ -240,7 +235,7 @@ class BatchDraws(TorchDispatchMode):
         if func is _aten.native_dropout.default and args[1] and args[2]:
             kept = self._own(func(torch.ones_like(_whole(args[0], self._rows(args[0].shape))), *args[1:])[1])
             return args[0] * kept / (1 - args[1]), kept
-        if func is _aten.multinomial.default and args[1] == 1:  # as torch draws one: by an exponential race
+        if func is _aten.multinomial.default and args[1] == 1:  # as in torch: by an exponential race
             race = _whole(args[0], self._rows(args[0].shape)).exponential_(1.0)
             return (args[0] / self._own(race)).argmax(-1, keepdim=True)
         return func(*args, **kwargs)
@@ -260,8 +255,8 @@ class BatchDraws(TorchDispatchMode):
 
 
 def _whole(own: Tensor, rows: int) -> Tensor:
-    """An empty tensor like one of this process's rows, of all rows, and laid out in memory alike: a draw fills memory
-    in its order."""
+    """An empty tensor like `own` but with all rows and the same memory layout: random functions fill memory in
+    order."""
     size = list(own.shape)
     size[rows] *= shares()
     strides = own.stride()

@@ -1,9 +1,9 @@
-"""The one training loop: every stage goes through `fit`.
+"""The training loop: every stage uses `fit`.
 
-A model offers `losses(batch, progress) -> dict[str, Tensor]` and `weights`, keyed alike; it never knows the trainer.
-Every step is a function of (seed, step) alone: the batch, the dropout and the Gumbel noise are drawn from generators
-seeded with both. So a run that was stopped and resumed gives the same weights as one that was not, and one in several
-processes (`gesticulator.training.distributed`) the weights of one alone, but for rounding.
+A model offers `losses(batch, progress) -> dict[str, Tensor]` and `weights`, keyed alike; it does not know the trainer.
+Every step is a function of (seed, step) alone: the batch, dropout and Gumbel noise come from generators seeded with
+both. So a run that was stopped and resumed gives the same weights as an uninterrupted one, and a run in several
+processes (`gesticulator.training.distributed`) the weights of a single one up to rounding.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def rate_factor(settings: FitSettings, step: int) -> float:
 
 
 def generator_for(seed: int, step: int) -> np.random.Generator:
-    """The random numbers of one step, the same whatever came before it."""
+    """The random generator of one step, independent of earlier steps."""
     return np.random.default_rng([seed, step])
 
 
@@ -69,14 +69,14 @@ def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.opt
 
 
 class Checkpoint:
-    """The state of a run in one file, replaced whole; only files that this class wrote are read."""
+    """The state of a run in one file, replaced atomically."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def save(self, step: int, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer],
              best: BestWeights | None = None) -> None:
-        """Write everything that the next step depends on."""
+        """Save everything that the next step depends on."""
         temporary = self.path.with_suffix(".tmp")
         with temporary.open("wb") as stream:
             torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers],
@@ -87,8 +87,8 @@ class Checkpoint:
 
     def load(self, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer], best: BestWeights | None = None
              ) -> int:
-        """Put the saved state back; the step to go on from. 0 when there is none, or one that a crash or a full disk
-        left damaged: the model and the optimisers are then as they were given."""
+        """Restore the saved state; returns the step to resume from. 0 without a valid checkpoint (missing, or damaged
+        by a crash or a full disk): model and optimisers are then unchanged."""
         if not self.path.exists():
             return 0
         everything: list[Any] = [model, *optimisers, *([] if best is None else [best])]
@@ -107,8 +107,8 @@ class Checkpoint:
 
 
 class BestWeights:
-    """The weights of the best validation figure so far. figures: all of that validation, with the step it was at;
-    stale: validations since."""
+    """The weights with the best validation figure so far. figures: of that validation, with its step; stale:
+    validations since."""
 
     def __init__(self, watch: str) -> None:
         self.watch, self.stale = watch, 0
@@ -116,7 +116,7 @@ class BestWeights:
         self.weights: dict[str, Tensor] = {}
 
     def note(self, step: int, figures: dict[str, float], model: nn.Module) -> None:
-        """Keep the weights where the figure that is watched is less than ever before; of equals the first."""
+        """Store the weights if the watched figure is lower than ever before."""
         if not self.figures or figures[self.watch] < self.figures[self.watch]:
             self.figures, self.stale = {**figures, "best_step": float(step)}, 0
             self.weights = {key: value.detach().cpu().clone() for key, value in model.state_dict().items()}
@@ -124,17 +124,14 @@ class BestWeights:
             self.stale += 1
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
         return {"figures": self.figures, "stale": self.stale, "weights": self.weights}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """The inverse of `state_dict`."""
         self.figures, self.stale, self.weights = dict(state["figures"]), int(state["stale"]), dict(state["weights"])
 
 
 class StepLog:
-    """One JSON line a step; lines past the step that a run resumes from are dropped. Of several processes the first
-    writes it."""
+    """A log with one JSON line per step, written by the first process; lines after the resumed step are dropped."""
 
     def __init__(self, path: Path, from_step: int) -> None:
         if not distributed.leads():
@@ -146,11 +143,9 @@ class StepLog:
         self._stream = path.open("a", buffering=1)
 
     def write(self, row: dict[str, Any]) -> None:
-        """Add a row."""
         self._stream.write(json.dumps(row) + "\n")
 
     def close(self) -> None:
-        """Close the file."""
         self._stream.close()
 
 
@@ -163,14 +158,13 @@ def _step_of(line: str) -> int:
 
 @dataclass(frozen=True)
 class Task:
-    """What a stage is taught: batches, their losses, and what is done beside them.
+    """The training task of a stage.
 
-    make_batch(rng): a batch from random numbers alone; where several processes share it, this one's rows
-    (`data_module.parallel.own_rows`), with the same numbers drawn whatever the rows. losses(batch, progress): the
-    terms, keyed like the model's `weights`; the model's own where None. validate(): figures on the validation split.
-    before_step(step): what must happen at a certain step; it must depend on the step alone. watch: the figure of
-    `validate` that tells when to stop (less is better), where the settings have patience; empty for none.
-    """
+    make_batch(rng): a batch from random numbers alone; with several processes this one's rows
+    (`data_module.parallel.own_rows`), consuming the same random numbers. losses(batch, progress): the terms, keyed like
+    the model's `weights`; None for the model's own. validate(): figures on the validation split. before_step(step): a
+    hook that must depend on the step alone. watch: the figure of `validate` to minimise for early stopping, if the
+    settings have patience; "" for none. """
 
     make_batch: MakeBatch
     losses: Losses | None = None
@@ -181,26 +175,26 @@ class Task:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How the loop runs. stop_after ends it early, as a kill would."""
+    """Options of the loop. stop_after ends it early, as a kill would."""
 
     seed: int
     device: str = "cpu"
     checkpoint_seconds: float = 60.0
-    """Between two checkpoints: a minute is what a kill may cost."""
+    """Interval between checkpoints: the most that a kill can lose."""
     progress: bool = True
     stop_after: int | None = None
     precision: str = "float32"
-    """"bfloat16" computes the losses under autocast; weights, gradients and sums stay as they are."""
+    """"bfloat16" computes the losses under autocast; weights, gradients and sums stay in float32."""
 
 
 def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder: Path, options: FitOptions
         ) -> dict[str, float]:
-    """Train `model` for `settings.steps` steps and give the last validation figures; with patience, until the figure
-    that the task watches has not become better for so many validations: the weights and figures are then the best ones.
+    """Train `model` for `settings.steps` steps and return the last validation figures. With patience, stop after that
+    many
+    validations without improvement, and restore the best weights and figures.
 
-    folder receives `STAGE.ckpt` (resumed from when it is there and whole) and `STAGE.jsonl` (a line a step).
-    Of several processes the first one validates and writes the files. FloatingPointError when the loss is no longer a
-    number.
+    folder receives `STAGE.ckpt` (resumed from if valid) and `STAGE.jsonl` (one line per step). Of several processes the
+    first validates and writes files. FloatingPointError if the loss becomes NaN or infinite.
     """
     model.to(options.device).train()
     learner = _Learner(model, task, settings, options)
@@ -209,14 +203,14 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     best = BestWeights(task.watch) if settings.patience and task.watch and task.validate is not None else None
     first = checkpoint.load(model, plain, best)
     if distributed.lead(lambda: first) != first:
-        raise InputError(folder, "holds another checkpoint for other processes", "put --work where all machines see it")
+        raise InputError(folder, "holds different checkpoints on different machines", "put --work on shared storage")
     distributed.spread(model)
     log = StepLog(folder / f"{stage}.jsonl", first)
     every = max(1, settings.steps // settings.validations)
     figures: dict[str, float] = {}
     saved_at = time.monotonic()
     bar = tqdm(total=settings.steps, initial=first, desc=stage, leave=True,
-               disable=not (options.progress and distributed.leads()),
+
                mininterval=1.0)
     try:
         for step in range(first, settings.steps):
@@ -250,22 +244,22 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
 
 
 def late_gain(log: Path) -> float:
-    """How much less the first validation figure became in the last quarter of a run, as a share of what it was, by its
-    log `STAGE.jsonl`: (b(3/4) - b(1)) / |b(3/4)|, b the least so far (the weights of which a run with patience keeps).
-    0 where it went up; NaN where it was not validated before the last quarter."""
-    seen: list[tuple[int, float]] = []
+    """Relative improvement of the first validation figure in the last quarter of a run, from its log `STAGE.jsonl`:
+    (b(3/4) - b(1)) / |b(3/4)|, with b the lowest so far (whose weights a run with patience keeps). 0 without
+    improvement; NaN without a validation before the last quarter."""
+    validations: list[tuple[int, float]] = []
     steps = 0
     for line in log.read_text().splitlines():
         row = parse_json(line, log, "train it again", python=True)
         steps = int(row["step"]) + 1
         figure = next((value for key, value in row.items() if key.startswith("val_")), None)
         if figure is not None:
-            seen.append((steps, float(figure)))
-    before = [value for step, value in seen if step <= 0.75 * steps]
+            validations.append((steps, float(figure)))
+    before = [value for step, value in validations if step <= 0.75 * steps]
     if not before:
         return math.nan
     least = min(before)
-    return (least - min(value for _, value in seen)) / abs(least) if least else 0.0
+    return (least - min(value for _, value in validations)) / abs(least) if least else 0.0
 
 
 def _validated(model: nn.Module, validate: Validate) -> dict[str, float]:
@@ -285,7 +279,7 @@ class _Learner:
         self.optimisers = _optimisers(model, settings)
 
     def step(self, step: int) -> dict[str, Any]:
-        """The update of a step, a function of (seed, step) alone; its row of the log."""
+        """Make the update of a step, a function of (seed, step) alone; returns its row of the log."""
         if self.task.before_step is not None:
             self.task.before_step(step)
         rng = generator_for(self.options.seed, step)
@@ -307,7 +301,7 @@ class _Learner:
                                     **{key: float(term.detach()) for key, term in terms.items()}})
         loss = figures.pop("loss")
         if not math.isfinite(loss) or not math.isfinite(norm):
-            raise FloatingPointError(f"the loss is no longer a number at step {step}: {figures}")
+            raise FloatingPointError(f"the loss is not finite at step {step}: {figures}")
         for optimiser, _ in self.optimisers:
             optimiser.step()
         return {"step": step, "loss": round(loss, 6), "rate": self.settings.rate * factor,
@@ -321,7 +315,7 @@ class _Learner:
             return {key: term.float() for key, term in self.losses(batch, progress).items()}
 
     def _clipped(self) -> float:
-        """The gradient's norm before it was cut to `clip`; 0 where it is left alone."""
+        """The gradient's norm before clipping; 0 without clipping."""
         if not self.settings.clip:
             return 0.0
         dense = [p for group in self.optimisers[0][0].param_groups for p in group["params"] if p.grad is not None]

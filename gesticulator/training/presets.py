@@ -1,7 +1,7 @@
-"""The presets: settings that belong together, each with the reason where it differs from what is published.
+"""The presets, with a reason for each setting that differs from the publications.
 
-A value without a comment is the paper's, or is said on its field (`gesticulator.bundle.config` and the `settings` of
-the models).
+Values without a comment are those of the papers, or are explained at their field (`gesticulator.bundle.config` and the
+`settings` of the models).
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from gesticulator.bundle.config import (
 __all__ = ["PRESETS", "preset"]
 
 LITERAL = EpisodeConfig(truth=1.0, sampled=0.0, statistical=0.0, perturbed=0.0, baseline=0)
-"""RACER's own data set: what was really done, and nothing else."""
+"""RACER's data set: only what the performers did."""
 
 
 def paper_trinity() -> Config:
-    """Rhythmic Gesticulator's numbers for Trinity (RG 7.1.2), for a GPU; the gate is ours."""
+    """Rhythmic Gesticulator's settings for Trinity (RG 7.1.2), for a GPU; the gate is our addition."""
     return Config(
         name="paper-trinity",
         schedules=Schedules(
@@ -84,8 +84,8 @@ def regression() -> Config:
             lexicon=FitSettings(steps=2_500, batch=512, rate=1e-3, schedule="cosine"),
             generator=FitSettings(steps=3_000, batch=64, rate=2e-3, schedule="cosine"),
             interpreter=FitSettings(steps=500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
-            # It starts from the audio-only one, with a head beside it that reads the words: four hours hold too few
-            # words to learn hearing and reading at once.
+            # Initialised from the audio-only one, with an additional head for the words: four hours hold too few words
+            # to train both at once.
             interpreter_text=FitSettings(steps=2_000, batch=64, rate=2e-3, schedule="cosine", weight_decay=0.1),
             style=FitSettings(steps=1_500, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.01),
             speech=FitSettings(steps=1_000, batch=8, rate=1e-3, schedule="cosine"),
@@ -96,11 +96,11 @@ def regression() -> Config:
                             weight_decay=0.01)),
         front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=128),
         text=TextConfig(encoder="minilm"),  # 384-d word vectors for BERT's 768
-        # The trunk's small turns count less (0.1 radians for 0.05), so that lexemes tell arms apart.
+        # Small rotations of the trunk count less (0.1 radians instead of 0.05), so that lexemes distinguish arms.
         motion=MotionConfig(least_deviation=0.1, joints=46),
         lexicon=LexiconConfig(size=100, widths=(32, 64, 96, 128)),  # 100 lexemes, as TED has
-        # The best lexeme of each block, from sound alone, is always one of a few: a rule that gestures by chance cannot
-        # be predicted block by block, only its manner can.
+        # From audio alone the best lexeme of each block is always one of a few: random choices cannot be predicted
+        # block by block, only their distribution.
         selection=SelectionConfig(temperature=0.7),
         silence=SilenceConfig(rest="life"),
         generator=GeneratorConfig(
@@ -110,71 +110,73 @@ def regression() -> Config:
             swap_share=0.25,  # a quarter of the blocks in the lexeme loss, which costs as much again as the rest
             style_rate=5e-2,  # five times the paper's, for a tenth of the epochs
             use_control=True, velocity=10.0,
-            style_dropout=0.3),  # the codes of unheard speech are guesses
+            style_dropout=0.3),  # style codes of new speech are predictions
         interpreter=LstmConfig(audio_features=32, audio_bottleneck=48, text_head=256, text_bottleneck=64,
                                use_control=True, width=192, dropout=0.2),
-        style=StyleConfig(audio_features=32, audio_bottleneck=48, width=128),  # it reads no words: Table 3 finds little
+        style=StyleConfig(audio_features=32, audio_bottleneck=48, width=128),  # no text: Table 3 shows little effect
         gate=GateConfig(audio_features=16, audio_bottleneck=32, width=64),
-        # Ten blocks of foresight, a little further than a reward looks back: 800 steps would not bring values of a
-        # hundred blocks (gamma 0.99) to rest. For half of them it learns what people do, before it learns what that is
-        # worth. Of the alphas tried on the validation split (0.1 to 10) those below 1 left the data for lexemes that
-        # the judging reward thinks little of.
+        # A horizon of ten blocks, slightly longer than the reward's window: in 800 steps values over a hundred blocks
+        # (gamma
+        # 0.99) would not converge. The first half of the run imitates the data before learning values. Of the alphas
+        # tried on
+        # the validation split (0.1 to 10), those below 1 left the data for lexemes that the judging reward rates low.
         cql=QConfig(conservative=1.0, gamma=0.9, copy_every=25, warm_up=0.5),
     )
 
 
 def default() -> Config:
-    """The shipped bundle, for two CPU cores: movements instead of poses, drawn by a flow head, 46 joints.
+    """The shipped bundle, for two CPU cores: movements instead of poses, generated by a flow head, 46 joints.
 
-    What differs from `regression`, and why, stands in docs/train.md; interpreters, gate and Q-network are RG's and
-    RACER's, and see the body where they say so.
+    Differences from `regression` are explained in docs/train.md; interpreters, gate and Q-network are those of RG and
+    RACER, and use past motion where the settings say so.
     """
     paper = regression()
     return dataclasses.replace(
-        # Real motion: the performers of placed strokes stand still for ten seconds at a time.
+        # A speaker with captured motion: the scripted performers stand still for ten seconds at a time.
         paper, name="default", default_speaker="conversation",
         schedules=dataclasses.replace(
             paper.schedules, style=NOT_TRAINED, speech=NOT_TRAINED, contrast=NOT_TRAINED,
             lexicon=FitSettings(steps=0, batch=1),  # fitted in closed form
             generator=FitSettings(steps=5_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
-            # Trained apart and stopped early: beyond a few epochs it knows the corpus by heart.
+            # Trained separately and stopped early: it overfits after a few epochs.
             interpreter=FitSettings(steps=1_000, batch=64, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
                                     validations=20, patience=5),
             interpreter_text=dataclasses.replace(paper.schedules.interpreter_text, validations=20, patience=5),
             reward=FitSettings(steps=2_400, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
             advantage=FitSettings(steps=1_000, batch=32, rate=1e-3, schedule="cosine", weight_decay=0.01)),
         front_end=FrontEndConfig(name="mel", bands=40),
-        # One degree, so that the trunk counts; the smoothing takes away no speed (it did at 0.05).
+        # One degree, so that the trunk counts; this smoothing does not reduce speed (0.05 did).
         motion=MotionConfig(joints=46, least_deviation=0.0175, smoothing=0.02),
         lexicon=LexiconConfig(kind="movement", size=200),
         generator=GeneratorConfig(
             head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=0, position_width=8,
             hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True, bend=4.0, dropout=0.1,
             history_dropout=0.2,
-            after_dropout=0.15,  # a live stream may ask for a block before the next one is heard
-            # More noise teaches corrections that no past asks for: hands that should be held then drift.
+            after_dropout=0.15,  # a live stream may generate a block before the next one is known
+            # More noise teaches corrections that are not needed: held hands then drift.
             past_noise=0.06, velocity_noise=0.05),
         control=ControlConfig(free=0.7),
-        # Block by block, the lexemes by vectors of its own. Its past is spoiled at random instead of being its own
-        # (scheduled sampling): what it would have drawn is not known here.
+        # Block by block, with its own lexeme embeddings. Its past is corrupted at random instead of scheduled sampling,
+        # since its own sampled motion is not available here.
         interpreter=dataclasses.replace(
             paper.interpreter, audio_features=8, dropout=0.3, own_past_most=0.0, pose_features=96, pose_noise=0.1,
             memory=8, reads_by="block", lexeme_features=48, history_dropout=0.2, audio_dropout=0.15,
             after_dropout=0.15),
-        # Four models a fold: of single lexemes one model's opinion is half noise. The judge is of other sizes.
+        # Four models per fold: for single lexemes half of one model's score is noise. The judge has other sizes.
         reward=RewardConfig(width=64, projection=48, rivals=0, choice=1.0, members=4, caution=0.5, centred=True),
         judge=RewardConfig(width=80, projection=32, kernel=2, dilations=(1, 2, 3), rivals=0, choice=1.0, members=4,
                            centred=True),
         silence=SilenceConfig(rest="life", augmentation=0.0, mask=False, hint=False),
-        # Chosen on the validation split, with the speaker: nearest to the corpus by the distance of its windows and by
-        # the speeds of the hands, then in time and without seams.
+        # Chosen on the validation split, together with the speaker: nearest to the corpus by the distance of motion
+        # windows
+        # and hand speeds, then by timing and smooth joins.
         selection=SelectionConfig(temperature=1.3, guidance=4.0, audio_guidance=1.0, lexeme_guidance=0.4, noise=1.0,
                                   trunk_guidance=0.3, trunk_noise=0.72, interpreter_guidance=1.0, candidates=5,
                                   timing=1.5, seam=0.25, as_asked=2.0))
 
 
 def tiny() -> Config:
-    """Everything at toy width, for tests and a first look: a minute on one core."""
+    """All stages at toy size, for tests and a first look: a minute on one core."""
     return Config(
         name="tiny",
         schedules=Schedules(
@@ -207,11 +209,11 @@ def tiny() -> Config:
 
 
 _FIXED_RATE = BlockSettings(beats=BeatSettings(d_min=0.2, d_max=0.4, rule="even"), fps=20.0)
-"""Eight frames at 20 fps, whatever is heard: RACER cuts speech at no beats."""
+"""Eight frames at 20 fps at a fixed rate: RACER does not use beats."""
 
 
 def racer_trinity() -> Config:
-    """RACER as published (RACER 5.1, 5.2), for a GPU: its own codec, no lexicon of beats, no generator."""
+    """RACER as published (RACER 5.1, 5.2), for a GPU: its own codec, no beat-aligned lexicon, no generator."""
     # The codec: 500 epochs of 221 minutes in 6 s windows of 15 codes, 0.5 TFLOP a step.
     learn = FitSettings(steps=17_000, batch=64, rate=3e-5)
     return Config(
@@ -239,7 +241,7 @@ def racer_chinese() -> Config:
 
 
 def racer_native() -> Config:
-    """RACER's own form a quarter as wide, for two CPU cores, with far fewer steps at a higher rate."""
+    """RACER at a quarter of the width, for two CPU cores, with far fewer steps at a higher rate."""
     trinity = racer_trinity()
     return dataclasses.replace(
         trinity, name="racer-native", default_speaker="conversation", front_end=FrontEndConfig(name="mel", bands=32),
@@ -250,12 +252,12 @@ def racer_native() -> Config:
             reward=FitSettings(steps=600, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
             cql=FitSettings(steps=1_000, batch=32, rate=1e-3, betas=(0.5, 0.999), schedule="cosine",
                             weight_decay=0.01)),
-        selection=SelectionConfig(q_temperature=1.0),  # the best code of so short a training is one resting code
-        # A mixture, as in `default`, but without the supervised interpreter, of which there is none over these codes.
+        selection=SelectionConfig(q_temperature=1.0),  # its best code is always one resting code
+        # A mixture as in `default`, but without the supervised interpreter, which does not exist for these codes.
         episodes=EpisodeConfig(truth=0.7, sampled=0.0, statistical=0.15, perturbed=0.15, baseline=0),
-        racer=RacerConfig(width=128, size=256, revive_below=0.2),  # four hours use no more than 256 codes
+        racer=RacerConfig(width=128, size=256, revive_below=0.2),  # four hours of data use no more than 256 codes
         reward=RewardConfig(window=8, longest=15), judge=RewardConfig(window=8, longest=15),
-        # Foresight, target and alpha as in `default`, most of the run supervised; the performers are told apart.
+        # Horizon, target and alpha as in `default`, most of the run supervised; conditioned on the performer.
         cql=QConfig(width=192, heads=3, layers=4, audio_blocks=1, audio_bottleneck=0, audio_features=32,
                     use_speaker=True, conservative=1.0, gamma=0.9, copy_every=25, warm_up=0.8))
 
@@ -266,7 +268,7 @@ PRESETS = {"default": default, "regression": regression, "paper-trinity": paper_
 
 
 def preset(name: str) -> Config:
-    """The preset of that name; InputError lists those there are."""
+    """The preset of that name; InputError lists the available ones."""
     if name not in PRESETS:
         raise InputError(name, "is not a preset", f"choose among {', '.join(PRESETS)}")
     return PRESETS[name]()

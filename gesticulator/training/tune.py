@@ -1,9 +1,8 @@
-"""`gesticulator tune`: search for settings with which a stage does best on the validation split (Optuna, extra `tune`).
+"""`gesticulator tune`: search for the best settings of a stage on the validation split (Optuna, extra `tune`).
 
-What is tried is noted in a SQLite file as it is done, so a search that was stopped goes on, also in a trial that was
-under way: stages are kept in the work folder, as of a training. It is for choices that a validation figure can judge.
-Whether motion is better is seen, and measured by `gesticulator ablate`.
-"""
+Trials are recorded in an SQLite file, so an interrupted search resumes, even within a trial: stages are cached in the
+work folder as in a training. It suits choices that a validation figure can decide. The quality of motion must be
+viewed, and measured by `gesticulator ablate`. """
 
 from __future__ import annotations
 
@@ -26,15 +25,15 @@ if TYPE_CHECKING:
 
 Value: TypeAlias = int | float | str
 Settings: TypeAlias = Mapping[str, Value]
-"""By their path."""
+"""Path of a setting -> value."""
 SHOWN = 5
-"""Of the best trials, in the end."""
+"""Number of best trials printed at the end."""
 
 
 @dataclass(frozen=True)
 class SearchRange:
-    """Where to look for a setting: from low to high (whole numbers where both are; log: evenly over their magnitudes),
-    or among choices."""
+    """The search range of a setting: from low to high (integers if both are; log: uniform in the logarithm), or
+    choices."""
 
     path: str
     low: float = 0.0
@@ -46,14 +45,14 @@ class SearchRange:
     @classmethod
     def parse(cls, text: str) -> SearchRange:
         """PATH=LOW..HIGH, PATH=LOW..HIGH:log or PATH=A,B,C; `InputError` for anything else."""
-        path, mark, told = text.partition("=")
-        wrong = InputError(f"--search {text[:60]}", "is no range", "write PATH=64..256, PATH=1e-4..1e-2:log "
+        path, mark, spec = text.partition("=")
+        wrong = InputError(f"--search {text[:60]}", "is not a range", "write PATH=64..256, PATH=1e-4..1e-2:log "
                            "or PATH=a,b")
-        if not (path and mark and told):
+        if not (path and mark and spec):
             raise wrong
-        if ".." not in told:
-            return cls(path, choices=tuple(told.split(",")))
-        span, _, scale = told.partition(":")
+        if ".." not in spec:
+            return cls(path, choices=tuple(spec.split(",")))
+        span, _, scale = spec.partition(":")
         ends = span.split("..")
         try:
             low, high = map(float, ends)
@@ -64,7 +63,7 @@ class SearchRange:
         return cls(path, low, high, bool(scale), all(end.strip().lstrip("-").isdecimal() for end in ends))
 
     def suggested(self, trial: Any) -> Value:
-        """What Optuna tries in a trial."""
+        """Optuna's suggestion in a trial."""
         if self.choices:
             return str(trial.suggest_categorical(self.path, self.choices))
         if self.whole:
@@ -74,8 +73,8 @@ class SearchRange:
 
 @dataclass(frozen=True)
 class SettingSearch:
-    """A search. file: of SQLite, with all studies of a work folder; name: what tells this one from others there;
-    highest: whether more is better."""
+    """A search. file: SQLite file with all studies of a work folder; name: of this study; highest: whether to
+    maximise."""
 
     file: Path
     name: str
@@ -84,10 +83,8 @@ class SettingSearch:
     seed: int = 1
 
     def run(self, objective: Callable[[Settings], float], trials: int) -> list[tuple[float, dict[str, Value]]]:
-        """Try until so many trials are done, those of before included; all of them, the best first.
-
-        One that was under way when the process was killed is done again. `InputError` where another process searches.
-        """
+        """Run until `trials` trials are done, including earlier ones; returns all of them, the best first. A trial
+        interrupted by a kill is repeated. `InputError` if another process is searching."""
         import optuna
 
         optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -99,17 +96,17 @@ class SettingSearch:
                 study.tell(killed.number, state=states.FAIL)
                 study.enqueue_trial(killed.params)
             while len(done := study.get_trials(states=(states.COMPLETE,))) < trials:
-                # Of a seed of its own: a search that is taken up would else draw what it drew at first.
+                # A new seed per trial: a resumed search would otherwise repeat its first samples.
                 study.sampler = optuna.samplers.TPESampler(seed=self.seed + len(done))
                 trial = study.ask()
                 value = objective({one.path: one.suggested(trial) for one in self.ranges})
                 study.tell(trial, value)
-            found = [(float(trial.value), dict(trial.params)) for trial in done if trial.value is not None]
-        return sorted(found, key=lambda pair: -pair[0] if self.highest else pair[0])
+            results = [(float(trial.value), dict(trial.params)) for trial in done if trial.value is not None]
+        return sorted(results, key=lambda pair: -pair[0] if self.highest else pair[0])
 
 
 def figure_of(config: Config, store: Store, work: Path, stage: str, figure: str, settings: Settings) -> float:
-    """A validation figure of a stage that is trained, with all that it needs, under changed settings."""
+    """A validation figure of a stage trained under changed settings."""
     from gesticulator.bundle.config import with_settings
     from gesticulator.training.stages import STAGES, Run
 
@@ -118,7 +115,7 @@ def figure_of(config: Config, store: Store, work: Path, stage: str, figure: str,
     run.get(STAGES[stage])
     figures = run.figures[stage]
     if figure not in figures:
-        raise InputError(f"--figure {figure}", f"is none of {stage}", f"choose among {', '.join(figures)}")
+        raise InputError(f"--figure {figure}", f"is not a figure of {stage}", f"choose among {', '.join(figures)}")
     return float(figures[figure])
 
 
@@ -138,37 +135,37 @@ def _arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--seed", type=int, default=1, help="seed of the search (default 1)")
 
 
-def _run(asked: argparse.Namespace) -> int:
+def _run(args: argparse.Namespace) -> int:
     if find_spec("optuna") is None:
         raise InputError("tune", "needs Optuna, which is not installed", "pip install 'gesticulator[tune]'")
-    if asked.trials < 1 or asked.seed < 0:
+    if args.trials < 1 or args.seed < 0:
         raise InputError("--trials or --seed", "is too small", "give 1 trial at least, and a seed of 0 or more")
-    ranges = tuple(map(SearchRange.parse, asked.ranges))
+    ranges = tuple(map(SearchRange.parse, args.ranges))
     from data_module.store import Store
     from gesticulator.bundle.config import digest, with_settings
     from gesticulator.training.presets import preset
     from gesticulator.training.stages import STAGES
     from gesticulator.training.stages.training import claim
 
-    if asked.stage not in STAGES:
-        raise InputError(f"--stage {asked.stage}", "is no stage", f"choose among {', '.join(STAGES)}")
-    config = with_settings(preset(asked.preset), asked.settings)
-    store, work = Store.open(asked.data), Path(asked.work)
+    if args.stage not in STAGES:
+        raise InputError(f"--stage {args.stage}", "is not a stage", f"choose among {', '.join(STAGES)}")
+    config = with_settings(preset(args.preset), args.settings)
+    store, work = Store.open(args.data), Path(args.work)
     work.mkdir(parents=True, exist_ok=True)
-    key = digest(config, [repr(one) for one in ranges], asked.stage, asked.figure, asked.highest, asked.seed)
+    key = digest(config, [repr(one) for one in ranges], args.stage, args.figure, args.highest, args.seed)
     with lock(work, "a search"):
         claim(work, store)
-        found = SettingSearch(work / "tune.db", key, ranges, asked.highest, asked.seed).run(
-            partial(figure_of, config, store, work, asked.stage, asked.figure), asked.trials)
-    print("\n".join(report(found, asked.stage, asked.figure)), flush=True)
+        results = SettingSearch(work / "tune.db", key, ranges, args.highest, args.seed).run(
+            partial(figure_of, config, store, work, args.stage, args.figure), args.trials)
+    print("\n".join(report(results, args.stage, args.figure)), flush=True)
     return 0
 
 
-def report(found: Sequence[tuple[float, Settings]], stage: str, figure: str) -> list[str]:
-    """The best trials, each with the settings to type."""
-    head = f"{len(found)} trials; {figure} of {stage}, the best first:"
+def report(results: Sequence[tuple[float, Settings]], stage: str, figure: str) -> list[str]:
+    """The best trials, each with its settings as arguments."""
+    head = f"{len(results)} trials; {figure} of {stage}, the best first:"
     return [head, *(f"  {value:10.5g}  " + " ".join(f"--set {path}={given}" for path, given in settings.items())
-                    for value, settings in found[:SHOWN])]
+                    for value, settings in results[:SHOWN])]
 
 
 COMMAND = Command(

@@ -1,1 +1,1 @@
-"""Motion for machines of metal: joint angles within their limits, for a robot whose model anybody can install."""
+"""Motion for robots: joint angles within the limits of a Unitree G1."""

@@ -1,20 +1,20 @@
 """Our motion as joint angles of a Unitree G1.
 
-A robot cannot be given rotations: each of its hinges turns about one axis, and only so far. As on any character
-(`gesticulator.characters.retarget`) what is copied is where bones point. Let R be the trunk's rotation, u and f the
-directions in which an upper arm and a forearm point, H how the hand is held. From the trunk outwards, with Rx, Ry,
-Rz turns about the axes of `gesticulator.export.robots.g1`,
+A robot does not take rotations: each hinge turns about one axis within limits. As for any character
+(`gesticulator.characters.retarget`) the directions of bones are copied. Let R be the trunk's rotation, u and f the
+directions of an upper arm and a forearm, H the orientation of the hand. From the trunk outwards, with Rx, Ry, Rz
+rotations about the axes of `gesticulator.export.robots.g1`,
 
     R = Rz(waist yaw) Rx(waist roll) Ry(waist pitch)
     u = R S Ry(shoulder pitch) S' Rx(shoulder roll) (-z)                     S, S': how the shoulder's links are mounted
-    f = U Rz(shoulder yaw) Ry(elbow) x                                              U: the upper arm, found before
-    H = F Rx(wrist roll) Ry(wrist pitch) Rz(wrist yaw)                              F: the forearm, found before
+    f = U Rz(shoulder yaw) Ry(elbow) x                                              U: the upper arm, solved before
+    H = F Rx(wrist roll) Ry(wrist pitch) Rz(wrist yaw)                              F: the forearm, solved before
 
-of which each pair is two hinges that point something (`gesticulator.export.robots.pan_tilt`). The robot has no neck, no
+where each pair is two hinges that point something (`gesticulator.export.robots.pan_tilt`). The robot has no neck, no
 shoulder blades and no fingers.
 
-They are solved one after the other for all frames at once. Each is held within the joints' limits and speeds before the
-next, which then makes up for what was cut.
+The equations are solved one after the other for all frames at once. Each solution is limited to the joints' angles and
+speeds before the next, which can then compensate for the error.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ _TO_ROBOT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Our axes (X left, Y up, Z ahead) to the robot's (X ahead, Y left, Z up)."""
 _SIDES = ("left", "right")
 _ACROSS = np.diag([1.0, -1.0, 1.0])
-"""Takes the right side to the left one."""
+"""Mirrors the right side to the left."""
 _HAND = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""The robot's hand (fingers along x, thumb along z, the left palm to -y) on our left hand at rest: fingers to the left,
-thumb ahead, palm down."""
+"""From the robot's hand (fingers along x, thumb along z, the left palm to -y) to our left hand at rest: fingers to the
+left, thumb ahead, palm down."""
 ASIDE = np.radians(3.0)
-"""Radians from which on a part of the body that points aside is told of."""
+"""Angular error above which a body part is reported, radians."""
 SLIPS = 0.005
-"""Metres, the same of a foot."""
+"""Displacement above which a foot is reported, metres."""
+
 
 @dataclass(frozen=True)
 class RobotMotion:
     """T frames of a G1. Frame t is the pose at t / fps seconds.
 
     places: [T, 3] metres and turns: [T, 4] (unit quaternions, w first) of the pelvis, X ahead, Y left, Z up, the floor
-    at 0. angles: [T, 29] radians, in the order of `gesticulator.export.robots.g1.NAMES`. aside: part of the body -> the
-    share of frames in which it points more than `ASIDE` from where it should, or, of a foot, is more than `SLIPS` off
-    its place, for what the joints cannot do.
+    at 0. angles: [T, 29] radians, in the order of `gesticulator.export.robots.g1.NAMES`. aside: body part -> share of
+    frames in which its error exceeds `ASIDE` (or, for a foot, `SLIPS`) because of the joint limits.
     """
 
     places: Array
@@ -65,12 +65,12 @@ class RobotMotion:
         return len(self.angles)
 
     def note(self) -> str | None:
-        """What the robot could not do, in one line; None where it could do all."""
+        """One line about the parts that the robot could not follow; None if there are none."""
         if not self.aside:
             return None
-        said = [f"{part} in {100.0 * self.aside[part]:.1f} %"
+        parts = [f"{part} in {100.0 * self.aside[part]:.1f} %"
                 for part in sorted(self.aside, key=lambda part: -self.aside[part])]
-        return f"what the G1 cannot follow within 3 degrees: {', '.join(said)} of frames"
+        return f"the G1 cannot follow within 3 degrees: {', '.join(parts)} of frames"
 
 
 class _Body:
@@ -82,21 +82,21 @@ class _Body:
         self.aside: dict[str, float] = {}
 
     def set(self, indices: list[int], wanted: Array) -> Array:
-        """[T, n] the angles that the joints take when `wanted` is asked for."""
-        kept = held(wanted, g1.LOW[indices], g1.HIGH[indices], g1.SPEED[indices], self.fps)
-        self.angles[:, indices] = kept
-        return kept
+        """Set joints to `wanted` [T, n], limited in angle and speed; returns the limited angles [T, n]."""
+        limited = held(wanted, g1.LOW[indices], g1.HIGH[indices], g1.SPEED[indices], self.fps)
+        self.angles[:, indices] = limited
+        return limited
 
     def note(self, part: str, is_aside: NDArray[np.bool_]) -> None:
-        """Remember in how many frames [T] a part is not where it should be."""
+        """Record the share of frames [T] in which a part is off its target."""
         share = float(is_aside.mean())
         if share:
             self.aside[part] = share
 
 
 class _Arm:
-    """The left arm of a robot, or the right one seen in a mirror, where pitches and the elbow are the same, and rolls
-    and yaws change their sign."""
+    """The left arm of a robot, or the mirrored right one: pitches and elbow are the same, rolls and yaws change
+    sign."""
 
     def __init__(self, body: _Body, side: str) -> None:
         self.body = body
@@ -105,24 +105,25 @@ class _Arm:
         self.sign = [1.0 if side == "left" or g1.JOINTS[index].axis == "y" else -1.0 for index in self.indices]
 
     def limits(self, number: int) -> tuple[float, float]:
-        """Those of the left arm's joint of a number, radians."""
+        """The limits of the left arm's joint, radians."""
         index = self.left[number]
         return float(g1.LOW[index]) + MARGIN, float(g1.HIGH[index]) - MARGIN
 
     def set(self, number: int, wanted: Array) -> Array:
-        """[T] the angles that a joint takes."""
+        """Set a joint to `wanted` [T]; returns its limited angles [T]."""
         sign = self.sign[number]
         return np.asarray(sign * self.body.set([self.indices[number]], sign * wanted[:, None])[:, 0])
 
     def turn(self, number: int, way: Array, liked: Array | float = 0.0) -> Array:
-        """[T] the angles of one joint; way: [T, 2] its cosine and sine."""
+        """[T] the angles of one joint, given their cosine and sine `way` [T, 2]; liked: [T] preferred angles."""
         flat = np.concatenate([way, np.zeros((len(way), 1))], axis=-1)
         return self.set(number, pan_over_time(flat, liked + np.zeros(len(way)), self.body.fps, self.limits(number),
                                               (0.0, 0.0)))
 
     def point(self, number: int, way: Array, liked: Array | float = 0.0, offset: float = 0.0) -> tuple[Array, Array]:
-        """[T] the angles of two joints that point along way [T, 3] (`gesticulator.export.robots.pan_tilt`); the second
-        is at zero where the tilt is `offset`. liked: [T] the first where the way does not tell it."""
+        """[T] the angles of two joints that point along `way` [T, 3] (`gesticulator.export.robots.pan_tilt`); the
+        second is zero at a tilt of `offset`. liked: [T] preferred first angle where the direction does not determine
+        it."""
         low, high = self.limits(number + 1)
         tilt = (low + offset, high + offset)
         pan = self.set(number, pan_over_time(way, liked + np.zeros(len(way)), self.body.fps, self.limits(number), tilt))
@@ -132,9 +133,8 @@ class _Arm:
 def to_robot(motion: Motion) -> RobotMotion:
     """A motion of our character (16, 46 or 54 joints) on the robot.
 
-    The pelvis stands over one place, and the legs in one stance; a motion with legs (54 joints) moves the pelvis as it
-    does the hips, over feet that stay. ValueError for a motion of something else.
-    """
+    The pelvis stays over one place, with the legs in one stance; a motion with legs (54 joints) moves the pelvis like
+    the hips, over feet that stay in place. ValueError for another skeleton. """
     size = len(motion.skeleton)
     if size not in skeletons.CHARACTERS or not motion.skeleton.same_joints(skeletons.CHARACTERS[size]):
         raise ValueError("the motion is not on one of our skeletons: bring it onto one with to_character")
@@ -153,13 +153,13 @@ def to_robot(motion: Motion) -> RobotMotion:
 
 
 def _matrices(quaternions: Array) -> Array:
-    """[T, J, 3, 3] world rotations, in the robot's axes, of [T, J, 4] in ours."""
+    """[T, J, 3, 3] world rotations in the robot's axes from quaternions [T, J, 4] in ours."""
     flat = Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True).as_matrix()
     return (_TO_ROBOT @ flat @ _TO_ROBOT.T).reshape(*quaternions.shape[:-1], 3, 3)
 
 
 def _waist(body: _Body, pelvis: Array, chest: Array) -> Array:
-    """[T, 3, 3] the robot's trunk, turned as our chest is, as far as its waist goes."""
+    """[T, 3, 3] rotation of the robot's trunk, following our chest within the limits of the waist."""
     order = [g1.INDEX[f"waist_{part}_joint"] for part in ("yaw", "roll", "pitch")]
     apart = Rotation.from_matrix(np.swapaxes(pelvis, -1, -2) @ chest)
     angles = body.set(order, np.unwrap(apart.as_euler("ZXY"), axis=0))
@@ -169,24 +169,24 @@ def _waist(body: _Body, pelvis: Array, chest: Array) -> Array:
 
 
 def _arm(body: _Body, side: str, trunk: Array, world: Mapping[str, Array]) -> None:
-    """The seven angles of an arm. trunk: [T, 3, 3]; world: "Arm", "ForeArm", "Hand" -> [T, 3, 3]."""
+    """Set the seven angles of an arm. trunk: [T, 3, 3]; world: "Arm", "ForeArm", "Hand" -> [T, 3, 3]."""
     if side == "right":
         trunk, world = _mirrored(trunk), {name: _mirrored(turn) for name, turn in world.items()}
     arm = _Arm(body, side)
     mounted, counter = (g1.rest_turn(g1.JOINTS[index]) for index in arm.left[:2])
-    # Shoulder: S^T R^T u pans about y from hanging on, and tilts towards y.
+    # Shoulder: S^T R^T u pans about y, starting from hanging down, and tilts towards y.
     frame = trunk @ mounted
     mount = float(Rotation.from_matrix(counter).as_rotvec()[0])
     pitch, roll = arm.point(0, _in(frame, world["Arm"][..., 1])[:, [2, 0, 1]] * [-1.0, -1.0, 1.0], offset=mount)
     upper = frame @ g1.hinge("y", pitch) @ counter @ g1.hinge("x", roll)
     body.note(f"{side} upper arm", _angle(-upper[..., 2], world["Arm"][..., 1]) > ASIDE)
-    # Elbow: where it is straight, it is ready to bend as ours is, ahead when the arm is held out with its palm down.
+    # Elbow: a straight elbow is prepared to bend as ours would, ahead if the arm is held out with the palm down.
     bends = _in(upper, world["Arm"][..., 0])
     yaw, elbow = arm.point(2, _in(upper, world["ForeArm"][..., 1]) * [1.0, 1.0, -1.0],
                            np.arctan2(bends[:, 1], bends[:, 0]))
     lower = upper @ g1.hinge("z", yaw) @ g1.hinge("y", elbow)
     body.note(f"{side} forearm", _angle(lower[..., 0], world["ForeArm"][..., 1]) > ASIDE)
-    # Hand: where it cannot roll as far, its fingers still point where ours do.
+    # Hand: if it cannot roll far enough, the fingers still point where ours do.
     goal = world["Hand"] @ _HAND
     apart = np.swapaxes(lower, -1, -2) @ goal
     way = np.stack([apart[:, 2, 2], -apart[:, 1, 2]], axis=-1)
@@ -202,7 +202,7 @@ def _angle(a: Array, b: Array) -> Array:
 
 
 def _apart(a: Array, b: Array) -> Array:
-    """[T] radians between turns [T, 3, 3]."""
+    """[T] radians between rotations [T, 3, 3]."""
     return np.asarray(Rotation.from_matrix(np.swapaxes(a, -1, -2) @ b).magnitude())
 
 
@@ -211,5 +211,5 @@ def _mirrored(turns: Array) -> Array:
 
 
 def _in(frame: Array, direction: Array) -> Array:
-    """[T, 3] a direction of the world [T, 3] in the axes of a frame [T, 3, 3]."""
+    """[T, 3] a world direction [T, 3] in the axes of a frame [T, 3, 3]."""
     return np.einsum("tji,tj->ti", frame, direction)

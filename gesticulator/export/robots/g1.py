@@ -1,10 +1,10 @@
-"""The Unitree G1 with 29 joints: what its joints are called, where they sit, how they turn and how far.
+"""The Unitree G1 with 29 joints: names, positions, axes and limits.
 
-Axes are those of MuJoCo and of robots: X ahead, Y to the left, Z up; metres, radians, seconds. At zero the robot stands
-straight, its upper arms hang and its forearms point ahead, palms facing each other.
+Axes are those of MuJoCo: X ahead, Y to the left, Z up; metres, radians, seconds. At zero the robot stands straight with
+hanging upper arms and forearms pointing ahead, palms facing each other.
 
-The numbers are facts of the machine. They were read from the model of 29 joints (`g1_29dof_rev_1_0`) that the PyPI
-package `mjlab` has under `asset_zoo/robots/unitree_g1`, the motors' speeds from its `g1_constants.py`. That model is
+The values are facts about the machine. They were read from the model of 29 joints (`g1_29dof_rev_1_0`) that the PyPI
+package `mjlab` has under `asset_zoo/robots/unitree_g1`, motor speeds from its `g1_constants.py`. That model is
 Unitree's (BSD 3-Clause); nothing of it is copied here, and tests compare this table with it where it is installed.
 """
 
@@ -29,10 +29,9 @@ _Row = tuple[str, _Vector, _Quaternion, str, float, float, float]
 class RobotJoint:
     """A hinge, and the link that it carries.
 
-    name: as the model has it. parent: the joint that carries it, "" for the pelvis. place: [3] metres, turn: a unit
-    quaternion, w first: where the link is in its parent's axes when the hinge is at zero. axis: "x", "y" or "z" of the
-    link. low, high: radians. speed: radians per second that its motor reaches.
-    """
+    name: as in the model. parent: the joint that carries it, "" for the pelvis. place: [3] metres, turn: a unit
+    quaternion, w first: the link in its parent's axes with the hinge at zero. axis: "x", "y" or "z" of the link. low,
+    high: radians. speed: maximum of the motor, radians per second. """
 
     name: str
     parent: str
@@ -44,7 +43,7 @@ class RobotJoint:
     speed: float
 
 
-# Radians per second of the four kinds of motor, by the joints that they turn.
+# Maximum speeds of the four kinds of motor, radians per second.
 _ARM, _WRIST, _TURN, _KNEE = 37.0, 22.0, 32.0, 20.0
 
 _WAIST = (
@@ -52,7 +51,7 @@ _WAIST = (
     RobotJoint("waist_roll_joint", "waist_yaw_joint", (-0.0039635, 0.0, 0.044), _UNTURNED, "x", -0.52, 0.52, _ARM),
     RobotJoint("waist_pitch_joint", "waist_roll_joint", (0.0, 0.0, 0.0), _UNTURNED, "y", -0.52, 0.52, _ARM),
 )
-# Limbs of the left side: name, place, turn, axis, limits, speed; each hangs on the one before it.
+# Limbs of the left side: name, place, turn, axis, limits, speed; each is attached to the one before.
 _LEFT_LEG = (
     ("hip_pitch", (0.0, 0.064452, -0.1027), _UNTURNED, "y", -2.5307, 2.8798, _TURN),
     ("hip_roll", (0.0, 0.052, -0.030465), (0.996179, 0.0, -0.0873386, 0.0), "x", -0.5236, 2.9671, _KNEE),
@@ -71,11 +70,11 @@ _LEFT_ARM = (
     ("wrist_yaw", (0.046, 0.0, 0.0), _UNTURNED, "z", -1.61443, 1.61443, _WRIST),
 )
 SOLE = 0.035
-"""Metres from the ankles' last joint down to the sole."""
+"""Height of the ankles' last joint above the sole, metres."""
 
 
 def _limb(side: str, rows: tuple[_Row, ...], carrier: str) -> tuple[RobotJoint, ...]:
-    """A limb of the "left" side, or its mirror image: places and limits change their sign across the middle."""
+    """A limb of the "left" side, or its mirror image."""
     out = []
     above = carrier
     for part, place, turn, axis, low, high, speed in rows:
@@ -101,34 +100,33 @@ SPEED: Array = np.array([joint.speed for joint in JOINTS])
 
 
 def joints_of(side: str, limb: str) -> list[int]:
-    """The indices of the joints of the "left" or "right" "arm" (seven) or "leg" (six), from the trunk on."""
+    """The indices of the joints of the "left" or "right" "arm" (seven) or "leg" (six), from the trunk outwards."""
     rows = _LEFT_ARM if limb == "arm" else _LEFT_LEG
     return [INDEX[f"{side}_{row[0]}_joint"] for row in rows]
 
 
 def hinge(axis: str, angles: Array) -> Array:
-    """[..., 3, 3] turns by angles [...] radians about an axis of the own."""
+    """[..., 3, 3] rotations by angles [...] in radians about a local axis."""
     return Rotation.from_rotvec(np.asarray(angles).reshape(-1, 1) * np.array(AXES[axis])).as_matrix().reshape(
         *np.shape(angles), 3, 3)
 
 
 def rest_turn(joint: RobotJoint) -> Array:
-    """[3, 3] a link's axes in its parent's, at zero."""
+    """[3, 3] a link's axes in its parent's axes, at zero."""
     return Rotation.from_quat(joint.turn, scalar_first=True).as_matrix()
 
 
 def forward(angles: Array, turns: Array, places: Array, joints: list[int] | None = None) -> tuple[Array, Array]:
-    """Where the links are: their places [T, n, 3] and axes [T, n, 3, 3] in the world.
+    """Forward kinematics: positions [T, n, 3] and axes [T, n, 3, 3] of the links in the world.
 
-    angles: [T, 29]; turns: [T, 3, 3] and places: [T, 3] of the pelvis. joints: the n joints that are asked for, parents
-    before children and with all of their parents; all 29 when not told.
-    """
-    asked = list(range(len(JOINTS))) if joints is None else joints
+    angles: [T, 29]; turns: [T, 3, 3] and places: [T, 3] of the pelvis. joints: n joints, parents before children and
+    with all of their parents; default: all 29. """
+    chosen = list(range(len(JOINTS))) if joints is None else joints
     rows = {"": (places, turns)}
-    for index in asked:
+    for index in chosen:
         joint = JOINTS[index]
         place, turn = rows[joint.parent]
         rows[joint.name] = (place + turn @ np.array(joint.place),
                             turn @ rest_turn(joint) @ hinge(joint.axis, angles[:, index]))
-    found = [rows[JOINTS[index].name] for index in asked]
-    return np.stack([place for place, _ in found], axis=1), np.stack([turn for _, turn in found], axis=1)
+    links = [rows[JOINTS[index].name] for index in chosen]
+    return np.stack([place for place, _ in links], axis=1), np.stack([turn for _, turn in links], axis=1)

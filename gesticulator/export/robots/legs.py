@@ -1,4 +1,4 @@
-"""Legs of a G1 that stand: where the pelvis is, and angles that keep both feet flat on their place."""
+"""Standing legs of a G1: the path of the pelvis, and angles that keep both feet flat in place."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from data_module.types import Array, Motion
 from gesticulator.export.robots import g1
 
 _STANCE = {"hip_pitch": -0.3, "knee": 0.6, "ankle_pitch": -0.3}
-"""Radians: knees bent, so that legs can stretch by 26 mm, and feet flat (the angles add up to nothing)."""
+"""Stance, radians: bent knees, so that legs can stretch by 26 mm, and flat feet (the angles sum to zero)."""
 _LEG_SHARE = 0.70
-"""The robot's leg, from hip to ankle, by ours: 0.58 and 0.825 metres. Hips travel by that much of ours."""
+"""Length of the robot's leg from hip to ankle relative to ours (0.58 and 0.825 m); scales the travel of the hips."""
 _STEPS = 15
-"""Steps of the search; where feet can be reached the first five are enough."""
+"""Iterations; five suffice if the feet can be reached."""
 _DAMPING = 1e-6
-"""Keeps the search from leaping where a leg is stretched; metres and radians, squared."""
+"""Damping near stretched legs, metres and radians squared."""
 _LEAP = 0.2
-"""Radians of a joint in one step of the search."""
+"""Largest change of a joint per iteration, radians."""
 _STRAIGHT = 0.03
-"""Radians that a knee stays bent: of a straight leg it is not known which way it bends."""
+"""Least bend of a knee, radians: the bending direction of a straight leg is undefined."""
 
 
 def _stance(side: str) -> Array:
-    """[29] the standing leg of a side, zero elsewhere."""
+    """[29] the stance of one leg, zero elsewhere."""
     angles = np.zeros(len(g1.JOINTS))
     for part, angle in _STANCE.items():
         angles[g1.INDEX[f"{side}_{part}_joint"]] = angle
@@ -32,7 +32,7 @@ def _stance(side: str) -> Array:
 
 
 def _foot(side: str) -> Array:
-    """[3] metres from the pelvis to the last joint of an ankle, where the robot stands."""
+    """[3] metres from the pelvis to the last joint of an ankle in the stance."""
     places, _ = g1.forward(_stance(side)[None], np.eye(3)[None], np.zeros((1, 3)), g1.joints_of(side, "leg"))
     return np.asarray(places[0, -1])
 
@@ -43,9 +43,9 @@ def height() -> float:
 
 
 def stand(motion: Motion, hips: Array) -> tuple[Array, Array]:
-    """Where the pelvis is [T, 3] and how it is turned [T, 3, 3]. hips: [T, 3, 3] our hips, in the robot's axes.
+    """Positions [T, 3] and rotations [T, 3, 3] of the pelvis. hips: [T, 3, 3] our hips, in the robot's axes.
 
-    It faces where our hips do on average, over the origin. With legs it moves and tilts as our hips do.
+    It faces the mean direction of our hips, over the origin. With legs it moves and tilts as our hips do.
     """
     heading = _heading(hips)
     places = np.tile([0.0, 0.0, height()], (len(motion), 1))
@@ -56,14 +56,14 @@ def stand(motion: Motion, hips: Array) -> tuple[Array, Array]:
 
 
 def _heading(hips: Array) -> Array:
-    """[3, 3] the mean turn of hips [T, 3, 3] about the vertical."""
+    """[3, 3] the mean rotation of hips [T, 3, 3] about the vertical."""
     ahead = hips[..., 0].mean(axis=0)
     return Rotation.from_euler("z", np.arctan2(ahead[1], ahead[0])).as_matrix()
 
 
 def reach(side: str, pelvis: Array, places: Array) -> Array:
-    """[T, 6] angles of a leg that hold its foot flat where it stands under a pelvis at places [T, 3], turned by pelvis
-    [T, 3, 3]: damped Gauss-Newton on the foot's place and turn, all frames at once, from the stance on."""
+    """[T, 6] angles of a leg that keep its foot flat in place under a pelvis with positions `places` [T, 3] and
+    rotations `pelvis` [T, 3, 3]: damped Gauss-Newton on position and rotation of the foot, all frames at once."""
     leg = g1.joints_of(side, "leg")
     goal, turned = _goal(side, pelvis)
     low = np.where([g1.NAMES[index].endswith("knee_joint") for index in leg], _STRAIGHT, g1.LOW[leg])
@@ -84,13 +84,13 @@ def reach(side: str, pelvis: Array, places: Array) -> Array:
 
 
 def _goal(side: str, pelvis: Array) -> tuple[Array, Array]:
-    """Where the last joint of an ankle stands, [3] metres, and its axes there [3, 3]."""
+    """Target of the last joint of an ankle: position [3] in metres and axes [3, 3]."""
     heading = _heading(pelvis)
     return heading @ _foot(side) + np.array([0.0, 0.0, height()]), heading
 
 
 def off_its_place(side: str, angles: Array, pelvis: Array, places: Array) -> Array:
-    """[T] metres that a foot is off its place. angles: [T, 29] radians."""
+    """[T] displacement of a foot in metres. angles: [T, 29] radians."""
     leg = g1.joints_of(side, "leg")
     spots, _ = g1.forward(angles, pelvis, places, leg)
     return np.asarray(np.linalg.norm(spots[:, -1] - _goal(side, pelvis)[0], axis=-1))

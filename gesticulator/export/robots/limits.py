@@ -1,4 +1,4 @@
-"""Angles within what a joint allows, and speeds within what its motor does, over time."""
+"""Limits angles and speeds over time."""
 
 from __future__ import annotations
 
@@ -7,25 +7,24 @@ import numpy as np
 from data_module.types import Array
 
 MARGIN = 1e-4
-"""Radians (0.006 degrees) that angles keep from a limit, so that rounding never puts one beyond it."""
+"""Distance from a limit that rounding cannot cross, radians (0.006 degrees)."""
 SPEED_SHARE = 0.5
-"""Share of a motor's speed that is used. People who speak seldom ask for a third of it; what asks for more is mostly
-where two ways of holding an arm meet, and a robot should pass there with its strength to spare."""
+"""Largest share of a motor's speed used. Speakers seldom need a third of it; faster motion mostly occurs where two
+solutions for an arm meet, and should keep a reserve."""
 
 
 def held(angles: Array, low: Array, high: Array, most: Array, fps: float) -> Array:
-    """Angles [T, n] that stay within low to high [n] (radians), and whose steps stay within `SPEED_SHARE` of most [n]
-    (radians per second)."""
+    """Angles [T, n] limited to low..high [n] (radians), with speeds within `SPEED_SHARE` of `most` [n] (radians per
+    second)."""
     return slowed(np.clip(angles, low + MARGIN, high - MARGIN), SPEED_SHARE * most / fps)
 
 
 def slowed(values: Array, step: Array) -> Array:
-    """The nearest track of values [T, n] that changes by no more than step [n] from frame to frame.
+    """The nearest track to values [T, n] that changes by at most step [n] per frame.
 
-    No faster track lies below the lower one of a(s) + step |t - s|, nor above the upper one of a(s) - step |t - s|,
-    over all s; halfway between them is the track whose greatest distance from a is least. It starts to move before a
-    jump and is as late after it, so it lags nowhere on the whole; where a is slow enough, it is a itself.
-    """
+    Every such track lies above the lower envelope of a(s) + step |t - s| and below the upper envelope of
+    a(s) - step |t - s| over all s; the track halfway between minimises the greatest distance from a. It starts before a
+    jump and ends as much after it, so it has no lag on average; where a is slow enough, it equals a. """
     ramp = np.arange(len(values))[:, None] * step
 
     def reach(track: Array) -> Array:

@@ -1,19 +1,19 @@
-"""Two hinges that point something: the angles over time, where one frame alone does not tell them.
+"""Two hinges that point something: solves for the angles of all frames together.
 
 A hinge pans about the vertical, a second one tilts what it carries: a camera on its mount, an upper arm on a shoulder,
 a forearm on an elbow. Let p = (a, b, h) be a unit direction, (a, b) its part in the plane of panning. Then
 
     (a, b) = cos(tilt) (cos pan, sin pan),     h = sin(tilt).
 
-Each direction has two answers, and near the pole (h = 1: an arm along the hinge, a straight elbow) a small way of p is
-a long way of pan: whatever passes the pole on the wrong side would have to turn half around in no time. Frame by frame
-that cannot be settled. So the pan of all frames is chosen together, by dynamic programming over a grid of angles: with
-e(t, pan) how far p(t) is from what can be reached at that pan, it is the one with the least
+Each direction has two solutions, and near the pole (h = 1: an arm along the hinge, a straight elbow) a small change of
+p is a large change of pan: passing the pole on the wrong side would require half a turn in no time. This cannot be
+decided frame by frame, so the pan of all frames is chosen together by dynamic programming over a grid of angles: with
+e(t, pan) the distance from p(t) to what can be reached at that pan, it minimises
 
     sum over t of  e(t, pan_t)^2  +  m (1 - cos(pan_t - liked_t))  +  l fps^2 (pan_t - pan_(t-1))^2
 
-and then taken off the grid by steps of least squares. It goes straight through the pole where it must, and misses p
-there by a few degrees for some frames.
+and is then refined off the grid by least squares. The result goes straight through the pole where necessary, and misses
+p there by a few degrees for some frames.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from scipy.linalg import solveh_banded
 from data_module.types import Array
 
 _GRID = np.radians(3.0)
-"""Radians between the angles that are tried."""
+"""Grid spacing, radians."""
 _SMOOTH = 2e-5
-"""l, seconds squared: turning half around within 0.2 s costs as much as 6 degrees off the way in that time."""
+"""l, seconds squared: half a turn within 0.2 s costs as much as an error of 6 degrees over that time."""
 _LIKED = 2e-3
-"""m: the liked angle counts as much as 2.5 degrees off the way, so where the direction tells the angle it counts
-little."""
+"""m: the preferred angle counts as much as an error of 2.5 degrees, so it matters little where the direction determines
+the angle."""
 _POLISH = 3
-"""Steps of least squares after the grid."""
+"""Least-squares steps after the grid search."""
 _CHUNK = 2048
-"""Frames whose costs are held at once."""
+"""Frames whose costs are computed at a time."""
 _Limits = tuple[float, float]
 
 
 def tilt_at(pan: Array, way: Array, limits: _Limits) -> Array:
-    """[...] the tilt within limits that points nearest to way [..., 3] at a pan [...]."""
+    """[...] the tilt within limits that points nearest to `way` [..., 3] at a pan [...]."""
     level = way[..., 0] * np.cos(pan) + way[..., 1] * np.sin(pan)
     middle = sum(limits) / 2.0
-    # The angle that is nearest to the middle of the limits, so that the nearer end is taken where it is beyond them.
+    # Wrap to the angle nearest to the middle of the limits, so that clipping selects the nearer limit.
     return np.clip(middle + _turned(np.arctan2(way[..., 2], level) - middle), *limits)
 
 
 def pan_over_time(way: Array, liked: Array, fps: float, pan: _Limits, tilt: _Limits) -> Array:
-    """[T] the pan of each frame. way: [T, 3] unit directions; liked: [T] radians, what is taken where a direction does
-    not tell; pan, tilt: limits, radians, less than a turn apart."""
+    """[T] the pan of each frame. way: [T, 3] unit directions; liked: [T] preferred angles where a direction does not
+    determine the pan, radians; pan, tilt: limits, radians, less than a turn apart."""
     grid = np.linspace(*pan, max(2, round((pan[1] - pan[0]) / _GRID) + 1))
     jump = _SMOOTH * fps ** 2 * (grid[:, None] - grid) ** 2
     arrived = np.zeros(len(grid))
@@ -66,7 +66,7 @@ def pan_over_time(way: Array, liked: Array, fps: float, pan: _Limits, tilt: _Lim
 
 
 def _costs(grid: Array, way: Array, liked: Array, tilt: _Limits) -> Array:
-    """[T, N] what each pan of the grid costs in each frame, apart from how it is reached."""
+    """[T, N] cost of each pan of the grid in each frame, without transitions."""
     best = tilt_at(grid, way[:, None], tilt)
     level = way[:, :1] * np.cos(grid) + way[:, 1:2] * np.sin(grid)
     missed = 2.0 - 2.0 * (np.cos(best) * level + np.sin(best) * way[:, 2:])
@@ -74,7 +74,7 @@ def _costs(grid: Array, way: Array, liked: Array, tilt: _Limits) -> Array:
 
 
 def _polished(pan: Array, way: Array, liked: Array, fps: float, tilt: _Limits) -> Array:
-    """[T] the pan off the grid: least squares towards each frame's own answers, as far as they are near."""
+    """[T] the pan refined off the grid: least squares towards each frame's solution where it is near."""
     exact, level = np.arctan2(way[:, 1], way[:, 0]), np.hypot(way[:, 0], way[:, 1])
     between = _SMOOTH * fps ** 2
     for _ in range(_POLISH if len(pan) > 1 else 0):
@@ -83,16 +83,16 @@ def _polished(pan: Array, way: Array, liked: Array, fps: float, tilt: _Limits) -
         tilted = np.arctan2(way[:, 2], np.where(halves % 2 == 0, level, -level))
         turned = _turned(tilted - sum(tilt) / 2.0)
         reached = np.abs(turned) <= (tilt[1] - tilt[0]) / 2.0 + 1e-9
-        told = np.where(reached, (level * np.cos(pan - answer)) ** 2, 0.0)
+        weight = np.where(reached, (level * np.cos(pan - answer)) ** 2, 0.0)
         likes = _LIKED / 2.0 * np.maximum(np.cos(pan - liked), 0.0) + 1e-12
         bands = np.zeros((2, len(pan)))
-        bands[0] = told + likes + 2.0 * between
+        bands[0] = weight + likes + 2.0 * between
         bands[0, [0, -1]] -= between
         bands[1, :-1] = -between
-        pan = solveh_banded(bands, told * answer + likes * (pan + _turned(liked - pan)), lower=True)
+        pan = solveh_banded(bands, weight * answer + likes * (pan + _turned(liked - pan)), lower=True)
     return np.asarray(pan)
 
 
 def _turned(angle: Array) -> Array:
-    """The same angle from -pi to pi."""
+    """The angle wrapped to -pi..pi."""
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)

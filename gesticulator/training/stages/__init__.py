@@ -1,7 +1,7 @@
-"""The stages of training, in the order in which they are run: one table.
+"""The training stages in the order in which they run.
 
-Each entry stands in a file of its own, with its name, what it needs, the settings that shape it, how it is built and
-how it is trained. A new stage is one file and one entry here; it changes the seed of no other.
+Each entry is defined in its own file, with its name, requirements, settings, constructor and training. A new stage is
+one file and one entry here; it does not change the seed of any other.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ OURS: tuple[Stage[Any], ...] = (SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, I
 
 
 class StageTable(Mapping[str, Stage[Any]]):
-    """The stages by name: ours in order, then those that the entries of interpreters name."""
+    """The stages by name: those of other packages, ours in order, then those of registered interpreters."""
 
     def _all(self) -> dict[str, Stage[Any]]:
         named = [entry.load_stage() for entry in entries().values() if entry.stage]
@@ -60,13 +60,13 @@ __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUAL
 
 
 def wanted(config: Config) -> list[Stage[Any]]:
-    """The stages that these settings ask for, in order."""
+    """The stages required by these settings, in order."""
     system = system_of(config)
     return [stage for stage in STAGES.values() if system.uses(stage.name) and stage.wanted(config)]
 
 
 def assemble(run: Run, provenance: dict[str, Any] | None = None, leave_out: Sequence[Stage[Any]] = ()) -> Bundle:
-    """Every part that the settings ask for, but for some, trained where it is not yet, as a bundle."""
+    """Train or load every required stage except `leave_out`; returns them as a Bundle."""
     corpus, labelled, tokens = run.get(CORPUS), run.get(LABELS), run.get(TOKENS)
     parts = {stage.part: run.get(stage) for stage in wanted(run.config)
              if stage.part and stage not in leave_out}

@@ -1,4 +1,5 @@
-"""The critics of the advantage interpreter, and what they learn from: every lexeme's reward, and what follows it."""
+"""The critics of the advantage interpreter, and their training data: each lexeme's reward and its effect on later
+ones."""
 
 from __future__ import annotations
 
@@ -38,22 +39,21 @@ from interpreters.settings import CriticConfig
 
 Array = NDArray[np.float32]
 _CHECKED = 2_000
-"""Decisions of the validation split."""
+"""Most decisions of the validation split."""
 _CHECKS, _WINDOWS = 4, 64
 """Validation batches, and windows in each."""
 _TOGETHER = 2_048
-"""Windows of swapped lexemes that are scored in one go: bounds the memory."""
+"""Windows of swapped lexemes scored at a time, to bound memory."""
 
 
 @dataclass(frozen=True)
 class CounterfactualRewards:
-    """Decisions of E episodes in a row, n in all, and what every lexeme would have earned.
+    """Decisions of E concatenated episodes, n in all, with the reward of every lexeme.
 
-    lengths, speaker: [E] decisions and who; block, action, previous: [n]; silent: [n]; every: [n, S] rewards;
-    log_prior: [n, S] log pi_b; swap: [n, k] lexemes put in the place of the action, and gained: [n, k] what the blocks
-    after it then earned more, the first of them undiscounted, NaN where nothing was tried; total: [n] the discounted
-    sum of rewards from here on.
-    """
+    lengths, speaker: [E] number of decisions, and speaker; block, action, previous: [n]; silent: [n]; every: [n, S]
+    rewards; log_prior: [n, S] log pi_b; swap: [n, k] lexemes substituted for the action, and gained: [n, k] the
+    resulting change of later rewards, the first undiscounted, NaN if not tried; total: [n] the discounted sum of
+    rewards from here on. """
 
     lengths: NDArray[np.int64]
     speaker: NDArray[np.int64]
@@ -69,12 +69,12 @@ class CounterfactualRewards:
 
     @property
     def unit(self) -> float:
-        """The standard deviation of a reward over lexemes, root mean square over states: what values are told in."""
+        """The unit of values: standard deviation of rewards over lexemes, root mean square over states."""
         return max(float(np.sqrt(self.every.var(1).mean())), 1e-6)
 
     def windows(self, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
-        """`count` windows of T decisions at random, as `Critics.losses` takes them but for what is heard. episode: [B].
-        Of these the rows that are this process's."""
+        """`count` random windows of T decisions for `Critics.losses`, without audio; only this process's rows. episode:
+        [B]."""
         ends = np.cumsum(self.lengths)
         places = np.searchsorted(ends, rng.integers(ends[-1], size=count), side="right")
         room = np.maximum(self.lengths[places] - decisions, 0)
@@ -89,7 +89,7 @@ class CounterfactualRewards:
                 "speaker": torch.as_tensor(self.speaker[places]), "episode": torch.as_tensor(places)}
 
     def save(self, path: Path) -> None:
-        """One file, whole or not at all."""
+        """Write one file, atomically."""
         stream = io.BytesIO()
         np.savez(stream, **{field.name: getattr(self, field.name) for field in fields(self)})
         write_bytes(path, stream.getvalue())
@@ -102,7 +102,7 @@ class CounterfactualRewards:
 
 
 def discounted(rewards: Array, gamma: float) -> Array:
-    """[n] G_i = r_i + gamma G_{i+1}, nothing after the last (RACER Eq. 1)."""
+    """[n] G_i = r_i + gamma G_{i+1}, zero after the last (RACER Eq. 1)."""
     out, after = np.empty(len(rewards), np.float32), 0.0
     for i in range(len(rewards) - 1, -1, -1):
         out[i] = after = float(rewards[i]) + gamma * after
@@ -112,10 +112,10 @@ def discounted(rewards: Array, gamma: float) -> Array:
 @torch.no_grad()
 def gains(table: EnsembleReward | Centred, actions: Tensor, blocks: Tensor, at: NDArray[np.int64],
           swap: NDArray[np.int64], gamma: float) -> Array:
-    """[m, k] what the blocks after decision `at` [m] earn more with lexeme swap [m, k] there instead of its own, all
-    else as in actions [M] on blocks [M]: sum_j gamma^(j-1) (r'_{at+j} - r_{at+j}) for j up to the reward's window."""
+    """[m, k] change of later rewards when decision `at` [m] takes lexeme `swap` [m, k], with all other actions [M] on
+    blocks [M] unchanged: sum_j gamma^(j-1) (r'_{at+j} - r_{at+j}) for j up to the reward's window."""
     window, count = table.window, swap.shape[1]
-    own = table.sequence(actions, blocks)
+    base = table.sequence(actions, blocks)
     out = np.zeros(swap.shape, np.float32)
     places = [(row, column, after) for row in range(len(at)) for column in range(count)
               for after in range(1, window) if at[row] + after < len(actions)]
@@ -126,28 +126,28 @@ def gains(table: EnsembleReward | Centred, actions: Tensor, blocks: Tensor, at: 
         index = end[:, None] + torch.arange(1 - window, 1)
         lexemes = actions[index.clamp_min(0)]
         lexemes = torch.where(index == changed[:, None], torch.as_tensor(swap)[rows, columns][:, None], lexemes)
-        more = table.rewards(lexemes, blocks[index.clamp_min(0)], index >= 0) - own[end]
+        more = table.rewards(lexemes, blocks[index.clamp_min(0)], index >= 0) - base[end]
         np.add.at(out, (rows.numpy(), columns.numpy()), (more * gamma ** (after - 1)).numpy())
     return out
 
 
 def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred, prior: LstmInterpreter, corpus: Corpus,
                    config: CriticConfig, seed: int) -> CounterfactualRewards:
-    """Of these episodes, in random order until there are `config.states` decisions. What is heard of an episode's past
-    is its own lexemes; what is seen is the person."""
+    """Counterfactual rewards of episodes in random order, up to `config.states` decisions. The prior sees the episode's
+    own lexemes and the performer's motion."""
     columns: dict[str, list[NDArray]] = {field.name: [] for field in fields(CounterfactualRewards)}
     rng, left = np.random.default_rng(seed), config.states
     for number in rng.permutation(len(episodes)):
-        own = episodes[number]
+        episode = episodes[number]
         if left <= 0:
             break
-        if len(own.blocks) < 2:
+        if len(episode.blocks) < 2:
             continue
-        left -= len(own.blocks) - 1
-        actions, blocks = torch.as_tensor(own.actions), torch.as_tensor(own.blocks)
-        log_prior = teacher_logits(prior, corpus, own.blocks, own.actions).log_softmax(-1).float().numpy()
+        left -= len(episode.blocks) - 1
+        actions, blocks = torch.as_tensor(episode.actions), torch.as_tensor(episode.blocks)
+        log_prior = teacher_logits(prior, corpus, episode.blocks, episode.actions).log_softmax(-1).float().numpy()
         size = log_prior.shape[1]
-        swap = rng.integers(size, size=(len(own.blocks) - 1, config.swaps))
+        swap = rng.integers(size, size=(len(episode.blocks) - 1, config.swaps))
         half = config.swaps // 2
         noise = rng.gumbel(size=(len(swap), half, size))
         swap[:, :half] = (log_prior[:, None] + noise).argmax(-1)
@@ -155,11 +155,12 @@ def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred,
         tried = np.flatnonzero(rng.random(len(swap)) < config.tried)
         gained[tried] = gains(table, actions, blocks, tried + 1, swap[tried], config.gamma)
         every = table.sequence_every(actions, blocks)[1:].float().numpy()
-        earned = every[np.arange(len(every)), own.actions[1:]]
-        for name, value in (("lengths", np.array([len(every)])), ("speaker", np.array([own.speaker])),
-                            ("block", own.blocks[1:]), ("action", own.actions[1:]), ("previous", own.actions[:-1]),
-                            ("silent", own.silent[1:]), ("every", every), ("log_prior", log_prior), ("swap", swap),
-                            ("gained", gained), ("total", discounted(earned, config.gamma))):
+        earned = every[np.arange(len(every)), episode.actions[1:]]
+        for name, value in (("lengths", np.array([len(every)])), ("speaker", np.array([episode.speaker])),
+                            ("block", episode.blocks[1:]), ("action", episode.actions[1:]),
+                            ("previous", episode.actions[:-1]), ("silent", episode.silent[1:]), ("every", every),
+                            ("log_prior", log_prior), ("swap", swap), ("gained", gained),
+                            ("total", discounted(earned, config.gamma))):
             columns[name].append(value)
     return CounterfactualRewards(**{name: np.concatenate(values) for name, values in columns.items()})
 
@@ -170,7 +171,7 @@ def _make(run: Run) -> CounterfactualRewards:
         try:
             return CounterfactualRewards.load(file)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            pass  # cut short by a crash: made again
+            pass  # truncated by a crash: compute again
     made = counterfactual(run.get(EPISODES).episodes, _table(run), run.get(INTERPRETER), run.get(CORPUS),
                           run.config.advantage, run.seed(COUNTERFACTUALS))
     made.save(file)
@@ -178,7 +179,7 @@ def _make(run: Run) -> CounterfactualRewards:
 
 
 def _table(run: Run, by: Stage[RewardEnsemble] | None = None) -> EnsembleReward | Centred:
-    """by: the reward's stage, the one that teaches when None."""
+    """by: the stage of the reward; default: the training reward."""
     if by is None or by is REWARD:
         return run.get(TAUGHT_REWARD)
     corpus = run.get(CORPUS)
@@ -193,14 +194,14 @@ def _needs(config: Config) -> Sequence[Node[Any]]:
 COUNTERFACTUALS: Node[CounterfactualRewards] = Node(
     "counterfactuals", settings=("episodes.baseline", "reward", *(f"advantage.{name}" for name in (
         "gamma", "states", "tried", "swaps"))), needs=_needs, make=_make)
-"""What every lexeme would have earned in the training split, kept under the hash of all that shapes it."""
+"""The rewards of all lexemes on the training split, cached under the hash of their inputs."""
 
 
 def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str, Tensor], unit: float,
                  heard: NDArray[np.float32]) -> dict[str, Tensor]:
-    """Windows with what critics hear, rewards in units; heard: [E, J] which critic learns from which episode."""
-    own = {key: windows[key] / unit for key in ("every", "gained", "return")}
-    return {**windows, **own, "audio": corpus.high[windows["block"]].float(),
+    """Windows with the critics' inputs and rewards in units; heard: [E, J] which critic is trained on which episode."""
+    scaled = {key: windows[key] / unit for key in ("every", "gained", "return")}
+    return {**windows, **scaled, "audio": corpus.high[windows["block"]].float(),
             "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float(),
             "heard": torch.as_tensor(heard)[windows["episode"]]}
 
@@ -234,24 +235,24 @@ def _train(run: Run, model: Critics, folder: Path, stage: Stage[Critics], reward
 
 
 def critic_figures(model: Critics, batch: dict[str, Tensor]) -> dict[str, float]:
-    """Of what was really done: Pearson's r over lexemes of the advantage with the enumerated one (`advantage`, of the
-    block's own reward), over swaps of the future that was learned with the one that was found (`future`), and of the
-    value with the return (`value`); `spread`, A's standard deviation."""
-    found = model.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
+    """On the performers' own decisions, Pearson's r: over lexemes between predicted and enumerated advantage
+    (`advantage`, of the block's own reward), over swaps between predicted and computed change of the future (`future`),
+    and between value and return (`value`); also `spread`, the standard deviation of A."""
+    values = model.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
     valid = batch["valid"] > 0
-    learned = advantages(found.reward, batch["log_prior"])[valid]
+    learned = advantages(values.reward, batch["log_prior"])[valid]
     true = advantages(batch["every"].unsqueeze(-2), batch["log_prior"])[valid]
     tried = ~torch.isnan(batch["gained"])
-    mean = found.future.mean(-2)
+    mean = values.future.mean(-2)
     moved = mean.gather(-1, batch["swap"]) - mean.gather(-1, batch["action"].unsqueeze(-1))
     return {"advantage": float(_pearson(learned, true).mean()),
             "future": float(_pearson(moved[tried], batch["gained"][tried])),
-            "value": float(_pearson(found.value.mean(-1)[valid], batch["return"][valid])),
+            "value": float(_pearson(values.value.mean(-1)[valid], batch["return"][valid])),
             "spread": float(model.spread)}
 
 
 def _pearson(first: Tensor, second: Tensor) -> Tensor:
-    """[...] r over the last axis."""
+    """[...] Pearson's r over the last axis."""
     a, b = (value - value.mean(-1, keepdim=True) for value in (first, second))
     return functional.cosine_similarity(a, b, dim=-1)
 
@@ -272,8 +273,7 @@ ADVANTAGE: Stage[Critics] = Stage(
 
 
 def exchanged_stage() -> Stage[Critics]:
-    """The same critics taught by the reward that judges, for those who measure: no part of a bundle, and of no run that
-    is not asked for it."""
+    """The same critics trained with the judging reward, for evaluation only: not part of a bundle."""
     def make(run: Run) -> CounterfactualRewards:
         return counterfactual(run.get(EPISODES).episodes, _table(run, REWARD_JUDGE), run.get(INTERPRETER),
                               run.get(CORPUS), run.config.advantage, run.seed(data))

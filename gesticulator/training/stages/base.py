@@ -1,8 +1,8 @@
-"""What a training run is made of: nodes that are made once, stages that are trained once, and the run that keeps them.
+"""The elements of a training run: nodes that are computed once, stages that are trained once, and the run.
 
-A `Node` is a value with a name, the nodes that it needs and the settings that shape it; a `Stage` is a node that is
+A `Node` is a value with a name, the nodes that it needs and the settings that affect it; a `Stage` is a node that is
 trained. A node's key is the hash of its settings and of the keys of what it needs, down to the data. So the work folder
-knows what is still good after a change of settings, and nobody has to say it twice.
+knows which results remain valid after a change of settings.
 """
 
 from __future__ import annotations
@@ -36,23 +36,22 @@ Figures = dict[str, float]
 
 
 def no_needs(config: Config) -> Sequence[Node[Any]]:
-    """For a node that stands on the data alone."""
+    """For a node that depends on the data alone."""
     return ()
 
 
 def always(config: Config) -> bool:
-    """For a stage that no settings leave out."""
+    """For a stage that all settings require."""
     return True
 
 
 @dataclass(frozen=True, eq=False)
 class Node(Generic[T]):
-    """A value that a run makes once, such as the corpus or the labels of its blocks.
+    """A value that a run computes once, such as the corpus or the labels of its blocks.
 
-    settings: what of the settings shapes it: paths ("rhythm", "silence.hint"), or functions of the settings. What
-    shapes a value only for those who look at that side of it (the words of a corpus) stands with them. needs: the nodes
-    that `make` asks the run for under these settings. of_data: what beside the store shapes it (folders of more sound).
-    """
+    settings: the settings that affect it: paths ("rhythm", "silence.hint"), or functions of the settings. Settings that
+    matter only to some users of a value (the words of a corpus) belong to those users. needs: the nodes that `make`
+    gets from the run under these settings. of_data: further data besides the store (folders of additional audio). """
 
     name: str
     settings: tuple[str | Callable[[Config], Any], ...]
@@ -65,11 +64,10 @@ class Node(Generic[T]):
 class Stage(Node[M]):
     """A node that is a trained model.
 
-    build: the model, untrained. train: one call of `Run.fit`, with the last validation figures. schedule: where in
-    `Config.schedules` its steps stand (schedule_of: where that depends on the settings; default: its own, of which
-    `Config.schedules.others` may change a part). wanted: whether the settings
-    ask for it. finish: what makes of the trained module the one that is used (a learner holds its target network too).
-    part: its name in a bundle, empty for none.
+    build: the untrained model. train: one call of `Run.fit`; returns the last validation figures. schedule: name of its
+    schedule in `Config.schedules` (schedule_of: if it depends on the settings; default: its own schedule, changed by
+    `Config.schedules.others`). wanted: whether the settings require it. finish: converts the trained module to the one
+    used (a learner also holds its target network). part: its name in a bundle, "" for none.
     """
 
     build: Callable[[Run], nn.Module] | None = None
@@ -92,7 +90,7 @@ def setting(config: Config, path: str) -> Any:
 
 @dataclass
 class Run:
-    """A training run: its settings, its data, its work folder and what it has made so far."""
+    """A training run: settings, data, work folder and results so far."""
 
     config: Config
     store: Store
@@ -100,48 +98,48 @@ class Run:
     device: str = "cpu"
     progress: bool = True
     speech: tuple[Path, ...] = ()
-    """Folders of more sound for the predictive coding."""
+    """Folders of additional audio for predictive coding."""
     workers: int = 1
     """Processes that cut and encode recordings."""
     precision: str = "float32"
     """See `gesticulator.training.fit.FitOptions`."""
     memory: float | None = None
-    """Bytes that the corpus may take; a larger one stays on the disk. None for any."""
+    """Memory limit of the corpus in bytes; a larger one stays on disk. None: no limit."""
     figures: dict[str, Figures] = field(default_factory=dict)
-    """Stage -> its figures on the validation split, once it was asked for."""
+    """Stage -> its validation figures, once it has been trained or loaded."""
     _values: dict[str, Any] = field(default_factory=dict, repr=False)
     _keys: dict[str, str] = field(default_factory=dict, repr=False)
 
     def get(self, node: Node[T]) -> T:
-        """The value of a node, made (or read from the work folder) when it is asked for first. Of several processes the
-        first makes it, and then the others, of the files that are kept of it."""
+        """The value of a node, computed (or read from the work folder) on first use. Of several processes the first
+        computes it, then the others from its files."""
         if node.name not in self._values:
             if isinstance(node, Stage):
                 assert node.build is not None
                 for need in node.needs(self.config):
                     self.get(need)
-                torch.manual_seed(self.seed(node))  # the weights that it begins with
+                torch.manual_seed(self.seed(node))  # initial weights
                 model = node.build(self)
                 self.figures[node.name] = self.train_stage(node, model)
                 self._values[node.name] = node.finish(freeze(model))
             else:
                 assert node.make is not None
                 make = node.make
-                if distributed.processes() > 1:  # stages are trained by all of them
+                if distributed.processes() > 1:  # stages are trained by all processes together
                     for need in node.needs(self.config):
                         self.get(need)
                 self._values[node.name] = distributed.lead_first(lambda: make(self))
         return cast(T, self._values[node.name])
 
     def provide(self, node: Node[Any], value: Any, key: str | None = None) -> None:
-        """Take `value` for a node instead of making it; key: what stands for it in the keys of all that need it (its
-        own, when it is the same that would be made)."""
+        """Use `value` for a node instead of computing it; key: replaces its key in those of dependent nodes (omit it if
+        the value is the same)."""
         self._values[node.name] = value
         if key is not None:
             self._keys[node.name] = key
 
     def key(self, node: Node[Any]) -> str:
-        """Hash of everything that shapes a node: the data, its settings, what it needs, and for a stage its seed."""
+        """Hash of everything that affects a node: data, settings, requirements, and for a stage its seed."""
         if node.name in self._keys:
             return self._keys[node.name]
         parts: list[Any] = [node.name, self.store.fingerprint]
@@ -153,11 +151,11 @@ class Run:
         return digest(*parts, [self.key(need) for need in node.needs(self.config)])
 
     def seed(self, node: Node[Any]) -> int:
-        """A seed of its own for each node, from the run's seed and the node's name: another node changes no other."""
+        """The seed of a node, from the run's seed and the node's name, so that adding a node changes no other."""
         return int(digest(self.config.seed, node.name)[:12], 16) % 2**31
 
     def schedule(self, stage: Stage[Any]) -> FitSettings:
-        """How long a stage is trained."""
+        """The schedule of a stage."""
         if stage.schedule_of is not None:
             return stage.schedule_of(self.config)
         if stage.default is not None:
@@ -168,15 +166,15 @@ class Run:
         return cast(FitSettings, getattr(self.config.schedules, stage.schedule))
 
     def folder(self, node: Node[Any]) -> Path:
-        """Where a stage is kept."""
+        """The folder of a stage."""
         return self.work / f"{node.name}-{self.key(node)}"
 
     def finished(self, stage: Stage[Any]) -> bool:
-        """Whether the work folder has the stage, whole."""
+        """Whether the work folder holds the complete stage."""
         return finished(self.folder(stage))
 
     def train_stage(self, stage: Stage[Any], model: nn.Module) -> Figures:
-        """Load a finished stage into `model`, or train it now; its figures on the validation split."""
+        """Load a finished stage into `model`, or train it; returns its validation figures."""
         folder = self.folder(stage)
         if not distributed.lead(lambda: finished(folder, model)):
             folder.mkdir(parents=True, exist_ok=True)
@@ -189,21 +187,21 @@ class Run:
         return read_object(folder / FIGURES, "delete it, and train again", python=True)
 
     def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
-        """The one loop, with this run's settings."""
+        """The training loop with this run's settings."""
         return fitting.fit(stage.name, model, task, self.schedule(stage), folder, fitting.FitOptions(
             seed=self.seed(stage), device=self.device, progress=self.progress, precision=self.precision))
 
     def redo(self, stage: Stage[Any]) -> None:
-        """Forget a stage that is finished or under way."""
+        """Delete a finished or started stage."""
         shutil.rmtree(self.folder(stage), ignore_errors=True)
 
 
 WEIGHTS, FIGURES = "weights.safetensors", "figures.json"
-"""Of a finished stage; the figures are written last, so that they stand for the whole."""
+"""Files of a finished stage; the figures are written last and mark it complete."""
 
 
 def keep(folder: Path, model: nn.Module, figures: Figures) -> None:
-    """Write a trained stage: weights first, then the figures, each whole, synced and renamed."""
+    """Write a trained stage: weights first, then the figures, each atomically."""
     temporary = folder / f"{WEIGHTS}.tmp"
     save_file({key: value.detach().cpu().contiguous() for key, value in model.state_dict().items()}, temporary)
     with temporary.open("rb") as written:
@@ -213,8 +211,7 @@ def keep(folder: Path, model: nn.Module, figures: Figures) -> None:
 
 
 def finished(folder: Path, model: nn.Module | None = None) -> bool:
-    """Whether a stage's folder holds it whole, for this model where one is given; what a crash or a full disk left of
-    one counts as nothing."""
+    """Whether a stage's folder holds valid weights and figures, matching `model` if given."""
     try:
         figures = read_object(folder / FIGURES, "delete it, and train again", python=True)
         weights = load_file(folder / WEIGHTS)
@@ -228,7 +225,7 @@ def finished(folder: Path, model: nn.Module | None = None) -> bool:
 
 
 def closure(stages: Sequence[Stage[Any]], config: Config) -> Iterator[Stage[Any]]:
-    """Every stage among what these need, and these themselves, each once, what is needed first."""
+    """These stages and all stages that they need, each once, requirements first."""
     seen: set[str] = set()
 
     def visit(node: Node[Any]) -> Iterator[Stage[Any]]:

@@ -1,4 +1,4 @@
-"""What is computed once of every recording and kept in the work folder: blocks, features, word vectors."""
+"""Per-recording results cached in the work folder: blocks, features, word vectors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import os
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -38,21 +38,21 @@ def _cut_one(store_path: str, name: str, config: Config, target: str) -> str:
     speech, motion = recording.speech, recording.motion
     representation = representation_of(config)
     blocks = block_module.cut(speech, config.rhythm)
-    asked = controls.at_knots(controls.measure(motion, config.control.window), motion.fps, blocks)
+    control = controls.at_knots(controls.measure(motion, config.control.window), motion.fps, blocks)
     arrays: dict[str, NDArray[Any]] = {
         "motion": normalise_motion(motion, blocks, representation).astype(np.float32),
         "first": first_pose(motion, representation).astype(np.float32),
         "sound": block_module.stretch_speech(speech, blocks).astype(np.float16),
         "reference": reference_level(speech.samples, speech.sample_rate, blocks.edges),
         "silent": blocks.silent, "edges": blocks.edges, "mask": representation.present(motion.absent),
-        "control": asked.astype(np.float32),
+        "control": control.astype(np.float32),
     }
     if speech.words is not None and any(word.text for word in speech.words):
         arrays["word_at"] = word_frames(speech.words, blocks, config.text.bridge).astype(np.int32)
     return _write(target, arrays, name)
 
 
-def _encode_one(source: str, target: str, config: Config, encoder: SpeechEncoder | None) -> str:
+def _encode_one(source: str, config: Config, encoder: SpeechEncoder | None, target: str) -> str:
     torch.set_num_threads(1)
     with np.load(source, allow_pickle=False) as arrays:
         low, high = encode(arrays["sound"].astype(np.float32), arrays["reference"], np.diff(arrays["edges"]), config,
@@ -74,7 +74,7 @@ def _write(target: str, arrays: dict[str, NDArray[Any]], name: str) -> str:
 
 
 def whole(file: Path) -> bool:
-    """Whether a cached file of arrays is there and no crash cut it short (its list of arrays stands at its end)."""
+    """Whether a cached file of arrays exists and is complete (its list of arrays is at its end)."""
     try:
         with zipfile.ZipFile(file) as arrays:
             return bool(arrays.namelist())
@@ -82,50 +82,46 @@ def whole(file: Path) -> bool:
         return False
 
 
-def _all(job: Callable[..., str], jobs: list[tuple[Any, ...]], workers: int, title: str, progress: bool) -> None:
-    todo = [arguments for arguments, target in ((j, j[-1]) for j in jobs) if not whole(Path(target))]
-    calls = [arguments[:-1] for arguments in todo]
-    bar = tqdm(total=len(jobs), initial=len(jobs) - len(todo), desc=title, disable=not progress)
-    for _ in _run(job, calls, workers):
-        bar.update()
-    bar.close()
-
-
-def _run(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int) -> Iterable[str]:
-    if workers <= 1 or len(calls) <= 1:
-        for call in calls:
-            yield job(*call)
-        return
-    # spawn: a forked torch may hang in its thread pool.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(job, *zip(*calls, strict=True))
+def _all(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int, title: str, progress: bool) -> None:
+    """Run the calls of a job whose last argument is a file that is not complete yet."""
+    todo = [call for call in calls if not whole(Path(call[-1]))]
+    with tqdm(total=len(calls), initial=len(calls) - len(todo), desc=title, disable=not progress) as bar:
+        if workers <= 1 or len(todo) <= 1:
+            for call in todo:
+                job(*call)
+                bar.update()
+            return
+        # spawn: a forked torch may hang in its thread pool.
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            for _ in pool.map(job, *zip(*todo, strict=True)):
+                bar.update()
 
 
 def blocks_folder(store: Store, config: Config, folder: Path) -> Path:
-    """Where the blocks of a store are kept, a file for each recording."""
+    """The folder of the blocks of a store, one file per recording."""
     key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
                  config.control.window, config.text.bridge)
     return folder / f"blocks-{key}"
 
 
 def features_folder(blocks: Path, config: Config, encoder: SpeechEncoder | None = None) -> Path:
-    """Where the audio features of the blocks in a folder are kept."""
+    """The folder of the audio features of the blocks in a folder."""
     key = digest(blocks.name, config.front_end, weights_hash(encoder) if encoder else "")
     return blocks.parent / f"features-{key}"
 
 
 def cut(store: Store, config: Config, folder: Path, *, workers: int = 1, progress: bool = True) -> tuple[Path, ...]:
-    """The blocks of every recording, one file each, in a folder named by the hash of what shapes them."""
+    """The blocks of every recording, one file each, in a folder named by the hash of their inputs."""
     cache = blocks_folder(store, config, folder)
     cache.mkdir(parents=True, exist_ok=True)
     files = tuple(cache / f"{info.name}.npz" for info in store.recordings)
-    _all(_cut_one, [(str(store.path), info.name, config, str(file), str(file))
+    _all(_cut_one, [(str(store.path), info.name, config, str(file))
                     for info, file in zip(store.recordings, files, strict=True)], workers, "blocks", progress)
     return files
 
 
 def weights_hash(module: torch.nn.Module) -> str:
-    """A short hash of a module's weights in half precision, as a bundle keeps them."""
+    """A short hash of a module's weights in half precision, as stored in a bundle."""
     sha = hashlib.sha256()
     for key, value in sorted(module.state_dict().items()):
         sha.update(key.encode() + value.detach().cpu().half().contiguous().numpy().tobytes())
@@ -134,18 +130,18 @@ def weights_hash(module: torch.nn.Module) -> str:
 
 def encode_all(files: tuple[Path, ...], config: Config, encoder: SpeechEncoder | None = None, *, workers: int = 1,
              progress: bool = True) -> tuple[Path, ...]:
-    """The audio features of blocks that are cut, one file each, in a folder named by the front end's hash."""
+    """The audio features of blocks, one file per recording, in a folder named by the front end's hash."""
     cache = features_folder(files[0].parent, config, encoder)
     cache.mkdir(parents=True, exist_ok=True)
     out = tuple(cache / file.name for file in files)
-    _all(_encode_one, [(str(file), str(own), config, encoder, str(own)) for file, own in zip(files, out, strict=True)],
+    _all(_encode_one, [(str(file), config, encoder, str(target)) for file, target in zip(files, out, strict=True)],
          workers, "features", progress)
     return out
 
 
 def word_file(store: Store, config: Config, folder: Path, *, progress: bool = True) -> Path | None:
-    """The file of the word vectors [W, d_t] of every recording that has words, made where it is not there; None where
-    the settings name no word encoder."""
+    """The file of word vectors [W, d_t] of all recordings with words, created if missing; None without a word
+    encoder."""
     if not config.text.encoder:
         return None
     encoder = WordEncoder.open(config.text.encoder)
@@ -153,7 +149,7 @@ def word_file(store: Store, config: Config, folder: Path, *, progress: bool = Tr
     cache = folder / f"words-{key}.npz"
     if not whole(cache):
         temporary = Path(f"{cache}.tmp")
-        with zipfile.ZipFile(temporary, "w") as archive:  # as numpy's savez writes it, but one by one
+        with zipfile.ZipFile(temporary, "w") as archive:  # like numpy's savez, but one array at a time
             for info in tqdm(store.recordings, desc="words", disable=not progress):
                 words = store.load(info.name).speech.words
                 if words is not None and any(word.text for word in words):
@@ -167,14 +163,14 @@ def word_file(store: Store, config: Config, folder: Path, *, progress: bool = Tr
 
 
 def read_words(store: Store, config: Config, folder: Path, *, progress: bool = True) -> dict[str, NDArray[np.float16]]:
-    """Word vectors [W, d_t] of every recording that has words; empty when the settings name no word encoder."""
+    """Word vectors [W, d_t] of all recordings with words; empty without a word encoder."""
     file = word_file(store, config, folder, progress=progress)
     return {} if file is None else read_arrays(file)
 
 
 def read_arrays(file: Path, leave_out: tuple[str, ...] = (), only: tuple[str, ...] | None = None
                 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a cached file, but for some, or some of them alone; InputError where it is damaged."""
+    """The arrays of a cached file, without `leave_out`, or only `only`; InputError if it is damaged."""
     try:
         with np.load(file, allow_pickle=False) as arrays:
             return {key: arrays[key] for key in arrays.files if key not in leave_out and (only is None or key in only)}

@@ -1,4 +1,4 @@
-"""The corpus: blocks of motion, speech and words of a whole store, cached by what shapes them."""
+"""The corpus: blocks of motion, audio and words of a whole store, cached under the hash of their inputs."""
 
 from __future__ import annotations
 
@@ -33,17 +33,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Corpus:
-    """All blocks of a store in a row. N blocks, R recordings, W words, F features of style.
+    """All blocks of a store, concatenated. N blocks, R recordings, W words, F style features.
 
-    motion: [N, K, D_m] normalised; low, high: [N, 3K, d] normalised audio windows in half precision (`low` and `high`
-    are the same array where the front end has one level); silent: [N]; durations: [N] s; recording: [N] index;
-    first: [R, D_m] normalised pose at time 0; mask: [R, D_m] dimensions that the source has; control: [N, K, F]
-    features of style in their units; has_text: [R]; word_at: [N, 3K] rows of `words` [W + 1, d_t + 1] (None without a
-    word encoder); files: the cached blocks of each recording.
+    motion: [N, K, D_m] normalised; low, high: [N, 3K, d] normalised audio windows in half precision (the same array if
+    the front end has one level); silent: [N]; durations: [N] seconds; recording: [N] index; first: [R, D_m] normalised
+    pose at time 0; mask: [R, D_m] dimensions present in the source; control: [N, K, F] style features in their units;
+    has_text: [R]; word_at: [N, 3K] rows of `words` [W + 1, d_t + 1] (None without a word encoder); files: cached blocks
+    of each recording.
 
-    Where a corpus does not fit into memory, motion, low, high, control, word_at and words are `StoredRows`: their rows
-    are read when they are asked for.
-    """
+    If a corpus does not fit into memory, motion, low, high, control, word_at and words are `StoredRows`, whose rows are
+    read when indexed. """
 
     names: tuple[str, ...]
     splits: tuple[str, ...]
@@ -69,9 +68,9 @@ class Corpus:
         return np.arange(first, last)
 
     def recordings(self, split: str, with_text: bool = False) -> list[int]:
-        """Recording numbers of a split; only those with words when asked."""
-        return [index for index, own in enumerate(self.splits)
-                if own == split and (self.has_text[index] or not with_text)]
+        """Recording numbers of a split; with_text: only those with words."""
+        return [index for index, name in enumerate(self.splits)
+                if name == split and (self.has_text[index] or not with_text)]
 
     def select(self, split: str) -> NDArray[np.int64]:
         """Block numbers of a split."""
@@ -79,11 +78,11 @@ class Corpus:
 
     @property
     def stored(self) -> bool:
-        """Whether it stays on the disk."""
+        """Whether it stays on disk."""
         return isinstance(cast(Any, self.motion), StoredRows)
 
     def some(self, split: str) -> NDArray[np.int64]:
-        """Block numbers of a split to measure or to fit on: all, or evenly taken ones where the corpus stays on the
+        """Block numbers of a split for statistics or fitting: all, or evenly sampled ones if the corpus stays on
         disk."""
         every = self.select(split)
         return evenly(every, MEASURED if split == "train" else CHECKED) if self.stored else every
@@ -96,7 +95,7 @@ class Corpus:
 
     @functools.cached_property
     def pasts(self) -> Pasts:
-        """What every block is told from, [N, 3, D_m]; read when it is asked for where the corpus stays on the disk."""
+        """[N, 3, D_m] the past from which each block is predicted; read when indexed if the corpus stays on disk."""
         rows_of = cast(Any, self.motion)
         if isinstance(rows_of, StoredRows):
             begins = np.diff(self.recording, prepend=-1) > 0
@@ -109,14 +108,14 @@ class Corpus:
 
     @functools.cached_property
     def circumstances(self) -> Tensor:
-        """[N, 8] every block's place in speech (`generator.flow.circumstances`)."""
+        """[N, 8] each block's context in speech (`generator.flow.circumstances`)."""
         rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
         return torch.cat([circumstances(torch.as_tensor(self.durations)[own], torch.as_tensor(self.silent)[own])
                           for own in rows])
 
     def before(self, blocks: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
-        """Of each block [n], the block before as it was performed [n, K, D_m] (a recording's first pose, held, before
-        its first block), and the seconds of the block before and of its own [n, 2]."""
+        """For blocks [n], the block before as performed [n, K, D_m] (the recording's first pose, held, before its first
+        block), and the durations of the block before and the block itself in seconds [n, 2]."""
         earlier = np.maximum(blocks - 1, 0)
         begins = (blocks == 0) | (self.recording[earlier] != self.recording[blocks])
         held = self.first[torch.as_tensor(self.recording[blocks])][:, None].expand(-1, self.motion.shape[1], -1)
@@ -130,8 +129,7 @@ class Corpus:
         return 0 if self.words is None else self.words.shape[-1]
 
     def sound(self, recording: int) -> NDArray[np.float16] | StoredRows:
-        """[N, L] the stretched sound of a recording's blocks; read where it is indexed, if the corpus stays on the
-        disk."""
+        """[N, L] the stretched audio of a recording's blocks; read when indexed if the corpus stays on disk."""
         if self.stored:
             return StoredRows(self.files[recording], "sound")
         with np.load(self.files[recording], allow_pickle=False) as arrays:
@@ -140,31 +138,30 @@ class Corpus:
 
 def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
             progress: bool = True, memory: float | None = None) -> Corpus:
-    """Cut, encode and normalise a store; what is cached in `folder` under the same settings is reused.
+    """Cut, encode and normalise a store; results cached in `folder` under the same settings are reused.
 
-    encoder: the trained stack, where the front end is "vqwav2vec"; without it the audio is left out (one column of
-    zeros), which is all that the lexicon needs. memory: bytes; a corpus that would take more stays on the disk.
-    """
+    encoder: the trained speech encoder, for the front end "vqwav2vec"; without it audio is omitted (one column of
+    zeros), which suffices for the lexicon. memory: bytes; a larger corpus stays on disk. """
     infos = store.recordings
     speakers = tuple(sorted({info.speaker for info in infos if info.split == "train"}))
     if not speakers:
         raise InputError(store.path, "has no recordings in its training split", "build the store again")
     speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0 for info in infos])
     files = cut(store, config, folder, workers=workers, progress=progress)
-    deaf = encoder is None and config.front_end.name == "vqwav2vec"
-    heard = None if deaf else encode_all(files, config, encoder, workers=workers, progress=progress)
+    without_audio = encoder is None and config.front_end.name == "vqwav2vec"
+    feature_files = None if without_audio else encode_all(files, config, encoder, workers=workers, progress=progress)
     if memory is not None:
-        blocks = CachedBlocks(files, heard, speaker_of, [info.split for info in infos], store.names,
+        blocks = CachedBlocks(files, feature_files, speaker_of, [info.split for info in infos], store.names,
                               word_file(store, config, folder, progress=progress))
         counts = blocks.counts()
         if bytes_of(blocks, counts, config.rhythm.frames) > memory:
             return _on_disk(config, folder, speakers, blocks, counts)
     loaded = [read_arrays(file, leave_out=("sound",)) for file in files]
     encoded: list[dict[str, NDArray[Any]]]
-    if heard is None:
+    if feature_files is None:
         encoded = [{"low": np.zeros((len(own["silent"]), 3 * config.rhythm.frames, 1), np.float16)} for own in loaded]
     else:
-        encoded = [read_arrays(file) for file in heard]
+        encoded = [read_arrays(file) for file in feature_files]
     statistics = measured(config, speakers, speaker_of, [info.split for info in infos], loaded, encoded)
     motion = [statistics.normalise(own["motion"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
     first = [statistics.normalise(own["first"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
@@ -202,7 +199,7 @@ def _normalised(normaliser: Normaliser, parts: list[NDArray[Any]]) -> Tensor:
 
 def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: dict[str, NDArray[np.float16]]
           ) -> tuple[Tensor | None, Tensor | None, NDArray[np.bool_]]:
-    """[N, 3K] rows, the table [W + 1, d_t + 1] and which recordings have words [R]."""
+    """[N, 3K] rows, the table [W + 1, d_t + 1], and which recordings have words [R]."""
     has = np.array([info.name in vectors and "word_at" in own for info, own in zip(infos, loaded, strict=True)])
     if not has.any():
         return None, None, has
@@ -221,7 +218,7 @@ def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: 
 
 
 def sizes(config: Config, corpus: Corpus, **more: Any) -> Sizes:
-    """What shapes the models over a corpus; more: fields of `Sizes` that the corpus does not know."""
+    """The model dimensions of a corpus; more: fields of `Sizes` not known from the corpus."""
     return Sizes(config, corpus.motion.shape[-1], corpus.low.shape[-1], corpus.high.shape[-1],
                  corpus.high is not corpus.low, len(corpus.statistics.speakers), corpus.text_width,
                  corpus.statistics.present, **more)
@@ -231,11 +228,11 @@ def _blocks(run: Run) -> Corpus:
     corpus = prepare(run.store, run.config, run.work, workers=run.workers, progress=run.progress, memory=run.memory)
     if run.config.text.encoder and corpus.words is None:
         raise InputError(run.store.path, "has no recording with words",
-                         "set text.encoder= (nothing) to train without text")
+                         "set text.encoder= (empty) to train without text")
     return corpus
 
 
 BLOCKS: Node[Corpus] = Node(
     "blocks", settings=("rhythm",), make=_blocks)
-"""The corpus before it is heard: motion, stretched sound and words (and mel features, which need no training). How
-motion becomes numbers stands with the lexicon, which alone looks at it first."""
+"""The corpus without trained audio features: motion, stretched audio and words (and mel features, which need no
+training). The settings of the motion representation belong to the lexicon, its first user."""

@@ -1,4 +1,4 @@
-"""The corpus as it is heard: its blocks with the features of the trained speech levels."""
+"""The corpus with the audio features of the trained speech encoder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether to gesture at all on a block (RG 8, third limitation)."""
+"""The gate, which decides whether a block is gestured (RG 8, third limitation)."""
 
 from __future__ import annotations
 

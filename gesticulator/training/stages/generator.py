@@ -44,7 +44,7 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
         for name, left_out in (("flow", (0.0, 0.0, 0.0, 0.0)), ("without_audio", (1.0, 0.0, 0.0, 0.0)),
                                ("without_lexeme", (0.0, 1.0, 0.0, 0.0)), ("without_history", (0.0, 0.0, 1.0, 0.0)),
                                ("without_history_and_audio", (1.0, 0.0, 1.0, 0.0))):
-            torch.manual_seed(run.seed(GENERATOR))  # the same times and noises for each, or they could not be compared
+            torch.manual_seed(run.seed(GENERATOR))  # the same times and noise for comparable figures
             terms = [model.losses(b, 1.0, lexicon.nearest, left_out)["flow"] for b in batches]
             figures[name] = float(sum(terms)) / len(terms)
         return figures
@@ -57,7 +57,7 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
 def _movements(run: Run) -> MovementLexicon:
     lexicon = run.get(LEXICON)
     if not isinstance(lexicon, MovementLexicon):
-        raise InputError("generator.head=flow", "draws movements, and the lexicon names poses",
+        raise InputError("generator.head=flow", "generates movements, but the lexicon holds poses",
                          "set lexicon.kind=movement, or generator.head=regression")
     return lexicon
 
@@ -79,11 +79,11 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
         parts = with_silence(parts, corpus, labelled.nearest, config.silence.augmentation,
                              config.silence.longest_insert, np.random.default_rng([run.seed(GENERATOR), 7]))
     windows = Windows(corpus, parts, config.window, control=config.control if config.generator.use_control else None)
-    found = run.get(LEXICON)
-    if not isinstance(found, Lexicon):
-        raise InputError("generator.head=regression", "is taught by the encoder of poses, and the lexicon names "
+    pose_lexicon = run.get(LEXICON)
+    if not isinstance(pose_lexicon, Lexicon):
+        raise InputError("generator.head=regression", "is trained with the encoder of poses, but the lexicon holds "
                          "movements", "set lexicon.kind=pose, or generator.head=flow")
-    lexicon = copy.deepcopy(found).to(run.device)
+    lexicon = copy.deepcopy(pose_lexicon).to(run.device)
     freeze(lexicon)
     checks = validation(corpus, labelled.labels, config.window)
 
@@ -96,9 +96,9 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
         for batch in checks:
             b = {key: value.to(run.device) for key, value in with_vectors(batch).items()}
             zero = torch.zeros(*b["style"][:, 1:].shape, config.generator.style_width, device=run.device)
-            made, _ = model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], zero))
+            generated, _ = model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], zero))
             true = b["motion"][:, 1:]
-            totals.append(((made - true).pow(2).mean(), (lexicon.encode(made.flatten(0, 1))
+            totals.append(((generated - true).pow(2).mean(), (lexicon.encode(generated.flatten(0, 1))
                                                          - lexicon.encode(true.flatten(0, 1))).pow(2).mean()))
         return {"reconstruction": float(sum(t[0] for t in totals)) / len(totals),
                 "perceptual": float(sum(t[1] for t in totals)) / len(totals)}

@@ -1,4 +1,4 @@
-"""The lexeme interpreter (RG 6.1) with text, or from audio alone (RG 6.3); taught the silent hint."""
+"""The lexeme interpreter with text (RG 6.1) or audio-only (RG 6.3), trained with the silent hint."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ INTERPRETER: Stage[LstmInterpreter] = Stage(
 
 
 def init_from_audio_only(config: Config) -> bool:
-    """The interpreter that reads the words starts from the weights of the one that hears alone, and is then trained by
-    a schedule of its own; else it is trained from nothing, as the audio-only one is."""
+    """Whether the interpreter with text is initialised from the audio-only one and trained by its own schedule;
+    otherwise it is trained from scratch like that one."""
     return config.schedules.interpreter_text.steps > 0
 
 
@@ -87,14 +87,12 @@ INTERPRETER_TEXT: Stage[LstmInterpreter] = Stage(
 @torch.inference_mode()
 def teacher_logits(model: LstmInterpreter, corpus: Corpus, blocks: NDArray[np.int64], lexemes: NDArray[np.int64],
                    words: NDArray[np.int64] | None = None) -> Tensor:
-    """[M - 1, S] scores of blocks [M] of a recording but the first, after lexemes [M] and the performer's motion.
-
-    words: block numbers [M] whose words are read; those of the blocks themselves where None.
-    """
-    own, previous = torch.as_tensor(blocks[1:]), torch.as_tensor(lexemes[:-1])[None]
+    """[M - 1, S] scores of blocks [M] of a recording except the first, given lexemes [M] and the performer's motion.
+    words: block numbers [M] whose words are read; default: the blocks themselves."""
+    rows, previous = torch.as_tensor(blocks[1:]), torch.as_tensor(lexemes[:-1])[None]
     text = corpus.text((blocks if words is None else words)[1:])[None] if model.config.reads else None
     pose = pose_of(*corpus.before(blocks[1:]))[None] if model.config.pose_features else None
     who = torch.tensor([int(corpus.speaker_of[corpus.recording[blocks[0]]])])
     speaker = functional.one_hot(who, model.speakers).float()
-    logits, _ = model.scores(previous, corpus.high[own].float()[None], speaker, None, text, pose=pose)
+    logits, _ = model.scores(previous, corpus.high[rows].float()[None], speaker, None, text, pose=pose)
     return logits[0]

@@ -1,4 +1,4 @@
-"""The corpus as the lexicon reads it: lexemes, the silent ones among them, and how often what is used (RG 6.4.1)."""
+"""The corpus labelled by the lexicon: lexemes, silent lexemes, and their frequencies (RG 6.4.1)."""
 
 from __future__ import annotations
 
@@ -23,12 +23,11 @@ from lexicon import inventory as inventories
 
 @dataclass(frozen=True)
 class Labelled:
-    """The corpus as the lexicon reads it.
+    """The labels of a corpus.
 
     labels: [N] lexemes; hinted: [N] the same, with a silent lexeme on every silent block; silent: the silent lexemes;
-    nearest: [S] silent lexeme for each lexeme; active: [N] a gesture is made; style_numbers: [N] 1 and up for training
-    blocks, 0 for others; inventory: counts over the training split.
-    """
+    nearest: [S] the nearest silent lexeme to each lexeme; active: [N] whether the block is a gesture; style_numbers:
+    [N] 1 and up for training blocks, 0 for others; inventory: counts over the training split. """
 
     labels: NDArray[np.int64]
     hinted: NDArray[np.int64]
@@ -43,9 +42,8 @@ def lexeme_speeds(corpus: Corpus, labels: NDArray[np.int64], size: int, config: 
                   ) -> NDArray[np.float64]:
     """[S] mean speed of all joints in the training blocks of each lexeme, metres per second of normalised time.
 
-    Measured on the blocks themselves (up to `most` of each lexeme): what the decoder makes of a lexeme is a mean, and
-    its small errors from frame to frame look like movement. A lexeme without blocks counts as infinitely fast.
-    """
+    Measured on the blocks themselves (up to `most` per lexeme): a decoded lexeme is a mean, and its small errors from
+    frame to frame would look like movement. A lexeme without blocks counts as infinitely fast. """
     train = corpus.select("train")
     speeds = np.full(size, np.inf)
     for lexeme in range(size):
@@ -57,7 +55,7 @@ def lexeme_speeds(corpus: Corpus, labels: NDArray[np.int64], size: int, config: 
 
 
 def _speed(corpus: Corpus, blocks: NDArray[np.int64], representation: Representation, fps: float) -> float:
-    """Mean over blocks [B] of the same length, all of whose joints are placed at once."""
+    """Mean speed over blocks [B]."""
     speakers = corpus.speaker_of[corpus.recording[blocks]]
     poses = np.stack([corpus.statistics.denormalise(corpus.motion[int(block)].double().numpy(), int(speaker))
                       for block, speaker in zip(blocks, speakers, strict=True)])
@@ -67,7 +65,7 @@ def _speed(corpus: Corpus, blocks: NDArray[np.int64], representation: Representa
 
 
 def silent_lexemes(config: Config, corpus: Corpus, labels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Those that the settings name, or those found: slow, and at home in silence (RG 6.4.1)."""
+    """The silent lexemes from the settings, or detected: slow, and frequent in silence (RG 6.4.1)."""
     named, size = config.silence.lexemes, config.lexicon.size
     if not system_of(config).naming.knows_silence:
         return np.zeros(0, dtype=np.int64)
@@ -80,7 +78,7 @@ def silent_lexemes(config: Config, corpus: Corpus, labels: NDArray[np.int64]) ->
 
 
 def label(config: Config, corpus: Corpus, tokens: Tokens) -> Labelled:
-    """Lexemes of all blocks, the silent ones, the hint on silent blocks, and the counts (RG 6.4.1, Eq. 24)."""
+    """Label a corpus: lexemes, silent lexemes, the hint on silent blocks, and counts (RG 6.4.1, Eq. 24)."""
     labels = token_labels(tokens, corpus)
     train = corpus.select("train")
     silent = silent_lexemes(config, corpus, labels)
@@ -100,7 +98,7 @@ LABELS: Node[Labelled] = Node(
 
 
 def model_sizes(run: Run, training: bool = False) -> Sizes:
-    """What shapes the models over the corpus and its lexicon; training: with a style code for every training block."""
+    """The model dimensions of the corpus and its lexicon; training: include a style code for every training block."""
     labelled = run.get(LABELS)
     return sizes(run.config, run.get(CORPUS), vectors=run.get(TOKENS).vectors, silent=tuple(labelled.silent.tolist()),
                  training_blocks=int(labelled.style_numbers.max()) if training else 0)

@@ -1,9 +1,9 @@
-"""What names gestures: the lexicon of blocks at the beat (RG 5.1), or RACER's own codec at a fixed rate (RACER 4.1)."""
+"""The lexicon of beat-aligned blocks (RG 5.1), or RACER's codec at a fixed rate (RACER 4.1)."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,14 +28,14 @@ from lexicon.quantizer import perplexity
 from lexicon.racer import RacerCodec
 
 BlockLexicon = Lexicon | MovementLexicon
-"""What names blocks at the beat one by one: the paper's VQ-VAE, or the lexicon of movements."""
+"""A lexicon of beat-aligned blocks: the paper's VQ-VAE, or the lexicon of movements."""
 Tokens = BlockLexicon | RacerCodec
-"""What names the gesture of a block: the lexicon of blocks at the beat, or RACER's own codec at a fixed rate."""
+"""A lexicon of beat-aligned blocks, or RACER's codec."""
 
 _MOTION = ("motion.representation", "motion.joints", "motion.least_deviation")
-"""What shapes the motion of the corpus."""
+"""Settings that affect the motion of the corpus."""
 _TOGETHER = 4096
-"""Blocks that are decoded in one go: bounds the memory."""
+"""Blocks decoded at a time, to bound memory."""
 
 
 def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
@@ -45,7 +45,7 @@ def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
 
 
 def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
-    """In closed form and by k-means, on the CPU: there are no steps."""
+    """Fit in closed form and by k-means, on the CPU, without steps."""
     corpus = run.get(BLOCKS)
     known, val = (torch.as_tensor(corpus.some(split)) for split in ("train", "val"))
     recording = torch.as_tensor(corpus.recording)
@@ -56,15 +56,23 @@ def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
 
 @torch.no_grad()
 def movement_figures(lexicon: MovementLexicon, motion: Tensor, past: Pasts) -> Figures:
-    """Mean squared errors (normalised features) of blocks [B, K, D_m] on their true pasts: what the predictor alone
-    leaves, the lexeme, lexeme and residual levels, and all coefficients; usage and perplexity."""
+    """Mean squared errors (normalised features) of blocks [B, K, D_m] given their true pasts, for the predictor alone,
+    the lexeme, lexeme and residual levels, and all coefficients; usage and perplexity."""
     true = lexicon.basis.coefficients(motion, past)
     labels = lexicon.nearest(true)
-    told = {"predicted": torch.zeros_like(true), "lexeme": lexicon.quantised(true, 0),
-            "quantised": lexicon.quantised(true), "unquantised": true}
-    return {**{name: float((lexicon.basis.compose(own, past) - motion).pow(2).mean()) for name, own in told.items()},
-            "usage": float((torch.bincount(labels, minlength=lexicon.size) > 0).float().mean()),
-            "perplexity": perplexity(labels, lexicon.size)}
+    levels = {"predicted": torch.zeros_like(true), "lexeme": lexicon.quantised(true, 0),
+              "quantised": lexicon.quantised(true), "unquantised": true}
+    return {**{name: _error(lexicon.basis.compose(level, past), motion) for name, level in levels.items()},
+            **_use(labels, lexicon.size)}
+
+
+def _error(decoded: Tensor, true: Tensor) -> float:
+    return float((decoded - true).pow(2).mean())
+
+
+def _use(labels: Tensor, size: int) -> Figures:
+    return {"usage": float((torch.bincount(labels, minlength=size) > 0).float().mean()),
+            "perplexity": perplexity(labels, size)}
 
 
 def _train_pose_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
@@ -97,23 +105,18 @@ LEXICON: Stage[BlockLexicon] = Stage(
 
 @torch.no_grad()
 def lexicon_figures(lexicon: Lexicon, motion: Tensor) -> Figures:
-    """Mean squared errors (normalised features) with and without quantisation, usage and perplexity.
-
-    motion: [B, K, D_m].
-    """
+    """Mean squared errors (normalised features) of motion [B, K, D_m] with and without quantisation, usage,
+    perplexity."""
     latents = lexicon.latents(motion)
     labels = lexicon.quantizer.labels(latents)
     quantised = torch.cat([lexicon.decode(lexicon.vectors[part]) for part in labels.split(_TOGETHER)])
     plain = torch.cat([lexicon.decode(part) for part in latents.split(_TOGETHER)])
-    size = lexicon.quantizer.size
-    return {"quantised": float((quantised - motion).pow(2).mean()),
-            "unquantised": float((plain - motion).pow(2).mean()),
-            "usage": float((torch.bincount(labels, minlength=size) > 0).float().mean()),
-            "perplexity": perplexity(labels, size)}
+    return {"quantised": _error(quantised, motion), "unquantised": _error(plain, motion),
+            **_use(labels, lexicon.quantizer.size)}
 
 
 def _starts(corpus: Corpus, split: str, length: int) -> NDArray[np.int64]:
-    """Every block of a split that `length` - 1 more of its recording follow."""
+    """Blocks of a split followed by at least `length` - 1 more of the same recording."""
     starts = [corpus.blocks_of(r)[:1 - length] for r in corpus.recordings(split) if len(corpus.blocks_of(r)) >= length]
     if not starts:
         raise InputError("store", f"has no recording of {length} codes in its {split} split",
@@ -122,7 +125,7 @@ def _starts(corpus: Corpus, split: str, length: int) -> NDArray[np.int64]:
 
 
 def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
-    """On windows of as many codes as a decision sees (120 frames in the paper)."""
+    """Train on windows of as many codes as a decision sees (120 frames in the paper)."""
     corpus, length, settings = run.get(BLOCKS), run.config.cql.decisions, run.schedule(CODEC)
     known = _starts(corpus, "train", length)
     held = (_starts(corpus, "val", length) if corpus.recordings("val") else known)[::length]
@@ -147,14 +150,12 @@ def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
 
 @torch.no_grad()
 def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
-    """As `lexicon_figures`, of motion [B, T, D_m]."""
+    """As `lexicon_figures`, for motion [B, T, D_m]."""
     latents = model.encode(true)
     labels = model.quantizer.labels(latents.flatten(0, 1))
-    made = model.decode(model.vectors[labels].unflatten(0, latents.shape[:2]))
-    return {"quantised": float((made - true).pow(2).mean()),
-            "unquantised": float((model.decode(latents) - true).pow(2).mean()),
-            "usage": float((torch.bincount(labels, minlength=model.quantizer.size) > 0).float().mean()),
-            "perplexity": perplexity(labels, model.quantizer.size)}
+    decoded = model.decode(model.vectors[labels].unflatten(0, latents.shape[:2]))
+    return {"quantised": _error(decoded, true), "unquantised": _error(model.decode(latents), true),
+            **_use(labels, model.quantizer.size)}
 
 
 CODEC: Stage[RacerCodec] = Stage(
@@ -163,23 +164,18 @@ CODEC: Stage[RacerCodec] = Stage(
     build=lambda run: models.codec(sizes(run.config, run.get(BLOCKS))))
 
 
-def _tokens(run: Run) -> Tokens:
-    tokens: Tokens = run.get(cast("Stage[Any]", _of(run.config)))
-    return tokens
-
-
-def _of(config: Config) -> Stage[BlockLexicon] | Stage[RacerCodec]:
-    return {stage.name: stage for stage in (LEXICON, CODEC)}[system_of(config).naming.stage]
+def _of(config: Config) -> Stage[Any]:
+    return CODEC if system_of(config).naming.stage == CODEC.name else LEXICON
 
 
 TOKENS: Node[Tokens] = Node("tokens", settings=(), needs=lambda config: (_of(config),),
-                            make=_tokens)
-"""The lexicon or the codec, whichever the settings name."""
+                            make=lambda run: run.get(_of(run.config)))
+"""The lexicon or the codec, depending on the settings."""
 
 
 @torch.no_grad()
 def decoded_blocks(tokens: Tokens, labels: NDArray[np.int64], corpus: Corpus) -> Tensor:
-    """[N, K, D_m] every block as its lexeme shows it; of movements, from the block's own past."""
+    """[N, K, D_m] every block decoded from its lexeme; movements are decoded from the block's own past."""
     if isinstance(tokens, Lexicon):
         return tokens.shown()[torch.as_tensor(labels)]
     if isinstance(tokens, MovementLexicon):

@@ -1,4 +1,4 @@
-"""What is measured on the training split: means, deviations, bounds, rest, and the spread of features."""
+"""Statistics of the training split: means, deviations, bounds, resting poses, and normalisers of features."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from gesticulator.bundle.models import parts_of_body
 from gesticulator.bundle.system import system_of
 
 BOUNDS = (0.1, 99.9)
-"""Percent: one frame in a thousand at either end is left out, as captures jump now and then."""
+"""Percentiles: omits one frame in a thousand at either end, because captured motion contains jumps."""
 
 
 def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64], splits: list[str],
                 loaded: list[dict[str, NDArray[Any]]], encoded: list[dict[str, NDArray[Any]]]) -> Statistics:
-    """What is measured on the training split, of the cached blocks and features of every recording.
+    """The statistics of the training split, from the cached blocks and features of all recordings.
 
-    speaker_of: [R]; splits, loaded, encoded: of each of R recordings.
+    speaker_of: [R]; splits, loaded, encoded: for each of R recordings.
     """
     width = loaded[0]["motion"].shape[-1]
     train = [index for index, split in enumerate(splits) if split == "train"]
     mean, rest = np.zeros((len(speakers), width)), np.zeros((len(speakers), width))
     centred = []
     for speaker in range(len(speakers)):
-        own = [loaded[i] for i in train if speaker_of[i] == speaker]
-        poses = np.concatenate([arrays["motion"] for arrays in own]).astype(np.float64)
-        silent = np.concatenate([arrays["silent"] for arrays in own])
+        recordings = [loaded[i] for i in train if speaker_of[i] == speaker]
+        poses = np.concatenate([arrays["motion"] for arrays in recordings]).astype(np.float64)
+        silent = np.concatenate([arrays["silent"] for arrays in recordings])
         mean[speaker] = poses.mean(axis=(0, 1))
         still = settled(silent)
         rest[speaker] = resting(poses[still, -1], config) if still.any() else mean[speaker]
@@ -47,9 +47,9 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
     for level in ("low", "high"):
         rows = [encoded[i].get(level, encoded[i]["low"]) for i in train]
         normaliser = Normaliser.fit(np.concatenate(rows).astype(np.float32))
-        silences_heard = np.concatenate([own[which] for own, which in zip(rows, quiet, strict=True)]).astype(np.float32)
+        silence = np.concatenate([row[which] for row, which in zip(rows, quiet, strict=True)]).astype(np.float32)
         normalisers.append(normaliser)
-        silences.append(normaliser.apply(silences_heard).mean(axis=0, dtype=np.float64) if len(silences_heard)
+        silences.append(normaliser.apply(silence).mean(axis=0, dtype=np.float64) if len(silence)
                         else np.zeros(rows[0].shape[1:]))
     levels = controls.Levels.fit(np.concatenate([loaded[i]["control"] for i in train]).reshape(
         -1, len(controls.FEATURES)).astype(np.float64))
@@ -58,14 +58,13 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
 
 
 LOWEST = 0.3
-"""Share of the poses that silences end in, those with the lowest hands, of which rest is made."""
+"""Share of the poses at the ends of silences, those with the lowest hands, that define the resting pose."""
 
 
 def resting(poses: Array, config: Config) -> Array:
-    """[D_m] the pose of rest among those that silences end in, [n, D_m]: their mean; or, where a body that rests lives
-    (`silence.rest`), the arms of the one in the middle of those with the lowest hands, as a mean of poses with the
-    hands down and poses with the hands held up would have them half way, and the mean of these for trunk and head,
-    which in any one of them may look aside."""
+    """[D_m] the resting pose from the poses at the ends of silences [n, D_m]: their mean; or, with idle motion
+    (`silence.rest`), the arms of the median pose among those with the lowest hands (a mean of lowered and raised hands
+    would be half way up), and the mean of these poses for trunk and head (a single pose may look aside)."""
     if not system_of(config).lives:
         return np.asarray(poses.mean(axis=0))
     places = positions_of(representation_of(config).motion(poses, config.rhythm.fps))
@@ -79,7 +78,7 @@ def resting(poses: Array, config: Config) -> Array:
 
 
 def settled(silent: NDArray[np.bool_], wait: int = 3) -> NDArray[np.bool_]:
-    """Silent blocks with `wait` silent ones before them: the arms have come to rest by then."""
+    """Silent blocks preceded by `wait` silent ones: the arms have come to rest."""
     settled = silent.copy()
     for back in range(1, wait + 1):
         settled[back:] &= silent[:-back]

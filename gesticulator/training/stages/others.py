@@ -13,7 +13,7 @@ OTHER_STAGES: Registry[RegistryEntry] = Registry("stages", "a gesticulator.train
 
 
 def other_stages() -> dict[str, Stage[Any]]:
-    """The stages of other packages by their own names. Of one that cannot be loaded a line is printed."""
+    """The stages of other packages by name. An error line is printed for each that cannot be loaded."""
     stages: dict[str, Stage[Any]] = {}
     for name in OTHER_STAGES:
         try:

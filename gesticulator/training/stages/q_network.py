@@ -1,4 +1,4 @@
-"""The Q-network by conservative Q-learning on the offline episodes (RACER 4.3, Eq. 11)."""
+"""The Q-network, trained by conservative Q-learning on the offline episodes (RACER 4.3, Eq. 11)."""
 
 from __future__ import annotations
 
@@ -35,17 +35,14 @@ _CHECKS, _WINDOWS = 4, 64
 
 
 def takes_of(corpus: Corpus, labels: NDArray[np.int64], split: str) -> list[Demonstration]:
-    """What was really done in the recordings of a split."""
-    out = []
-    for recording in corpus.recordings(split):
-        own = corpus.blocks_of(recording)
-        out.append(Demonstration(recording, int(corpus.speaker_of[recording]), own, labels[own], corpus.silent[own]))
-    return out
+    """The performers' own decisions in the recordings of a split."""
+    return [Demonstration(recording, int(corpus.speaker_of[recording]), blocks, labels[blocks], corpus.silent[blocks])
+            for recording in corpus.recordings(split) for blocks in [corpus.blocks_of(recording)]]
 
 
 def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
-    """What an interpreter hears of a block of the corpus; what it sees is the person, whatever lexemes it chose itself:
-    nothing is drawn here."""
+    """A function from block number to an interpreter's inputs; past motion is always the performer's, since nothing is
+    generated here."""
     def features(block: int) -> BlockFeatures:
         past, seconds = corpus.before(np.array([block]))
         return BlockFeatures(corpus.low[block].float(), corpus.high[block].float(), bool(corpus.silent[block]),
@@ -64,7 +61,7 @@ def _make_episodes(run: Run) -> Episodes:
         try:
             return Episodes.load(file)
         except InputError:
-            pass  # cut short by a crash, or changed: made again
+            pass  # truncated by a crash, or changed: compute again
     corpus, config, labelled = run.get(CORPUS), run.config, run.get(LABELS)
     frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
     others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions,
@@ -84,13 +81,13 @@ def _episode_needs(config: Config) -> Sequence[Node[Any]]:
 
 EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "statistical", "silence.hint"), needs=_episode_needs,
                                 make=_make_episodes)
-"""The offline data set of the training split, kept under the hash of all that shapes it (RACER 4.3)."""
+"""The offline data set of the training split, cached under the hash of its inputs (RACER 4.3)."""
 
 
 def q_batch(corpus: Corpus, windows: dict[str, Tensor], lookahead: int = 1) -> dict[str, Tensor]:
-    """Windows of episodes with what a Q-network hears: audio [B, T + 1, 3K, d] and speaker one-hot [B, P].
+    """Windows of episodes with the Q-network's inputs: audio [B, T + 1, 3K, d] and speaker one-hot [B, P].
 
-    Without look-ahead that is the window around the block before. Decisions begin with a recording's second block.
+    Without look-ahead the audio is that around the block before. Decisions begin with a recording's second block.
     """
     return {**windows, "audio": corpus.high[windows["block"] - (1 - lookahead)].float(),
             "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float()}
@@ -109,7 +106,7 @@ def _train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
     episodes = run.get(EPISODES)
     held = build(takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train"), LITERAL,
                  step_reward(run), silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy())
-    # Windows of the recordings as they were: rewards of stretches are for the episodes that are learned from.
+    # Windows of the plain recordings; precomputed window rewards belong to the training episodes.
     plain = Episodes(held.episodes)
     checks = [q_batch(corpus, plain.windows(fitting.generator_for(3, i), _WINDOWS, decisions), ahead)
               for i in range(_CHECKS)]
@@ -125,7 +122,7 @@ def _train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
 
 @torch.no_grad()
 def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> dict[str, float]:
-    """On what was really done: NLL of softmax(Q), accuracy of arg max, squared Bellman error, mean Q."""
+    """On the performers' own decisions: NLL of softmax(Q), accuracy of arg max, squared Bellman error, mean Q."""
     totals = np.zeros(4)
     for batch in batches:
         q = learner.online.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])

@@ -1,4 +1,4 @@
-"""The reward models E_m and E_u (RACER 4.2), and the rewards that a policy is taught."""
+"""The reward models E_m and E_u (RACER 4.2), and the rewards for training policies."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from lexicon.movement import MovementLexicon
 from lexicon.racer import RacerCodec
 
 _TOGETHER = 8
-"""Windows of one recording in a batch of the reward model: rivals of the same voice, so that the hour and not the
-speaker has to be told."""
+"""Windows per recording in a batch of the reward model: negatives of the same voice, so that it must recognise the time
+and not the speaker."""
 _CHECKS, _WINDOWS = 4, 128
 """Validation batches, and windows in each."""
 _DECODED = 4096
-"""Blocks that are decoded in one go: bounds the memory."""
+"""Blocks decoded at a time, to bound memory."""
 _LEAST_ODDS = 1e-3
-"""Added to the odds of every lexeme, so that a pair which the training split lacks is not impossible."""
+"""Added to the odds of every lexeme, so that pairs absent from the training split remain possible."""
 
 
 def block_audio(corpus: Corpus) -> Tensor:
-    """[N, K, d] both levels of audio on the block itself; the log duration comes last."""
+    """[N, K, d] both audio levels of the block itself, with the log duration last."""
     frames = corpus.motion.shape[1]
     low = corpus.low[:, frames:2 * frames]
     if corpus.high is corpus.low:
@@ -51,17 +51,16 @@ def block_audio(corpus: Corpus) -> Tensor:
 
 @torch.no_grad()
 def added_by(lexicon: MovementLexicon) -> Tensor:
-    """[S, K, D_m] what each lexeme adds to where its past leads."""
+    """[S, K, D_m] the motion that each lexeme adds to the prediction from the past."""
     return lexicon.basis.expand(lexicon.added(torch.arange(lexicon.size)))
 
 
 class MovementContext:
-    """A lexicon of movements decoded in context, as the motion is played. A `Bases` of `interpreters.reward_table`.
+    """A lexicon of movements decoded in context, as played. Implements `Bases` of `interpreters.reward_table`.
 
-    A block is where its past leads, what its lexeme adds, and its manner: what the performer's block adds beside its
-    own lexeme, which any lexeme on that block is given. So the performer's lexemes show the captured motion itself, and
-    a lexeme that is changed shows a movement of the same detail, and moves all that follows it in the window.
-    """
+    A block is the sum of the prediction from its past, its lexeme, and the residual of the performer's block, which is
+    used for any lexeme on that block. So the performer's lexemes reproduce the captured motion, and a changed lexeme
+    gives a movement with the same detail and affects all later blocks of the window. """
 
     def __init__(self, lexicon: MovementLexicon, corpus: Corpus, labels: NDArray[np.int64]) -> None:
         """labels: [N] the lexeme of every block."""
@@ -71,12 +70,12 @@ class MovementContext:
             parts = torch.arange(len(labels)).split(_DECODED)
             self.manner = torch.cat([(corpus.motion[part] - lexicon.basis.base(self.pasts[part])
                                       - self.added[torch.as_tensor(labels)[part]]).half() for part in parts])
-            """[N, K, D_m] in half precision, since there is one for every block."""
+            """[N, K, D_m] the residuals, in half precision to save memory."""
 
     @torch.no_grad()
     def __call__(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """[B, W, K, D_m] what each block of windows [B, W] shows but for what its own lexeme adds. The first block of a
-        window goes on from the performer's own past."""
+        """[B, W, K, D_m] each block of windows [B, W] without the contribution of its lexeme. The first block of a
+        window continues from the performer's past."""
         out: list[Tensor] = []
         for i in range(blocks.shape[1]):
             frames = self.pasts.frames[blocks[:, i]]
@@ -89,7 +88,7 @@ class MovementContext:
 
 
 def context_of(tokens: Tokens, corpus: Corpus) -> MovementContext | None:
-    """What a lexicon of movements is decoded in; None for another lexicon."""
+    """The decoding context of a lexicon of movements; None for another lexicon."""
     if not isinstance(tokens, MovementLexicon):
         return None
     return MovementContext(tokens, corpus, token_labels(tokens, corpus))
@@ -97,9 +96,9 @@ def context_of(tokens: Tokens, corpus: Corpus) -> MovementContext | None:
 
 def reward_table(model: RewardModel | RewardEnsemble, tokens: Tokens, corpus: Corpus, *, literal: bool = False,
                  context: MovementContext | None = None) -> EnsembleReward:
-    """A reward model over this lexicon and this corpus, ready to be asked. Movements are decoded in context.
+    """A reward model prepared for this lexicon and corpus. Movements are decoded in context.
 
-    literal: the paper's cosine, the mean of the members, nothing taken off. context: `context_of`, where it is known.
+    literal: the paper's cosine, averaged over members, without caution. context: a precomputed `context_of`.
     """
     audio, durations = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
     how: dict[str, Any] = {"centred": model.config.centred and not literal}
@@ -110,20 +109,19 @@ def reward_table(model: RewardModel | RewardEnsemble, tokens: Tokens, corpus: Co
         how |= {"decoded": context.added, "bases": context}
     else:
         how |= {"decoded": tokens.shown()}
-    return EnsembleReward([RewardTable(own, audio, durations, **how) for own in model.models],
+    return EnsembleReward([RewardTable(member, audio, durations, **how) for member in model.models],
                           0.0 if literal else model.config.caution)
 
 
 @dataclass(frozen=True)
 class RewardWindows:
-    """Windows of motion and the audio that goes with them, of any length, for the contrastive loss.
+    """Windows of motion and audio, of any length, for the contrastive loss.
 
-    A batch would be easy if each window came from another speaker; so it holds eight windows of each of its recordings.
-    shown: [N, K, D_m] the blocks as the lexicon shows them. labels: [N]. lexemes: [S, K, D_m] and after: [S, S] the
-    transition matrix, from which rivals are made: windows whose last lexemes are replaced, half of them by lexemes that
-    often follow, so that it takes ears to tell; None makes no rivals. added: [S, K, D_m] what each lexeme of a lexicon
-    of movements adds (`MovementContext`), from which the last one is to be found.
-    """
+    A batch with a different speaker in each window would be easy, so it holds eight windows per recording.
+    shown: [N, K, D_m] the blocks as decoded by the lexicon. labels: [N]. lexemes: [S, K, D_m] and after: [S, S]
+    transition matrix, for generating rivals: windows whose last lexemes are replaced, half of them by frequent
+    successors, so that audio is needed to tell them apart; None generates no rivals. added: [S, K, D_m] contribution of
+    each lexeme of a lexicon of movements (`MovementContext`), for identifying the last one. """
 
     corpus: Corpus
     audio: Tensor
@@ -136,23 +134,23 @@ class RewardWindows:
     added: Tensor | None = None
 
     def sample(self, rng: np.random.Generator, count: int, decoded: float | None = None) -> fitting.Batch:
-        """A batch of `count` windows, as `RewardModel.losses` takes it; `decoded` of them show lexemes. Of these the
-        rows that are this process's."""
+        """A batch of `count` windows for `RewardModel.losses`, a share `decoded` of them decoded from lexemes; only
+        this process's rows."""
         config = self.config
         chosen = rng.choice(self.recordings, size=-(-count // _TOGETHER))
         owners = np.repeat(chosen, _TOGETHER)[:count]
         blocks, valid = np.zeros((count, config.longest), np.int64), np.zeros((count, config.longest), np.float32)
         for row, recording in enumerate(owners):
-            own = self.corpus.blocks_of(int(recording))
-            length = min(int(rng.integers(config.shortest, config.longest + 1)), len(own))
-            start = int(rng.integers(len(own) - length + 1))
-            blocks[row] = own[start]
-            blocks[row, -length:] = own[start:start + length]
+            blocks_of = self.corpus.blocks_of(int(recording))
+            length = min(int(rng.integers(config.shortest, config.longest + 1)), len(blocks_of))
+            start = int(rng.integers(len(blocks_of) - length + 1))
+            blocks[row] = blocks_of[start]
+            blocks[row, -length:] = blocks_of[start:start + length]
             valid[row, -length:] = 1
         share = config.decoded if decoded is None else decoded
         mine = own_rows(count)
         batch = self.batch(blocks[mine], valid[mine], (rng.random(count) < share)[mine])
-        if shares() > 1:  # who may be told from whom is a matter of the whole batch
+        if shares() > 1:  # groups are defined over the whole batch
             batch["group"] = torch.as_tensor(groups(blocks, valid, self.corpus.silent[blocks])[mine])
         if self.lexemes is not None and config.rivals:
             batch["rival"] = self.lexemes[torch.as_tensor(self.rivals(blocks, valid, rng)[mine])]
@@ -161,8 +159,8 @@ class RewardWindows:
         return batch
 
     def choice(self, blocks: NDArray[np.int64], motion: Tensor) -> fitting.Batch:
-        """The last lexemes [B] of windows [B, W], their log odds [B, S] after the ones before, what every lexeme adds,
-        and what the last blocks of the windows' motion [B, W, K, D_m] show without it."""
+        """The last lexemes [B] of windows [B, W], the log odds [B, S] given the ones before, the contribution of every
+        lexeme, and the last blocks of the windows' motion [B, W, K, D_m] without theirs."""
         assert self.after is not None and self.added is not None
         last = torch.as_tensor(self.labels[blocks[:, -1]])
         odds = self.after[self.labels[blocks[:, -2]]] + _LEAST_ODDS
@@ -170,7 +168,7 @@ class RewardWindows:
                 "prior": torch.as_tensor(np.log(odds / odds.sum(1, keepdims=True))).float()}
 
     def batch(self, blocks: NDArray[np.int64], valid: NDArray[np.float32], decoded: NDArray[np.bool_]) -> fitting.Batch:
-        """The windows of blocks [B, W], right-aligned; those marked `decoded` [B] show lexemes instead of capture."""
+        """The windows of blocks [B, W], right-aligned; those marked `decoded` [B] are decoded from lexemes."""
         at, shows = torch.as_tensor(blocks), torch.as_tensor(decoded)
         motion = torch.where(shows[:, None, None, None], self.shown[at], self.corpus.motion[at])
         return {"motion": motion, "audio": self.audio[at].float(), "valid": torch.as_tensor(valid),
@@ -179,7 +177,7 @@ class RewardWindows:
 
     def rivals(self, blocks: NDArray[np.int64], valid: NDArray[np.float32], rng: np.random.Generator
                ) -> NDArray[np.int64]:
-        """[B, H, W] the lexemes of windows with one to half of their last ones replaced by others."""
+        """[B, H, W] lexemes of windows with one to half of the last ones replaced."""
         assert self.lexemes is not None and self.after is not None
         size, count = len(self.lexemes), self.config.rivals
         lexemes = np.repeat(self.labels[blocks][:, None], count, axis=1)
@@ -189,21 +187,19 @@ class RewardWindows:
                 replaced = int(rng.integers(1, max(1, length // 2) + 1))
                 likely = rng.random() < 0.5
                 for at in range(-replaced, 0):
-                    own, other = int(lexemes[row, rival, at]), int(rng.integers(size))
+                    current, other = int(lexemes[row, rival, at]), int(rng.integers(size))
                     if likely and length > -at:
                         row_of = cumulated[lexemes[row, rival, at - 1]]
                         other = int(np.searchsorted(row_of, rng.random() * row_of[-1]))
-                    if at == -1 and other == own:  # nothing else may be wrong
-                        other = (own + 1 + int(rng.integers(size - 1))) % size
+                    if at == -1 and other == current:  # the last lexeme must differ
+                        other = (current + 1 + int(rng.integers(size - 1))) % size
                     lexemes[row, rival, at] = other
         return lexemes
 
 
 def groups(blocks: NDArray[np.int64], valid: NDArray[np.float32], silent: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """[B] alike for windows [B, W] that share a block (or are joined by one that does), and for all that are silent.
-
-    Such windows suit each other's audio and must not count as each other's negatives.
-    """
+    """[B] group numbers: equal for windows [B, W] connected by shared blocks, and for all silent ones. Such windows
+    match each other's audio and must not be used as negatives of each other."""
     last = blocks[:, -1]
     first = last - valid.sum(1).astype(np.int64) + 1
     out = np.empty(len(blocks), dtype=np.int64)
@@ -221,7 +217,7 @@ def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEns
     config, corpus, labelled, tokens = model.config, run.get(CORPUS), run.get(LABELS), run.get(TOKENS)
     movements = isinstance(tokens, MovementLexicon)
     audio = block_audio(corpus)
-    # Movements in context with their manner are the captured motion itself.
+    # Movements in context with their residuals are the captured motion itself.
     shown = corpus.motion if movements else decoded_blocks(tokens, labelled.labels, corpus)
     known, held = corpus.recordings("train"), corpus.recordings("val")
     half = known[fold::2] or known
@@ -237,8 +233,8 @@ def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEns
 
     @torch.no_grad()
     def validate() -> Figures:
-        found = [model.figures({key: value.to(run.device) for key, value in b.items()}) for b in checks]
-        return {key: float(np.mean([f[key] for f in found])) for key in found[0]}
+        figures = [model.figures({key: value.to(run.device) for key, value in b.items()}) for b in checks]
+        return {key: float(np.mean([f[key] for f in figures])) for key in figures[0]}
 
     task = fitting.Task(lambda rng: windows.sample(rng, run.schedule(stage).batch), validate=validate,
                         before_step=model.before_step)
@@ -257,12 +253,13 @@ def _reward_stage(name: str, settings: str, fold: int, build: Callable[[models.S
 
 REWARD = _reward_stage("reward", "reward", 0, models.reward)
 REWARD_JUDGE = _reward_stage("reward_judge", "judge", 1, models.reward_judge)
-"""A second model of another seed that hears the other half of the recordings: what a policy learned to please must not
-be what it is judged by."""
+"""A second model with another seed, trained on the other half of the recordings, so that policies are not evaluated by
+the model they were trained with."""
 
 
 def taught_reward(table: EnsembleReward, corpus: Corpus, draws: int) -> EnsembleReward | Centred:
-    """The reward as a policy is taught it: told from what random lexemes earn on the same audio, or as it is (0)."""
+    """The reward for training a policy: relative to random lexemes on the same audio (`draws` of them), or absolute
+    (0)."""
     if not draws:
         return table
     recordings = [torch.as_tensor(corpus.blocks_of(r)) for r in range(len(corpus.names))]
@@ -276,15 +273,15 @@ def _teach(run: Run) -> EnsembleReward | Centred:
 
 TAUGHT_REWARD: Node[EnsembleReward | Centred] = Node(
     "taught_reward", settings=("episodes.baseline",), needs=lambda config: (CORPUS, TOKENS, REWARD), make=_teach)
-"""The reward that policies are taught, made once in a run: what random lexemes earn takes minutes to find."""
+"""The reward for training policies, computed once per run because its baseline takes minutes."""
 
 
 def step_reward(run: Run) -> Reward:
-    """What a step earns, by the settings: the contrastive reward, or the distance to the recording (RACER 5.5)."""
+    """The reward of a step: contrastive, or the distance to the recording (RACER 5.5), depending on the settings."""
     corpus, tokens, episodes = run.get(CORPUS), run.get(TOKENS), run.config.episodes
     if episodes.reward == "contrastive":
         return run.get(TAUGHT_REWARD).sequence
     if isinstance(tokens, RacerCodec):
-        raise InputError("episodes.reward=distance", "is of lexemes that are decoded one by one",
+        raise InputError("episodes.reward=distance", "needs lexemes that are decoded one by one",
                          "use it over a lexicon, not with tokens=racer")
     return looked_up(distance_rewards(tokens.shown(), corpus.motion))

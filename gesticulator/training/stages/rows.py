@@ -1,4 +1,4 @@
-"""Tensors that stay in their files: a corpus larger than the memory is trained on by reading the rows of each batch."""
+"""Tensors on disk, for training on a corpus larger than memory by reading the rows of each batch."""
 
 from __future__ import annotations
 
@@ -19,19 +19,17 @@ from data_module.files import rename
 from data_module.motion.movement import PAST, Pasts
 
 _TOGETHER = 8192
-"""Rows that are read in one go where a slice of all is asked for: bounds what is read beside what is kept."""
+"""Rows read at a time for a slice, to bound memory."""
 
 
 class StoredRows:
-    """An array [N, ...] of numpy's own format that is indexed as a tensor is, in its rows first, and gives tensors.
+    """An array [N, ...] in numpy's file format that is indexed like a tensor and returns tensors.
 
-    The rows that are asked for are read from the file in order of their place, each once, neighbours together; nothing
-    is mapped or kept, so the process holds what it asked for and no more. What was read lately the system keeps in
-    memory that is free, for all processes of the machine together.
-    """
+    Requested rows are read in the order of the file, each once, neighbours together; nothing is memory-mapped or cached
+    in the process. The operating system caches recently read rows for all processes of the machine. """
 
     def __init__(self, path: Path, member: str | None = None) -> None:
-        """member: the array of that name in an .npz that is not compressed; else the file is an .npy."""
+        """member: name of an array in an uncompressed .npz; None: the file is an .npy."""
         self.path = path
         with path.open("rb") as stream:
             if member is not None:
@@ -45,7 +43,7 @@ class StoredRows:
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of the tensors that it gives."""
+        """Type of the returned tensors."""
         return torch.from_numpy(np.zeros(0, self._numpy)).dtype
 
     def __len__(self) -> int:
@@ -65,12 +63,12 @@ class StoredRows:
         return found[(*(slice(None) for _ in wanted.shape), *rest)]
 
     def _read(self, numbers: NDArray[Any]) -> Tensor:
-        """[n, ...] the rows of these numbers [n]. IndexError for one that is not there."""
+        """[n, ...] the rows with these numbers [n]. IndexError for numbers out of range."""
         places, back = np.unique(np.where(numbers < 0, numbers + len(self), numbers), return_inverse=True)
         if len(places) and not 0 <= places[0] <= places[-1] < len(self):
             raise IndexError(f"rows {places[0]} to {places[-1]} of {len(self)}")
-        found = np.empty((len(places), *self.shape[1:]), self._numpy)
-        bytes_of = found.reshape(-1).view(np.uint8).data if found.size else memoryview(b"")
+        rows = np.empty((len(places), *self.shape[1:]), self._numpy)
+        bytes_of = rows.reshape(-1).view(np.uint8).data if rows.size else memoryview(b"")
         first = np.flatnonzero(np.diff(places, prepend=-2) != 1)
         with self.path.open("rb", buffering=0) as file:
             for begin, end in zip(first, np.append(first[1:], len(places))[:len(first)], strict=True):
@@ -81,11 +79,11 @@ class StoredRows:
                     if not count:
                         raise InputError(self.path, "ends early", "delete its folder and start again")
                     left = left[count:]
-        return torch.from_numpy(found[back] if len(back) != len(places) or (back[1:] < back[:-1]).any() else found)
+        return torch.from_numpy(rows[back] if len(back) != len(places) or (back[1:] < back[:-1]).any() else rows)
 
 
 def _to_member(stream: BinaryIO, name: str) -> None:
-    """Go to where a member of a zip file begins. ValueError where it is compressed, KeyError where it is not there."""
+    """Seek to the data of a member of a zip file. ValueError if it is compressed, KeyError if it is missing."""
     with zipfile.ZipFile(stream) as archive:
         info = archive.getinfo(name)
     if info.compress_type != zipfile.ZIP_STORED:
@@ -96,7 +94,7 @@ def _to_member(stream: BinaryIO, name: str) -> None:
 
 
 class RowsWriter:
-    """Writes an array [N, ...] of numpy's own format, part by part; it gets its name when `close` finds it whole."""
+    """Writes an array [N, ...] in numpy's file format in parts; `close` renames the file if it is complete."""
 
     def __init__(self, path: Path, shape: Sequence[int], dtype: Any) -> None:
         self.path, self.shape, self.dtype, self.written = path, tuple(map(int, shape)), np.dtype(dtype), 0
@@ -123,9 +121,9 @@ class RowsWriter:
 
 
 class PastRows:
-    """What every block of stored motion is told from, made of the block before when it is asked for.
+    """The pasts of stored motion, computed from the block before when indexed.
 
-    motion: [N, K, D_m]; begins: [N] a recording's first block; first: [R, D_m] its pose at time 0; recording: [N];
+    motion: [N, K, D_m]; begins: [N] first block of a recording; first: [R, D_m] its pose at time 0; recording: [N];
     ratio: [N] as in `Pasts`.
     """
 
@@ -135,7 +133,7 @@ class PastRows:
 
     @property
     def frames(self) -> _PastFrames:
-        """[N, 3, D_m], read where it is indexed."""
+        """[N, 3, D_m], read when indexed."""
         return _PastFrames(self)
 
     def __getitem__(self, rows: Tensor | slice) -> Pasts:
@@ -155,15 +153,14 @@ class _PastFrames:
 
 
 def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """At most about `most` of these numbers [n], evenly taken: every second one, every third, ..."""
+    """About `most` of these numbers [n], evenly sampled: every second one, every third, ..."""
     return numbers[::max(1, -(-len(numbers) // most))]
 
 
 def stretches(counts: Iterable[int], speaker_of: Sequence[int] | NDArray[np.int64], most: int, length: int = 64
               ) -> list[list[slice]]:
-    """Of recordings with so many blocks, which stretches are measured so that there are about `most` blocks in all:
-    every recording whole where there are no more, else every second stretch of `length` blocks of each speaker, every
-    third, ... The first of each speaker is among them."""
+    """Stretches of recordings with `counts` blocks, about `most` blocks in all: every recording completely if there are
+    no more, else every second, third, ... stretch of `length` blocks of each speaker, always including the first."""
     sizes = list(counts)
     every = max(1, -(-sum(sizes) // most))
     if every == 1:

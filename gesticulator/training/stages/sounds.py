@@ -1,4 +1,4 @@
-"""Speech alone: crops of any sound files, what the speech encoder is pre-trained on (RG 4.1.3)."""
+"""Audio for pre-training the speech encoder: crops of any sound files (RG 4.1.3)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SUFFIXES = (".flac", ".wav", ".ogg", ".mp3")
 
 
 def sound_files(folder: Path) -> list[Path]:
-    """Every sound file in a folder and below, in order; InputError when there is none."""
+    """All sound files in a folder and below, sorted; InputError if there are none."""
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", "name a folder of sound files")
     files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file())
@@ -38,9 +38,9 @@ def folder_digest(folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Crops:
-    """Sound end to end, and where crops may begin in each recording, so that none runs over two.
+    """Concatenated audio, and the possible starts of crops within each recording.
 
-    samples: [T] half precision. first: [R] where a recording begins; room: [R] how many beginnings it offers.
+    samples: [T] half precision. first: [R] start of each recording; room: [R] number of possible starts in it.
     """
 
     samples: NDArray[np.float16]
@@ -50,7 +50,7 @@ class Crops:
 
     @classmethod
     def of_store(cls, store: Store, names: Sequence[str], folders: Sequence[Path], length: int) -> Crops:
-        """Crops of `length` samples from recordings of a store and from folders of sound."""
+        """Crops of `length` samples from recordings of a store and from folders of audio."""
         files = [file for folder in folders for file in sound_files(folder)]
         parts = []
         for sound in [store.load(name).speech for name in names] + [load_speech(file) for file in files]:
@@ -60,7 +60,7 @@ class Crops:
         return cls(np.concatenate(parts), np.cumsum(sizes) - sizes, sizes - length + 1, length)
 
     def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float32]:
-        """[count, length] crops, every beginning equally likely; of these the rows that are this process's."""
+        """[count, length] crops, every start equally likely; only this process's rows."""
         ends = np.cumsum(self.room)
         place = rng.integers(ends[-1], size=count)[own_rows(count)]
         recording = np.searchsorted(ends, place, side="right")

@@ -1,4 +1,4 @@
-"""The speech levels: predictive coding on speech alone, then Eq. 1 on speech with text (RG 4.1.3)."""
+"""The speech encoder: predictive coding on audio, then the contrastive loss with text (RG 4.1.3, Eq. 1)."""
 
 from __future__ import annotations
 
@@ -67,10 +67,8 @@ def _train_predictive(run: Run, model: PredictiveCoding, folder: Path, stage: St
 
 
 def speech_stage(known: Names, held: Names, more: Sequence[Any] = ()) -> Stage[PredictiveCoding]:
-    """Predictive coding on the speech of recordings `known` and of the run's folders of sound, checked on `held`.
-
-    more: what tells this choice of recordings from others, for the key.
-    """
+    """Predictive coding on recordings `known` and the run's folders of audio, validated on `held`. more: data that
+    identify this choice of recordings, for the key."""
     stage: Stage[PredictiveCoding] = Stage(
         "speech", settings=("encoder", "rhythm"), schedule="speech", wanted=_learned,
         of_data=lambda run: [*_folders(run), *more],
@@ -83,7 +81,7 @@ SPEECH = speech_stage(_names("train"), _held)
 
 
 def _contrast_batches(corpus: Corpus, recordings: list[int], frames: int, size: int) -> fitting.MakeBatch:
-    """Windows of three blocks in which a word sounds on the middle one: others have no anchor for Eq. 1."""
+    """Windows of three blocks with a word in the middle one, as the anchor of Eq. 1."""
     assert corpus.word_at is not None
     spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
     sounds = {r: corpus.sound(r) for r in recordings}
@@ -103,7 +101,7 @@ def _contrast_batches(corpus: Corpus, recordings: list[int], frames: int, size: 
 
 
 def _around(sound: NDArray[np.float16] | StoredRows, block: int) -> NDArray[np.float16]:
-    """[3 L] the sound of a block of [N, L], with the blocks before and after; silence beyond the ends."""
+    """[3 L] the audio of a block of [N, L] with the blocks before and after; silence beyond the ends."""
     out = np.zeros((3, sound.shape[1]), np.float16)
     there = [k for k in (0, 1, 2) if 0 <= block + k - 1 < len(sound)]
     out[there] = np.asarray(sound[np.array(there) + block - 1])
@@ -125,9 +123,9 @@ def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
     @torch.no_grad()
     def validate() -> Figures:
         on = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
-        found = torch.stack([model.retrieval(b) for b in on]).nanmean(0)
+        retrieval = torch.stack([model.retrieval(b) for b in on]).nanmean(0)
         return {"contrast": sum(float(model.losses(b)["contrast"]) for b in on) / len(on),
-                **{f"retrieval_{level + 1}": float(value) for level, value in enumerate(found)}}
+                **{f"retrieval_{level + 1}": float(value) for level, value in enumerate(retrieval)}}
 
     return run.fit(CONTRAST, model, fitting.Task(_contrast_batches(corpus, known, frames, size), validate=validate),
                    folder)
@@ -147,7 +145,7 @@ def _encoder(run: Run) -> SpeechEncoder | None:
         return None
     encoder = models.encoder(sizes(run.config, run.get(BLOCKS)))
     encoder.load_state_dict((run.get(CONTRAST) if _contrasted(run.config) else run.get(SPEECH)).encoder.state_dict())
-    # A bundle keeps half precision: the features to train on are those that it will hear.
+    # A bundle stores half precision: train on the same features as at inference.
     encoder.half().float()
     freeze(encoder)
     return encoder
@@ -156,4 +154,4 @@ def _encoder(run: Run) -> SpeechEncoder | None:
 ENCODER: Node[SpeechEncoder | None] = Node(
     "encoder", settings=(), make=_encoder,
     needs=lambda config: () if not _learned(config) else (CONTRAST,) if _contrasted(config) else (SPEECH,))
-"""The trained speech levels as a bundle keeps them; None where the front end is another."""
+"""The trained speech encoder in a bundle's precision; None for other front ends."""

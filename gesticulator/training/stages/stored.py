@@ -1,4 +1,4 @@
-"""A corpus that stays on the disk: its arrays, written once and recording by recording, and what is measured of it."""
+"""A corpus on disk: its arrays, written once per recording, and its statistics."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ from gesticulator.training.stages.measured import measured
 from gesticulator.training.stages.rows import RowsWriter, StoredRows, stretches
 
 MEASURED = 16_384
-"""Blocks (80 minutes) that statistics, predictors and k-means are made of where the corpus stays on the disk: a mean is
-then told to a hundredth of a deviation."""
+"""Blocks (80 minutes) used for statistics, predictors and k-means of a corpus on disk: the standard error of a mean is
+then below a hundredth of a deviation."""
 CHECKED = 4_096
-"""Blocks of the validation split that figures of the lexicon are made of then."""
+"""Blocks of the validation split used for figures of the lexicon."""
 _SMALL = "small.npz"
-"""Of what is written last, so that it stands for the whole: what there is one number or one pose of."""
-_SPARE = ("silent", "edges", "first", "mask")
+"""File of small arrays (one number or pose per block or recording); written last, it marks the corpus complete."""
 
 
 @dataclass(frozen=True)
 class CachedBlocks:
-    """Recordings whose blocks are cut, and heard where a front end is at hand: files [R] and features [R] of arrays;
-    speaker_of: [R]; splits: [R]; words: the file of all word vectors by recording; names: [R], theirs."""
+    """Recordings with cached blocks and, if a front end is available, features: files [R] and features [R] of arrays;
+    speaker_of: [R]; splits: [R]; names: [R]; words: the file of all word vectors by recording."""
 
     files: Sequence[Path]
     features: Sequence[Path] | None
@@ -42,18 +41,18 @@ class CachedBlocks:
     words: Path | None = None
 
     def counts(self) -> NDArray[np.int64]:
-        """[R] blocks of each recording."""
+        """[R] number of blocks of each recording."""
         return np.array([len(read_arrays(file, only=("silent",))["silent"]) for file in self.files], dtype=np.int64)
 
     def heard(self, recording: int, frames: int, count: int) -> dict[str, NDArray[Any]]:
-        """Features of a recording; one column of zeros where there is no front end yet."""
+        """Features of a recording; one column of zeros without a front end."""
         if self.features is None:
             return {"low": np.zeros((count, 3 * frames, 1), np.float16)}
         return read_arrays(self.features[recording])
 
 
 def bytes_of(blocks: CachedBlocks, counts: NDArray[np.int64], frames: int) -> int:
-    """What the corpus would take in memory."""
+    """Size of the corpus in memory, bytes."""
     one = read_arrays(blocks.files[0], leave_out=("sound",))
     row = sum(one[key][0].nbytes for key in ("motion", "control") if len(one[key])) + 12 * frames
     heard = blocks.heard(0, frames, len(one["silent"]))
@@ -63,7 +62,7 @@ def bytes_of(blocks: CachedBlocks, counts: NDArray[np.int64], frames: int) -> in
 
 def measured_of(config: Config, speakers: tuple[str, ...], blocks: CachedBlocks, counts: NDArray[np.int64]
                 ) -> Statistics:
-    """`measured` of at most about MEASURED blocks of the training split, recording by recording."""
+    """`measured` on about MEASURED blocks of the training split, recording by recording."""
     train = [r for r, split in enumerate(blocks.splits) if split == "train"]
     taken = stretches(counts[train], blocks.speaker_of[train], MEASURED)
     loaded: list[dict[str, NDArray[Any]]] = []
@@ -84,8 +83,8 @@ def measured_of(config: Config, speakers: tuple[str, ...], blocks: CachedBlocks,
 
 def written(folder: Path, blocks: CachedBlocks, counts: NDArray[np.int64], statistics: Statistics
             ) -> dict[str, Any]:
-    """The fields of a corpus that have a row for each block, written to `folder` where they are not there yet, with
-    what is small of it (silent, durations, first, mask, has_text) in memory."""
+    """The per-block fields of a corpus, written to `folder` if missing, and the small ones (silent, durations, first,
+    mask, has_text) in memory."""
     if not (folder / _SMALL).exists():
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder, blocks, counts, statistics)
@@ -149,6 +148,6 @@ def _write(folder: Path, blocks: CachedBlocks, counts: NDArray[np.int64], statis
 
 
 def _spoken(blocks: CachedBlocks, vectors: Mapping[str, NDArray[Any]]) -> dict[str, int]:
-    """Recording -> its words, of those that have any."""
+    """Recording -> number of words, for recordings with words."""
     return {name: len(vectors[name]) for name, file in zip(blocks.names, blocks.files, strict=True)
             if name in vectors and "word_at" in read_arrays(file, only=("word_at",))}

@@ -1,4 +1,4 @@
-"""The style interpreter (RG 6.2) on the style codes that the generator learned, with text or from audio alone."""
+"""The style interpreter, trained on the generator's learned style codes, with text (RG 6.2) or audio-only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gesticulator.training.stages.windows import AT_ONCE, VALIDATED, Windows, se
 from interpreters.lstm import StyleInterpreter
 
 _HELD = 10
-"""Codes exist for training blocks alone, so every tenth of those recordings is held back for validation."""
+"""One in this many training recordings is held back for validation, since only training blocks have style codes."""
 
 
 def _train(run: Run, model: StyleInterpreter, folder: Path, stage: Stage[StyleInterpreter], text: bool) -> Figures:
@@ -55,7 +55,7 @@ STYLE: Stage[StyleInterpreter] = Stage(
     train=lambda run, model, folder: _train(run, model, folder, STYLE, False))
 STYLE_TEXT: Stage[StyleInterpreter] = Stage(
     "style_text", settings=("style", "window", "text"), needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR),
-    schedule="style", part="style_text", build=lambda run: models.style_text(model_sizes(run)),
+    schedule="style", part="style_text", build=lambda run: models.style(model_sizes(run), True),
     wanted=lambda config: (config.generator.styled and bool(config.text.encoder)
                            and config.style.text_features > 0),
     train=lambda run, model, folder: _train(run, model, folder, STYLE_TEXT, True))

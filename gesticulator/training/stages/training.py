@@ -1,4 +1,4 @@
-"""A whole training: every stage that the settings ask for, resumable, from a store to a bundle."""
+"""A complete training: all required stages from a store to a bundle, resumable."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from gesticulator.training.stages.base import Figures
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """How a training is run. speech: folders of more sound for the predictive coding of the speech encoder. redo:
-    stages to train again. only: the stage to stop after, with what it needs."""
+    """Options of a training. speech: folders of additional audio for pre-training the speech encoder. redo: stages to
+    train again. only: stop after this stage and those that it needs."""
 
     device: str = "cpu"
     workers: int = 1
@@ -44,10 +44,10 @@ class TrainOptions:
 
 
 def train(config: Config, store: Store, out: Path, work: Path, options: TrainOptions | None = None) -> Bundle | None:
-    """Run every stage that is not finished and write the bundle; None when `only` stops before the last stage. Several
-    processes run it together (`gesticulator.training.distributed.joined`).
+    """Run all unfinished stages and write the bundle; None if `only` is given. Several processes run it together
+    (`gesticulator.training.distributed.joined`).
 
-    InputError when the settings and the store do not go together, and when another training holds the work folder.
+    InputError if settings and store do not match, or another training has locked the work folder.
     """
     options = options or TrainOptions()
     stages = wanted(config)
@@ -70,7 +70,7 @@ def train(config: Config, store: Store, out: Path, work: Path, options: TrainOpt
                 run.redo(STAGES[name])
 
         distributed.lead(begin)
-        run.get(BLOCKS)  # what is wrong with the store is said before hours of training
+        run.get(BLOCKS)  # report problems of the store before hours of training
         run.follow(list(closure(stages, config)))
         if options.only is not None:
             return None
@@ -87,10 +87,10 @@ def _divisible(run: Run, stage: Stage[Any], processes: int) -> None:
 
 
 def claim(work: Path, store: Store) -> None:
-    """Mark a work folder as the store's; InputError when it is another's."""
+    """Assign a work folder to a store; InputError if it belongs to another."""
     record, known = work / "store.json", None
     if record.exists():
-        with contextlib.suppress(InputError):  # cut short by a crash: written again
+        with contextlib.suppress(InputError):  # truncated by a crash: write again
             known = read_object(record, "delete it").get("fingerprint")
     if known not in (None, store.fingerprint):
         raise InputError(store.path, f"is not the store that {work} was started with (its settings or contents "
@@ -100,7 +100,7 @@ def claim(work: Path, store: Store) -> None:
 
 
 def provenance(run: Run) -> dict[str, Any]:
-    """What the weights are trained on, in plain values."""
+    """The training data, in plain values."""
     store, corpus = run.store, run.get(CORPUS)
     hours = {split: round(float(corpus.durations[corpus.select(split)].sum()) / 3600, 3)
              for split in ("train", "val", "test")}
@@ -110,16 +110,15 @@ def provenance(run: Run) -> dict[str, Any]:
 
 @dataclass
 class TimedRun(Run):
-    """A run that says where it stands, and how long the rest will take as far as that was measured.
+    """A run that prints its progress and an estimate of the remaining time.
 
-    What a step of a stage takes is kept in the work folder, so a run that is resumed (or begun again with other
-    settings of as many steps) knows more than a first one.
-    """
+    The measured time per step of each stage is stored in the work folder, so a resumed run can estimate more than a
+    first one. """
 
     plan: list[Stage[Any]] = field(default_factory=list)
 
     def follow(self, plan: Sequence[Stage[Any]]) -> None:
-        """Make every stage of a plan in turn, with a line for each."""
+        """Run all stages of a plan in turn, printing a line for each."""
         self.plan = list(plan)
         for place, stage in enumerate(self.plan):
             if self.progress:
@@ -127,7 +126,8 @@ class TimedRun(Run):
             self.get(stage)
 
     def position(self, place: int) -> str:
-        """Such as "stage 3 of 11: lexicon, 2500 steps, about 4 min; after it about 30 min, 2 stages not measured"."""
+        """Progress, such as "stage 3 of 11: lexicon, 2500 steps, about 4 min; after it about 30 min, 2 stages not
+        measured"."""
         stage, times = self.plan[place], self.times()
         head = f"stage {place + 1} of {len(self.plan)}: {stage.name}"
         if self.finished(stage):
@@ -143,14 +143,14 @@ class TimedRun(Run):
         return head + (f"; after it {', '.join(after)}" if after else "")
 
     def times(self) -> dict[str, float]:
-        """Stage -> seconds a step, as measured last in this work folder."""
+        """Stage -> seconds per step, as last measured in this work folder."""
         with contextlib.suppress(InputError):
             return {name: value for name, value in read_object(self.work / TIMES, "delete it", python=True).items()
                     if isinstance(value, float) and 0 < value < float("inf")}
         return {}
 
     def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
-        """See `Run.fit`; what a step takes is noted, validation and checkpoints included."""
+        """See `Run.fit`; also records the time per step, including validation and checkpoints."""
         began, steps = time.monotonic(), 0
 
         def counted(step: int) -> None:
@@ -169,11 +169,11 @@ class TimedRun(Run):
 
 TIMES = "times.json"
 MEASURED = 5
-"""Steps from which on their time is believed: the first one is slower than the rest."""
+"""Least number of steps for a valid time measurement: the first step is slower."""
 
 
 def about(seconds: float) -> str:
-    """Seconds for a reader, such as "about 4 min"."""
+    """A readable duration, such as "about 4 min"."""
     if seconds < 90:
         return f"about {max(1, round(seconds))} s"
     if seconds < 90 * 60:

@@ -1,4 +1,4 @@
-"""Windows of blocks, what most stages are trained on: rows of blocks of a recording, with silence inserted or not."""
+"""Windows of blocks, the training data of most stages, optionally with inserted silence."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ from gesticulator.training.stages.measured import settled
 
 @dataclass(frozen=True)
 class Sequence:
-    """A recording as a row of blocks, inserted silence included. All arrays are [M].
+    """A recording as a sequence of M blocks, including inserted silence. All arrays are [M].
 
-    motion: block numbers; held: the pose at the end of that block is held instead (inserted silence);
-    audio: block numbers of the audio windows; style: style code numbers, 0 for inserted silence.
-    """
+    motion: block numbers; held: whether the pose at the end of that block is held instead (inserted silence); audio:
+    block numbers of the audio windows; style: style code numbers, 0 for inserted silence. """
 
     recording: int
     motion: NDArray[np.int64]
@@ -37,21 +36,17 @@ class Sequence:
 
 def sequences(corpus: Corpus, labels: NDArray[np.int64], split: str, style_numbers: NDArray[np.int64],
               with_text: bool = False) -> list[Sequence]:
-    """The recordings of a split as they are; only those with words when asked."""
-    out = []
-    for recording in corpus.recordings(split, with_text):
-        own = corpus.blocks_of(recording)
-        out.append(Sequence(recording, own, np.zeros(len(own), bool), own, labels[own], style_numbers[own]))
-    return out
+    """The recordings of a split; with_text: only those with words."""
+    return [Sequence(recording, blocks, np.zeros(len(blocks), bool), blocks, labels[blocks], style_numbers[blocks])
+            for recording in corpus.recordings(split, with_text) for blocks in [corpus.blocks_of(recording)]]
 
 
 def with_silence(parts: list[Sequence], corpus: Corpus, nearest_silent: NDArray[np.int64], share: float, longest: int,
                  rng: np.random.Generator) -> list[Sequence]:
     """Insert runs of 1 to `longest` silent blocks after silent ones until they make up `share` of all (RG 6.4.1).
 
-    An inserted block hears noise of the same recording (a settled silence; its quietest block when it has none), holds
-    the last pose, carries the zero style code and the silent lexeme nearest to the lexeme before.
-    """
+    An inserted block has noise of the same recording as audio (a settled silence, or its quietest block), holds the
+    last pose, and has the zero style code and the silent lexeme nearest to the lexeme before. """
     total = sum(len(part.motion) for part in parts)
     places = [(p, int(at)) for p, part in enumerate(parts) for at in np.flatnonzero(corpus.silent[part.motion])]
     budget = round(share * total / (1 - share)) if places else 0
@@ -61,8 +56,8 @@ def with_silence(parts: list[Sequence], corpus: Corpus, nearest_silent: NDArray[
             break
         runs[places[index]] = min(int(rng.integers(1, longest + 1)), budget)
         budget -= runs[places[index]]
-    return [_inserted(part, {at: count for (p, at), count in runs.items() if p == own}, corpus, nearest_silent, rng)
-            for own, part in enumerate(parts)]
+    return [_inserted(part, {at: count for (p, at), count in runs.items() if p == number}, corpus, nearest_silent, rng)
+            for number, part in enumerate(parts)]
 
 
 def _inserted(part: Sequence, runs: dict[int, int], corpus: Corpus, nearest_silent: NDArray[np.int64],
@@ -86,10 +81,10 @@ def _inserted(part: Sequence, runs: dict[int, int], corpus: Corpus, nearest_sile
 
 
 class Windows:
-    """Windows of a seed block and N more over sequences, sampled at any start, or tiled without overlap.
+    """Windows of a seed block and N more over sequences, sampled at random starts, or tiled without overlap.
 
-    text: batches carry word vectors. control: the settings by which features of style are asked for in windows that
-    are sampled; None asks for nothing. moving: batches carry what the flow head is told of time and place.
+    text: include word vectors. control: settings for sampling style controls; None for no controls. moving: include the
+    flow head's inputs about time and context.
     """
 
     def __init__(self, corpus: Corpus, parts: list[Sequence], blocks: int, *, text: bool = False,
@@ -103,18 +98,18 @@ class Windows:
                                 np.concatenate([np.arange(room) for room in rooms])], axis=1)
 
     def sample(self, rng: np.random.Generator, count: int) -> Batch:
-        """A batch of `count` windows at random; of these the rows that are this process's."""
+        """A batch of `count` random windows; only this process's rows."""
         starts = self.starts[rng.integers(len(self.starts), size=count)]
         given = None
         if self.control is not None:
             given = rng.random((count, len(controls.FEATURES))) < self.control.asked
             given &= rng.random((count, 1)) >= self.control.free
             given &= np.isin(controls.FEATURES, self.control.features)
-        own = own_rows(count)
-        return self.batch(starts[own], None if given is None else given[own])
+        rows = own_rows(count)
+        return self.batch(starts[rows], None if given is None else given[rows])
 
     def tiled(self, size: int) -> Iterable[Batch]:
-        """Every block (but seeds), in batches; the last window of a recording may overlap the one before."""
+        """All blocks (except seeds), in batches; the last window of a recording may overlap the one before."""
         places = []
         for p, part in enumerate(self.parts):
             last = max(0, len(part.motion) - self.length)
@@ -124,10 +119,8 @@ class Windows:
             yield self.batch(tiles[at:at + size])
 
     def batch(self, starts: NDArray[np.int64], given: NDArray[np.bool_] | None = None) -> Batch:
-        """The windows at (part, start) [B, 2]: everything that any stage's losses ask for.
-
-        given: [B, F] which features of style are asked for; None asks for none.
-        """
+        """The windows at (part, start) [B, 2] with the inputs of all stages' losses. given: [B, F] which style features
+        are controlled; None for none."""
         corpus = self.corpus
         rows: dict[str, list[NDArray]] = {key: [] for key in ("motion", "held", "audio", "lexeme", "style", "valid")}
         recordings = []
@@ -155,7 +148,7 @@ class Windows:
         }
         if self.moving:
             shown = stacked["motion"]
-            # An inserted block holds the pose at the end of the block that it follows.
+            # An inserted block holds the pose at the end of the block before.
             batch["ratio"] = torch.where(stacked["held"], torch.ones(()), corpus.pasts.ratio[shown])
             batch["circumstances"] = corpus.circumstances[shown]
         if self.text:
@@ -163,18 +156,18 @@ class Windows:
         if given is not None:
             assert corpus.statistics.levels is not None
             values = np.asarray(corpus.control[stacked["motion"].numpy()])
-            asked = np.broadcast_to(given[:, None, None], values.shape)
-            batch["control"] = torch.as_tensor(control_rows(corpus.statistics.levels, values, asked))
+            wanted = np.broadcast_to(given[:, None, None], values.shape)
+            batch["control"] = torch.as_tensor(control_rows(corpus.statistics.levels, values, wanted))
         return batch
 
 
 VALIDATED, AT_ONCE = 8, 64
-"""Batches of validation windows, and windows in each: enough for two digits, a second of work."""
+"""Batches of validation windows, and windows in each: a second of computing, for two significant digits."""
 
 
 def validation(corpus: Corpus, labels: NDArray[np.int64], blocks: int, text: bool = False, moving: bool = False
                ) -> list[Batch]:
-    """The first windows of the validation split (of the training split where there is none), without style codes."""
+    """The first windows of the validation split (of the training split if it is empty), without style codes."""
     split = "val" if corpus.recordings("val", text) else "train"
     windows = Windows(corpus, sequences(corpus, labels, split, np.zeros(len(labels), np.int64), text), blocks,
                       text=text, moving=moving)
