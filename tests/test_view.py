@@ -38,7 +38,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ([], "speech: is missing"), (["a.wav", "b.wav"], "names 2 recordings"), (["-"], "cannot be viewed"),
     (["none.wav"], "none.wav"), (["SOUND", "--character", "rig.fbx"], "cannot be shown by the page"),
     (["SOUND", "--port", "70000"], "--port 70000: cannot be used"), (["SOUND", "--port", "x"], "--port"),
-    (["SOUND", "--list", "speakers"], "is of gesticulator infer"),
+    (["SOUND", "--list", "speakers"], "is an option of gesticulator infer"),
     (["SOUND", "--plan", "a.json", "--beside", "lstm"], "leave one of them out"),
     (["SOUND", "--beside", "nobody"], "--beside"), (["SOUND", "-o", "out.bvh"], "-o"),
 ])

@@ -40,10 +40,10 @@ class FrameWriter(Protocol):
         """`InputError` if the file cannot hold this many frames."""
 
     def add(self, motion: Motion) -> None:
-        """Some more frames."""
+        """Append frames."""
 
     def finish(self) -> None:
-        """Give the file its name; nothing follows."""
+        """Complete the file; no frames follow."""
 
     def close(self) -> None:
         """Delete temporary files; a file that was not finished is discarded."""
@@ -61,18 +61,15 @@ class BvhFile:
         """A BVH file holds any number of frames."""
 
     def add(self, motion: Motion) -> None:
-        """Some more frames."""
         self._rows.write(self._text.rows(standing(motion)).encode("ascii"))
 
     def finish(self) -> None:
-        """Give the file its name; nothing follows."""
         self._rows.seek(0)
         with new_file(self._path) as out:
             out.write(self._text.head().encode("utf-8"))
             shutil.copyfileobj(self._rows, out, _COPIED)
 
     def close(self) -> None:
-        """Let go of the temporary file."""
         self._rows.close()
 
 

@@ -262,8 +262,9 @@ class RestingPart:
             elif not rests[k] and self._stop is not None and (k == 0 or times[-1] - self._last[1][0] >= _LEAST_FADE):
                 # A generator that uses its past starts from the frame before; one that ignores it is extrapolated.
                 before = generated[k - 1] if k else 2.0 * generated[0] - generated[1]
-                self._join = self._joining(before, generated[k], float(time), float(times[-1]))
-                self._stop = None
+                now, pose = self._last[1]
+                jump = self._velocity() - (generated[k] - before) / (float(time) - now)
+                self._join, self._stop = _Join(now, float(times[-1]), pose - before, jump), None
             if self._stop is not None:
                 out[k] = self._stop.at(float(time))
             else:
@@ -291,11 +292,6 @@ class RestingPart:
         stopped, stops_in = self._way.stop(pose, velocity, self.rest)
         stopped = np.clip(stopped, *self.bounds)
         return _Stop(now, pose, velocity, stopped, stops_in, self.rest, self._way.sink_seconds(stopped, self.rest))
-
-    def _joining(self, before: Array, first: Array, time: float, end: float) -> _Join:
-        now, pose = self._last[1]
-        return _Join(now, end, pose - before, self._velocity() - (first - before) / (time - now))
-
 
 class _Way:
     """How a part stops and sinks: by the speed of its hands or, without hands, in the longest time."""

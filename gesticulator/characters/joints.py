@@ -131,7 +131,7 @@ def _found(search: Search) -> RigMapping:
     for side in SIDES:
         if side + "Hand" in joints:
             joints |= _fingers(search, side, joints[side + "Hand"])
-    if _sides_are_guessed(search, ends):
+    if not any(search.labels[node].side for name, node in ends.items() if name != "Head"):
         joints = _turned_round(search, joints, doubts)
     confidence = _confidence(search, joints, sure, doubts)
     family = _family(search.character.names, [*joints.values(), *spine, *neck])
@@ -320,10 +320,6 @@ def _one_line(search: Search, nodes: Sequence[int]) -> list[int]:
         line = [above for above in reversed(ancestors(search.character.parents, node)) if above in nodes] + [node]
         best = max(best, line, key=len)
     return best
-
-
-def _sides_are_guessed(search: Search, ends: Mapping[str, int]) -> bool:
-    return not any(search.labels[node].side for name, node in ends.items() if name != "Head")
 
 
 def _turned_round(search: Search, joints: dict[str, int], doubts: list[str]) -> dict[str, int]:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from gesticulator.export.scene import Scene
 from gesticulator.export.writers import UNITS
-
-if TYPE_CHECKING:
-    from gesticulator.export.scene import Scene
 
 
 def write_bvh_file(path: Path, scene: Scene, unit: str = "cm") -> Path:

@@ -5,16 +5,13 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from data_module.files import write_bytes
 from data_module.motion.kinematics import resample
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.export.glb import write_glb
 from gesticulator.export.own_fbx import SCRIPT, own_character, write_animated
-
-if TYPE_CHECKING:
-    from gesticulator.export.scene import Scene
+from gesticulator.export.scene import Scene
 
 
 def write_fbx(path: Path, scene: Scene) -> Path:

@@ -33,11 +33,10 @@ from data_module.files import write_bytes
 from data_module.motion import skeletons
 from data_module.types import Array, Motion, Samples, Speech
 from gesticulator.export.figure import FLOOR, FlatPart, body, figure_points, flattened, legs
+from gesticulator.export.scene import Scene
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-    from gesticulator.export.scene import Scene
 
 PAPER = "#ece6db"
 SHADOW = "#bfb5a4"

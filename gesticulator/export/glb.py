@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from data_module.files import write_bytes
+from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import write_animated
+from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import figure
-
-if TYPE_CHECKING:
-    from gesticulator.characters.rig import CharacterMotion
-    from gesticulator.export.scene import Scene
 
 ANIMATION = "gesture"
 """Name of the added animation."""

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from data_module.files import write_bytes
 from data_module.motion import rotation
 from gesticulator.characters.blender import run_in_blender
-
-if TYPE_CHECKING:
-    from gesticulator.characters.rig import CharacterMotion
-    from gesticulator.export.scene import Scene
+from gesticulator.characters.rig import CharacterMotion
+from gesticulator.export.scene import Scene
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 

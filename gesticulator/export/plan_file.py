@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from data_module.files import write_text
-
-if TYPE_CHECKING:
-    from gesticulator.export.scene import Scene
+from gesticulator.export.scene import Scene
 
 
 def write_plan(path: Path, scene: Scene) -> Path:

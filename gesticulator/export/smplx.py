@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from data_module.files import write_bytes
 from data_module.motion.kinematics import resample
 from data_module.motion.smplx import smplx_arrays
-
-if TYPE_CHECKING:
-    from gesticulator.export.scene import Scene
+from gesticulator.export.scene import Scene
 
 FPS = 30.0
 """Frames per second of BEAT2; the scene is resampled."""

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from data_module.files import write_bytes, write_text
 from gesticulator.export.nodes import NodeMotion
-
-if TYPE_CHECKING:
-    from gesticulator.export.scene import Scene
+from gesticulator.export.scene import Scene
 
 COLUMNS = ("time", "joint", "parent", "x", "y", "z", "qw", "qx", "qy", "qz")
 """time: seconds. joint, parent: names of the joint and its parent ("" for the root). x, y, z: world position, metres, Y

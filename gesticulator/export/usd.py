@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from data_module.files import write_bytes
 from gesticulator.export.nodes import NodeMotion
+from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import FigureMesh, figure
-
-if TYPE_CHECKING:
-    from gesticulator.export.scene import Scene
 
 ROOT = "/Character"
 

@@ -8,7 +8,6 @@ character may lack it, and rotations of a missing bone would be lost with everyt
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,7 @@ from data_module.types import Array, Motion
 from gesticulator.export.glb import ANIMATION
 from gesticulator.export.gltf import GltfDocument, node_tree
 from gesticulator.export.nodes import NodeMotion, of_motion
-
-if TYPE_CHECKING:
-    from gesticulator.export.scene import Scene
+from gesticulator.export.scene import Scene
 
 EXTENSION = "VRMC_vrm_animation"
 # Bone of the humanoid -> parent bone, our joints whose world rotations it takes, and the joint where it begins.

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 TOKEN_VARIABLE = "GESTICULATOR_TOKEN"
 """Environment variable with the token, which keeps it out of process lists."""
+_LIMITS = {"streams": "maximum number of streams", "stream_seconds": "maximum duration of a stream",
+           "waiting_seconds": "maximum of waiting audio", "message_bytes": "maximum message length",
+           "unread_bytes": "maximum of unread poses", "drain_seconds": "time for open streams after SIGTERM"}
+"""Field of `ServerLimits` -> help of its option."""
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
@@ -31,23 +35,19 @@ def arguments(p: argparse.ArgumentParser) -> None:
                        f"{TOKEN_VARIABLE})")
     where.add_argument("--no-token", action="store_true", help="require no token for another --host")
     limits = p.add_argument_group("limits of each worker")
-    limits.add_argument("--streams", type=int, default=plain.streams, metavar="N",
-                        help=f"maximum number of streams (default {plain.streams})")
-    limits.add_argument("--stream-seconds", type=float, default=plain.stream_seconds, metavar="S",
-                        help=f"maximum duration of a stream (default {plain.stream_seconds:g})")
-    limits.add_argument("--waiting-seconds", type=float, default=plain.waiting_seconds, metavar="S",
-                        help=f"maximum of waiting audio (default {plain.waiting_seconds:g})")
-    limits.add_argument("--message-bytes", type=int, default=plain.message_bytes, metavar="N",
-                        help=f"maximum message length (default {plain.message_bytes})")
-    limits.add_argument("--unread-bytes", type=int, default=plain.unread_bytes, metavar="N",
-                        help=f"maximum of unread poses (default {plain.unread_bytes})")
-    limits.add_argument("--drain-seconds", type=float, default=plain.drain_seconds, metavar="S",
-                        help=f"time for open streams after SIGTERM (default {plain.drain_seconds:g})")
+    for name, text in _LIMITS.items():
+        default = getattr(plain, name)
+        limits.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default,
+                            metavar="S" if isinstance(default, float) else "N",
+                            help=f"{text} (default {default:{'g' if isinstance(default, float) else ''}})")
     p.add_argument("--workers", type=int, default=1, metavar="N", help="number of processes, one per core (default 1)")
-    p.add_argument("--vmc", metavar="HOST:PORT",
-                   help="also send the poses of the first stream by VMC, such as 127.0.0.1:39539")
+    _output_arguments(p, "the first stream", "per worker")
+
+
+def _output_arguments(p: argparse.ArgumentParser, of: str, threads: str) -> None:
+    p.add_argument("--vmc", metavar="HOST:PORT", help=f"also send the poses of {of} by VMC, such as 127.0.0.1:39539")
     p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
-    p.add_argument("--threads", type=int, default=1, metavar="N", help="torch threads per worker (default 1)")
+    p.add_argument("--threads", type=int, default=1, metavar="N", help=f"torch threads {threads} (default 1)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -63,8 +63,7 @@ def read_limits(args: argparse.Namespace) -> ServerLimits:
     """The limits given on the command line; `InputError` for an invalid one."""
     from gesticulator.serve.settings import ServerLimits
 
-    names = ("streams", "stream_seconds", "waiting_seconds", "message_bytes", "unread_bytes", "drain_seconds")
-    return ServerLimits(**{name: getattr(args, name) for name in names})
+    return ServerLimits(**{name: getattr(args, name) for name in _LIMITS})
 
 
 def read_token(args: argparse.Namespace) -> str:
@@ -92,9 +91,7 @@ COMMAND = Command(
 def live_arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--port", type=int, default=8765, help="port (default 8765; 0 chooses a free one)")
     p.add_argument("--no-browser", action="store_true", help="serve the page without opening it")
-    p.add_argument("--vmc", metavar="HOST:PORT", help="also send the poses by VMC, such as 127.0.0.1:39539")
-    p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
-    p.add_argument("--threads", type=int, default=1, metavar="N", help="torch threads (default 1)")
+    _output_arguments(p, "the stream", "to use")
 
 
 def run_live(args: argparse.Namespace) -> int:

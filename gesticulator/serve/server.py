@@ -221,10 +221,6 @@ class LiveServer:
         else:
             self._save_failed = False
 
-    async def _figures(self) -> str:
-        others = [] if self.folder is None else await asyncio.to_thread(read_figures, self.folder, self.worker)
-        return exposition([self.metrics.figures(), *others])
-
     # ------------------------------------------------------------ HTTP requests
 
     async def _answer(self, ws: ServerConnection, request: Request) -> Response | None:
@@ -239,7 +235,9 @@ class LiveServer:
             return self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, "stopping\n") if self.draining \
                 else _response(http.HTTPStatus.OK, b"ok\n", "text/plain; charset=utf-8")
         if path == "/metrics":
-            return _response(http.HTTPStatus.OK, (await self._figures()).encode(), CONTENT_TYPE)
+            others = [] if self.folder is None else await asyncio.to_thread(read_figures, self.folder, self.worker)
+            text = exposition([self.metrics.figures(), *others])
+            return _response(http.HTTPStatus.OK, text.encode(), CONTENT_TYPE)
         if path in self.pages:
             return _response(http.HTTPStatus.OK, self.pages[path].body, self.pages[path].kind)
         return self._refusal(http.HTTPStatus.NOT_FOUND, f"there are {published()['path']}, /healthz and /metrics\n")

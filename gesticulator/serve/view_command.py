@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
     from gesticulator.plan.plan import GesturePlan
-    from gesticulator.serve.edits import LivePlans
     from gesticulator.serve.page_server import PageServer
 
 SHOWN = (".glb", ".gltf", ".vrm")
@@ -87,14 +86,12 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
                             together=len(takes) > 1, more=more).encode()
     server.render = plans.answer
     # While the page opens, prepare the state that edits start from, which takes as long as the takes did.
-    threading.Thread(target=_prepare_edits, args=(server, plans, [take.plan() for take in takes.values()]),
-                     daemon=True).start()
+    def prepare(originals: list[GesturePlan]) -> None:
+        with server.rendering:
+            for plan in originals:
+                plans.prepare(plan)
 
-
-def _prepare_edits(server: PageServer, plans: LivePlans, of: list[GesturePlan]) -> None:
-    with server.rendering:
-        for plan in of:
-            plans.prepare(plan)
+    threading.Thread(target=prepare, args=([take.plan() for take in takes.values()],), daemon=True).start()
 
 
 def _character(args: argparse.Namespace) -> tuple[dict[str, Any], bool]:

@@ -220,7 +220,9 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
                 break
             row, done = learner.step(step), step + 1
             if task.validate is not None and (done % every == 0 or done == settings.steps):
-                figures = _validated(model, task.validate)
+                model.eval()
+                figures = distributed.lead(task.validate)
+                model.train()
                 if best is not None:
                     best.note(done, figures, model)
                 row.update({f"val_{key}": value for key, value in figures.items()})
@@ -260,13 +262,6 @@ def late_gain(log: Path) -> float:
         return math.nan
     least = min(before)
     return (least - min(value for _, value in validations)) / abs(least) if least else 0.0
-
-
-def _validated(model: nn.Module, validate: Validate) -> dict[str, float]:
-    model.eval()
-    figures = distributed.lead(validate)
-    model.train()
-    return figures
 
 
 class _Learner:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 from data_module.files import write_bytes
@@ -28,7 +28,7 @@ from gesticulator.training.stages.features import CORPUS
 from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
 from gesticulator.training.stages.labels import LABELS, model_sizes
 from gesticulator.training.stages.lexicon import TOKENS
-from gesticulator.training.stages.q_network import EPISODES, SilentLexemes, takes_of
+from gesticulator.training.stages.q_network import EPISODES, silent_of, takes_of
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE, TAUGHT_REWARD, reward_table, taught_reward
 from interpreters.advantage import Critics, advantages
 from interpreters.episodes import Episode, build
@@ -215,7 +215,7 @@ def _train(run: Run, model: Critics, folder: Path, stage: Stage[Critics], reward
     heard[heard.sum(1) == 0] = 1.0
     takes = takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train")
     literal = build(takes, LITERAL, lambda lexemes, blocks: torch.zeros(len(lexemes)),
-                    silent=SilentLexemes(labelled.silent, labelled.nearest), vectors=run.get(TOKENS).vectors.numpy())
+                    silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
     held = counterfactual(literal.episodes, _table(run, by), run.get(INTERPRETER), corpus,
                           CriticConfig(states=min(_CHECKED, config.states), tried=config.tried, swaps=config.swaps,
                                        gamma=config.gamma), 1)
@@ -257,18 +257,11 @@ def _pearson(first: Tensor, second: Tensor) -> Tensor:
     return functional.cosine_similarity(a, b, dim=-1)
 
 
-def _wanted(config: Config) -> bool:
-    return config.schedules.cql.steps > 0 and config.schedules.advantage.steps > 0
-
-
-def _build(run: Run) -> nn.Module:
-    model: nn.Module = models.build("advantage", model_sizes(run))
-    return model
-
-
 ADVANTAGE: Stage[Critics] = Stage(
-    "advantage", settings=("advantage", "silence.hint"), schedule="advantage", wanted=_wanted, part="advantage",
-    needs=lambda config: (*_needs(config), COUNTERFACTUALS), build=_build,
+    "advantage", settings=("advantage", "silence.hint"), schedule="advantage", part="advantage",
+    wanted=lambda config: config.schedules.cql.steps > 0 and config.schedules.advantage.steps > 0,
+    needs=lambda config: (*_needs(config), COUNTERFACTUALS),
+    build=lambda run: models.build("advantage", model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, ADVANTAGE, COUNTERFACTUALS, REWARD))
 
 
@@ -284,6 +277,6 @@ def exchanged_stage() -> Stage[Critics]:
     data: Node[CounterfactualRewards] = Node("counterfactuals_exchanged", settings=COUNTERFACTUALS.settings,
                                              needs=lambda config: (*_needs(config), REWARD_JUDGE), make=make)
     stage: Stage[Critics] = Stage(
-        "advantage_exchanged", settings=ADVANTAGE.settings, schedule="advantage", build=_build, train=train,
+        "advantage_exchanged", settings=ADVANTAGE.settings, schedule="advantage", build=ADVANTAGE.build, train=train,
         needs=lambda config: (*_needs(config), REWARD_JUDGE, data))
     return stage

@@ -24,11 +24,6 @@ from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon
 
 
-def _train(run: Run, model: Generator | FlowGenerator, folder: Path) -> Figures:
-    return _train_flow(run, model, folder) if isinstance(model, FlowGenerator) else _train_regression(
-        run, model, folder)
-
-
 def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
     config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
@@ -110,6 +105,6 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
 
 GENERATOR: Stage[Generator | FlowGenerator] = Stage(
     "generator", settings=("generator", "window", "control", "silence.augmentation", "silence.longest_insert"),
-    needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="generator",
-    part="generator",
-    build=_build, train=_train)
+    needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="generator", part="generator", build=_build,
+    train=lambda run, model, folder: (_train_flow if isinstance(model, FlowGenerator) else _train_regression)(
+        run, model, folder))

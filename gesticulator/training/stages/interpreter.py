@@ -55,8 +55,7 @@ _SHAPED_BY = ("window", "control", "silence.hint")
 
 INTERPRETER: Stage[LstmInterpreter] = Stage(
     "interpreter", settings=(lambda config: config.interpreter.without_text(), *_SHAPED_BY),
-    needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="interpreter",
-    part="interpreter",
+    needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="interpreter", part="interpreter",
     build=lambda run: models.build("interpreter", model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, INTERPRETER, False))
 

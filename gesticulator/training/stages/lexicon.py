@@ -38,12 +38,6 @@ _TOGETHER = 4096
 """Blocks decoded at a time, to bound memory."""
 
 
-def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
-    if isinstance(model, MovementLexicon):
-        return distributed.lead(lambda: _fit_movements(run, model))
-    return _train_pose_lexicon(run, model, folder)
-
-
 def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
     """Fit in closed form and by k-means, on the CPU, without steps."""
     corpus = run.get(BLOCKS)
@@ -75,7 +69,9 @@ def _use(labels: Tensor, size: int) -> Figures:
             "perplexity": perplexity(labels, size)}
 
 
-def _train_pose_lexicon(run: Run, model: Lexicon, folder: Path) -> Figures:
+def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
+    if isinstance(model, MovementLexicon):
+        return distributed.lead(lambda: _fit_movements(run, model))
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
     known, some, val = map(torch.as_tensor, (corpus.select("train"), corpus.some("train"), corpus.some("val")))
     recording = torch.as_tensor(corpus.recording)

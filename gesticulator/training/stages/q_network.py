@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 from data_module.errors import InputError
@@ -51,7 +51,8 @@ def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
     return features
 
 
-def _silent(labelled: Labelled) -> SilentLexemes:
+def silent_of(labelled: Labelled) -> SilentLexemes:
+    """The silent lexemes for `interpreters.episodes.build`."""
     return SilentLexemes(labelled.silent, labelled.nearest)
 
 
@@ -69,7 +70,7 @@ def _make_episodes(run: Run) -> Episodes:
     if system_of(config).uses(INTERPRETER.name):
         others["sampled"] = run.get(INTERPRETER)
     episodes = build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
-                     silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy(), policies=BehaviourPolicies(
+                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(), policies=BehaviourPolicies(
                          others, features_of(corpus)), seed=run.seed(EPISODES))
     episodes.save(file)
     return episodes
@@ -95,9 +96,8 @@ def q_batch(corpus: Corpus, windows: dict[str, Tensor], lookahead: int = 1) -> d
 
 def new_q_network(config: Config, corpus: Corpus, vectors: Tensor, silent: NDArray[np.int64]) -> QNetwork:
     """An untrained Q-network over a codebook [S, D_s]."""
-    network: QNetwork = models.build("q_network", sizes(config, corpus, vectors=vectors,
-                                                        silent=tuple(silent.tolist())))
-    return network
+    return cast("QNetwork", models.build("q_network", sizes(config, corpus, vectors=vectors,
+                                                            silent=tuple(silent.tolist()))))
 
 
 def _train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
@@ -105,7 +105,7 @@ def _train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
     decisions, ahead = config.cql.decisions, config.cql.lookahead
     episodes = run.get(EPISODES)
     held = build(takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train"), LITERAL,
-                 step_reward(run), silent=_silent(labelled), vectors=run.get(TOKENS).vectors.numpy())
+                 step_reward(run), silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
     # Windows of the plain recordings; precomputed window rewards belong to the training episodes.
     plain = Episodes(held.episodes)
     checks = [q_batch(corpus, plain.windows(fitting.generator_for(3, i), _WINDOWS, decisions), ahead)
@@ -140,12 +140,9 @@ def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> d
     return {name: float(value) for name, value in zip(names, totals / len(batches), strict=True)}
 
 
-def _online(learner: nn.Module) -> QNetwork:
-    return cast(ConservativeQ, learner).online
-
-
 Q_NETWORK: Stage[QNetwork] = Stage(
     "q_network", settings=("cql", "silence.hint"), schedule="cql",
     needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, EPISODES),
-    wanted=lambda config: config.schedules.cql.steps > 0, part="q_network", finish=_online, train=_train,
+    wanted=lambda config: config.schedules.cql.steps > 0, part="q_network", train=_train,
+    finish=lambda learner: cast("ConservativeQ", learner).online,
     build=lambda run: ConservativeQ(models.build("q_network", model_sizes(run))))

@@ -266,13 +266,10 @@ def taught_reward(table: EnsembleReward, corpus: Corpus, draws: int) -> Ensemble
     return Centred(table, recordings, draws)
 
 
-def _teach(run: Run) -> EnsembleReward | Centred:
-    corpus = run.get(CORPUS)
-    return taught_reward(reward_table(run.get(REWARD), run.get(TOKENS), corpus), corpus, run.config.episodes.baseline)
-
-
 TAUGHT_REWARD: Node[EnsembleReward | Centred] = Node(
-    "taught_reward", settings=("episodes.baseline",), needs=lambda config: (CORPUS, TOKENS, REWARD), make=_teach)
+    "taught_reward", settings=("episodes.baseline",), needs=lambda config: (CORPUS, TOKENS, REWARD),
+    make=lambda run: taught_reward(reward_table(run.get(REWARD), run.get(TOKENS), run.get(CORPUS)), run.get(CORPUS),
+                                   run.config.episodes.baseline))
 """The reward for training policies, computed once per run because its baseline takes minutes."""
 
 

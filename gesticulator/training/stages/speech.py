@@ -43,10 +43,6 @@ def _held(run: Run) -> Sequence[str]:
     return _names("val")(run) or _names("train")(run)[:1]
 
 
-def _folders(run: Run) -> list[str]:
-    return [folder_digest(folder) for folder in run.speech]
-
-
 def _train_predictive(run: Run, model: PredictiveCoding, folder: Path, stage: Stage[Any], known: Sequence[str],
                       held: Sequence[str]) -> Figures:
     config = run.config
@@ -71,7 +67,7 @@ def speech_stage(known: Names, held: Names, more: Sequence[Any] = ()) -> Stage[P
     identify this choice of recordings, for the key."""
     stage: Stage[PredictiveCoding] = Stage(
         "speech", settings=("encoder", "rhythm"), schedule="speech", wanted=_learned,
-        of_data=lambda run: [*_folders(run), *more],
+        of_data=lambda run: [*map(folder_digest, run.speech), *more],
         build=lambda run: PredictiveCoding(SpeechEncoder(run.config.encoder), run.config.encoder))
     return replace(stage, train=lambda run, model, folder: _train_predictive(
         run, model, folder, stage, known(run), held(run)))

@@ -65,7 +65,11 @@ def train(config: Config, store: Store, out: Path, work: Path, options: TrainOpt
             held.enter_context(lock(work, "a training"))
             claim(work, store)
             for stage in closure(stages, config):
-                _divisible(run, stage, processes)
+                schedule = run.schedule(stage)
+                if schedule.batch % processes and schedule.steps:
+                    raise InputError(f"schedules.{stage.schedule}.batch={schedule.batch}",
+                                     f"cannot be divided among {processes} processes",
+                                     "set a batch that is a multiple of the processes")
             for name in options.redo:
                 run.redo(STAGES[name])
 
@@ -77,13 +81,6 @@ def train(config: Config, store: Store, out: Path, work: Path, options: TrainOpt
         trained = assemble(run, provenance(run))
         distributed.lead(lambda: save(trained, out, model_card(trained)))
         return trained
-
-
-def _divisible(run: Run, stage: Stage[Any], processes: int) -> None:
-    batch = run.schedule(stage).batch
-    if batch % processes and run.schedule(stage).steps:
-        raise InputError(f"schedules.{stage.schedule}.batch={batch}", f"cannot be divided among {processes} processes",
-                         "set a batch that is a multiple of the processes")
 
 
 def claim(work: Path, store: Store) -> None:
