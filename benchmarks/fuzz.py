@@ -218,7 +218,7 @@ def save(asked: argparse.Namespace, shares: dict[str, int], found: dict[str, lis
                                        for name, failed in found.items()}
     rows["all"] = {"inputs": sum(shares.values()), "failures": sum(map(len, found.values())), "first": ""}
     columns = {"inputs": Column("inputs"), "failures": Column("failures"), "first": Column("the first failure")}
-    notes = ["A failure is anything but an answer or a refusal in one line, over 5 s or over 1 GB."]
+    notes = ["A failure is anything but a result or a one-line error, or more than 5 s or 1 GB."]
     publish([Table("Readers of files against damaged files", columns, rows, "reader", notes)], asked.out,
             Provenance.now(f"python benchmarks/fuzz.py --inputs {asked.inputs} --seed {asked.seed}"))
 

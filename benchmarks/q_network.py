@@ -1,4 +1,4 @@
-"""What a block costs the Q-network: `python benchmarks/q_network.py [--out docs/results/q_network.json]`.
+"""Cost of a block of the Q-network: `python benchmarks/q_network.py [--out docs/results/q_network.json]`.
 
 Milliseconds a block on one thread, the median over blocks of made-up speech: while the window fills, with keys and
 values kept ("cached": two tokens a block) and without ("full"); and past the window, where the last T pairs are
@@ -73,7 +73,7 @@ def main() -> None:
 
 def table(rows: dict[str, dict[str, float]], window: int) -> Table:
     """What is shown."""
-    return Table("What a block costs the Q-network", {
+    return Table("Cost of a block of the Q-network", {
         key: Column(key, "ms a block") for key in ("window filling", "past the window")}, rows,
                  "one thread", facts={"decisions": window})
 

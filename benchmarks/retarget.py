@@ -67,7 +67,7 @@ def main() -> None:
     rows["all"] = row([one for own in by_style.values() for one in own])
     bounds = ", ".join(f"{name} {1000 * value:g} mm" if name == "slide" else f"{name} {value:g}" for name, value
                        in LIMITS.items())
-    publish([Table("Rigs nobody mapped", COLUMNS, rows, "names like", notes=(
+    publish([Table("Characters without a given mapping", COLUMNS, rows, "names like", notes=(
         f"The worst of {FRAMES} frames of a gesture and of all rigs of a kind. Bounds: {bounds}.",),
         facts={"rigs": a.rigs, "seed": a.seed, "frames": FRAMES})], a.out,
             Provenance.now(shlex.join(["python", "benchmarks/retarget.py", *sys.argv[1:]])))

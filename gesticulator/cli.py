@@ -92,7 +92,8 @@ def steady_streams() -> None:
 
     Characters that the terminal's encoding lacks, and bytes of file names that are not valid text, are printed as
     escapes. A closed standard stream is replaced by the null device; otherwise the next opened file would take its
-    number and receive the output of libraries. """
+    number and receive the output of libraries.
+    """
     for number in range(3):
         try:
             os.fstat(number)

@@ -139,7 +139,7 @@ def test_the_tables_hold_every_figure_and_come_back(result: Scores, tmp_path: Pa
             assert got.reason == cell.reason
             np.testing.assert_equal(got.value.to_dict(), cell.value.to_dict())
     titles = {table.title: table for table in back}
-    assert titles["Vigour and smoothness"].columns["jerk"].title.endswith("(!)")
+    assert titles["Speed and smoothness"].columns["jerk"].title.endswith("(!)")
     assert not titles["Motion beats and onsets"].columns["chance_A"].title.endswith("(!)")
     assert found["held", "raw, 12 frames"].mark == "(?)" and found[TRUTH, "raw, 12 frames"].mark == ""
     assert titles["FGD of"].rows["held, raw, 12 frames"]["needed"] == 270

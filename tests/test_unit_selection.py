@@ -124,7 +124,7 @@ def test_the_score_has_a_row_of_it(store: Store, tmp_path: Path) -> None:
     assert SCORE.main("gesticulator score", ["--truth", str(store.path), "--system", f"same={tmp_path / 'same'}",
                                              "--units", str(store.path), "--seed", "3", "--out", str(out)]) == 0
     tables = {table.title: table for table in load(out)}
-    row = tables["What the eye sees: two hands"].rows
+    row = tables["Perceptual figures: two hands"].rows
     expected = figures(UnitSelection(UnitDatabase.of(store))(test.speech, seed=3).motion)
     for name, title in (("eye_hand_speed_correlation", "unit selection"), ("eye_speed_95", "unit selection")):
         cell = row[title][name]
@@ -135,7 +135,7 @@ def test_the_score_has_a_row_of_it(store: Store, tmp_path: Path) -> None:
     assert isinstance(same.value, Interval) and isinstance(truth.value, Interval)
     assert same.value.mean == pytest.approx(truth.value.mean, rel=1e-3)
     # What is known to be wrong and passes is marked in the heading of its figure.
-    assert tables["What the eye sees: in time with the voice"].columns["eye_above_1"].title.endswith("(!)")
+    assert tables["Perceptual figures: synchrony"].columns["eye_above_1"].title.endswith("(!)")
     assert {"mirrored", "bobbing", "still", "jitter", "reversed"} <= set(row)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -268,15 +268,12 @@ class BvhWriter:
 
     def __init__(self, skeleton: Skeleton, fps: float, unit: float = CENTIMETRES) -> None:
         """unit: metres per unit of the file."""
-        children: list[list[int]] = [[] for _ in skeleton.names]
-        for joint, parent in enumerate(skeleton.parents):
-            if parent >= 0:
-                children[parent].append(joint)
         if unit != 1.0:
             skeleton = skeletons.scaled_skeleton(skeleton, 1.0 / unit)
-        self._order: list[int] = []
-        self._lines = ["HIERARCHY"]
-        _write_joint(skeleton, 0, children, 0, self._lines, self._order)
+        turns = tuple(f"{axis}rotation" for axis in _WRITTEN_ORDER)
+        channels = [("Xposition", "Yposition", "Zposition", *turns), *[turns] * (len(skeleton) - 1)]
+        tips = {joint: tip for joint, tip in skeleton.end_sites.items() if joint not in skeleton.parents}
+        self._lines, self._order = hierarchy(skeleton.names, skeleton.parents, skeleton.offsets, tips, channels)
         self._fps, self._unit, self._unwrap = fps, unit, Unwrap()
         self.frames = 0
         """How many came."""
@@ -321,21 +318,32 @@ class Unwrap:
         return np.asarray(angles + summed)
 
 
-def _write_joint(skeleton: Skeleton, joint: int, children: Sequence[Sequence[int]], depth: int, lines: list[str],
-                 order: list[int]) -> None:
-    pad = "  " * depth
-    order.append(joint)
-    lines.append(f"{pad}{'JOINT' if depth else 'ROOT'} {skeleton.names[joint]}")
-    lines.append(pad + "{")
-    lines.append(f"{pad}  OFFSET {_triple(skeleton.offsets[joint])}")
-    places = "6 Xposition Yposition Zposition" if depth == 0 else "3"
-    lines.append(f"{pad}  CHANNELS {places} " + " ".join(f"{axis}rotation" for axis in _WRITTEN_ORDER))
-    for child in children[joint]:
-        _write_joint(skeleton, child, children, depth + 1, lines, order)
-    if not children[joint]:
-        tip = skeleton.end_sites.get(joint, np.zeros(3))
-        lines += [f"{pad}  End Site", pad + "  {", f"{pad}    OFFSET {_triple(tip)}", pad + "  }"]
-    lines.append(pad + "}")
+def hierarchy(names: Sequence[str], parents: Sequence[int], offsets: Array, tips: Mapping[int, Array],
+              channels: Sequence[Sequence[str]]) -> tuple[list[str], list[int]]:
+    """The lines of HIERARCHY and the order of the joints in it, without recursion, for trees of any depth.
+
+    offsets: [J, 3]; tips: joint -> [3] its end site, 0 for a leaf without one; channels: those of each joint.
+    """
+    below: list[list[int]] = [[] for _ in names]
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            below[parent].append(joint)
+    lines, order, todo = ["HIERARCHY"], list[int](), [(0, 0, False)]
+    while todo:
+        joint, depth, done = todo.pop()
+        pad = "  " * depth
+        if done:
+            lines.append(pad + "}")
+            continue
+        order.append(joint)
+        lines += [f"{pad}{'JOINT' if depth else 'ROOT'} {names[joint]}", pad + "{",
+                  f"{pad}  OFFSET {_triple(offsets[joint])}",
+                  f"{pad}  CHANNELS {len(channels[joint])} {' '.join(channels[joint])}"]
+        if not below[joint] or joint in tips:
+            tip = tips.get(joint, np.zeros(3))
+            lines += [f"{pad}  End Site", pad + "  {", f"{pad}    OFFSET {_triple(tip)}", pad + "  }"]
+        todo += [(joint, depth, True), *((child, depth + 1, False) for child in reversed(below[joint]))]
+    return lines, order
 
 
 def _triple(lengths: Array) -> str:

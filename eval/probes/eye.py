@@ -128,7 +128,7 @@ def run(arguments: argparse.Namespace) -> Sequence[Table]:
              "store": None if store is None else store.fingerprint}
     told = (sounds[0].name if arguments.speech else "the real take's voice") if len(sounds) == 1 else (
         f"{len(sounds)} voices")
-    tables = eye_tables(samples, wrong, space, f"What the eye sees, on {told}", notes, facts)
+    tables = eye_tables(samples, wrong, space, f"Perceptual figures, on {told}", notes, facts)
     if arguments.test_voices:
         tables.append(_test_voices(players, recordings, samples[CORPUS], space, wrong))
     return tables
@@ -235,4 +235,4 @@ def _test_voices(players: Sequence[Player], recordings: Sequence[Recording], cor
     """Every system on the voices of the test split, once each, beside the corpus' own motion for them."""
     sounds = [SpeechClip(recording.info.name, recording.speech, hear(recording.speech)) for recording in recordings]
     samples = {CORPUS: corpus, **{player.name: _played(player, sounds, 1, space, None) for player in players}}
-    return eye_tables(samples, wrong, space, "What the eye sees, on the voices of the test split")[0]
+    return eye_tables(samples, wrong, space, "Perceptual figures, on the voices of the test split")[0]

@@ -111,7 +111,7 @@ def table(figures: Mapping[str, Sequence[Mapping[str, float]]]) -> Table:
     note = (f"{count} renderings in each row, the same sounds and seeds; means with bootstrap 95 % intervals. The "
             "band: the range of two real people (eval.metrics.eye). The ranges: "
             + " and ".join(f"{begin:g} to {stop:g} s" for begin, stop in STILL) + ", held still in one row alone.")
-    return Table("What the knobs do", COLUMNS, rows, "setting", [note])
+    return Table("Effect of the knobs", COLUMNS, rows, "setting", [note])
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -162,7 +162,7 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
         own, past = normalised_blocks(bundle.config, bundle.statistics, take[0], cut(take[1], bundle.config.rhythm))
         rows |= {f"real take (BEAT), {name}": {"error": float(error.mean())} for name, error in
                  reconstructions(bundle, own, past).items()}
-    told = (" Movements are told from the true frames before each block."
+    told = (" Movements are decoded from the true frames before each block."
             if isinstance(bundle.lexicon, MovementLexicon) else "")
     used = use_of_codes(bundle.block_models.lexicon, corpus.motion[test], corpus.pasts[test])
     variance = float(unknown.var(0).mean())

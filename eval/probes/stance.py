@@ -170,7 +170,7 @@ def run(arguments: argparse.Namespace) -> Sequence[Table]:
         raise InputError("probe stance", "has nothing to look at", "give --speech, --pause or --system")
     note = (f"A foot is planted while its ankle and ball are within {1000 * PLANTED:g} mm of the lowest that they are; "
             f"weight shifts are of {100 * SHIFTED:g} cm to either side at least.")
-    return [Table("How legs stand", COLUMNS, rows, "motion", [note])]
+    return [Table("Stability of the legs", COLUMNS, rows, "motion", [note])]
 
 
 def _pause(seconds: float) -> Speech:

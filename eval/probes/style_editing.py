@@ -53,9 +53,9 @@ def tables(result: Mapping[str, Any]) -> list[Table]:
              "every row.")
     return [Table("Style editing", EDITING, {SHOWN[feature].heading: own for feature, own in result["editing"].items()},
                   "feature", [about], facts),
-            Table("What every row does", SHOWN, result["rows"], "row"),
-            Table("What asking for a feature at high instead of at low changes", SHOWN, changes, "asked",
-                  ["In brackets: in spreads of training."])]
+            Table("Measured motion of every row", SHOWN, result["rows"], "row"),
+            Table("Effect of a control at high instead of low", SHOWN, changes, "asked",
+                  ["In brackets: in standard deviations of training."])]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

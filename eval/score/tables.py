@@ -51,11 +51,11 @@ class Scores:
 
 
 _GOOD = {"low": "less is better", "high": "more is better", "near": "near the truth's is good", "": "no judgement"}
-_PARTS = {"joints": "Joints against the speaker's own", "beats": "Motion beats and onsets",
-          "consistency": "Beat consistency", "vigour": "Vigour and smoothness", "lexemes": "As the bundle reads it",
-          "eye hands": "What the eye sees: two hands", "eye trunk": "What the eye sees: trunk and life",
-          "eye strokes": "What the eye sees: strokes", "eye voice": "What the eye sees: in time with the voice",
-          "eye frechet": "What the eye sees: everything at once", "sets": "Sets of motion",
+_PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats and onsets",
+          "consistency": "Beat consistency", "vigour": "Speed and smoothness", "lexemes": "Measured by the bundle",
+          "eye hands": "Perceptual figures: two hands", "eye trunk": "Perceptual figures: trunk and idle motion",
+          "eye strokes": "Perceptual figures: strokes", "eye voice": "Perceptual figures: synchrony",
+          "eye frechet": "Perceptual figures: Frechet distance", "sets": "Sets of motion",
           "fgd": "Sets of motion, by a network's features"}
 _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
          "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
@@ -63,10 +63,10 @@ _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip 
          "mirrored": "the truth with the right arm's motion on both arms",
          BOBBING: "the truth's mean pose whose forearms stop at every onset"}
 _LEGEND = (
-    "[low, high]: 95 % interval over clips. -: undefined, the reason is told below. (!): a metric that a control "
+    "[low, high]: 95 % interval over clips. -: undefined, for the reason given below. (!): a metric that a control "
     "beats, see below. (?): a distance of a set too small for it, see \"FGD of\".",
-    "PMB: share of motion beats with an onset of the speech within so many seconds. Beats A: where the arms brake "
-    "hardest; B: where they stand still. Chance is the same motion with the speech moved.")
+    "PMB: share of motion beats with an onset of the speech within the given number of seconds. Beats A: greatest "
+    "deceleration of the arms; B: least speed. Chance: the same motion with the speech shifted in time.")
 
 
 def tables(scores: Scores) -> list[Table]:
@@ -136,8 +136,8 @@ def _fgd_table(scores: Scores) -> Table:
     heads = {"network": "network (SHA-256)", "window": "window", "windows": "windows of it / of the truth",
              "needed": "needed", "bias": "bias of the sample", "enough": "enough?"}
     return Table("FGD of", {key: Column(title) for key, title in heads.items()}, rows, "row, network", [
-        "Bias of the sample: as far as two samples of this size of one motion are apart by chance, if windows were "
-        "independent; those of one clip are not, so it is more."])
+        "Sampling bias: the expected distance between two samples of this size of the same motion if windows were "
+        "independent; windows of one clip are not, so the bias is larger."])
 
 
 def _flag_table(scores: Scores) -> Table:

@@ -46,7 +46,8 @@ def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = No
 
     A path that ends in a slash, or that is a folder, means a folder; anything else is a file. `InputError` for an
     output with the wrong suffix, one file for several recordings, two recordings of one name, or a place that cannot be
-    written. """
+    written.
+    """
     sources = _sources(names)
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")

@@ -68,7 +68,8 @@ def done_on_ray(given: str, make: Maker, numbers: Sequence[int], doubles: bool =
 
     given: "auto" (the cluster running here, else this machine), the address of a cluster, or "local:N" for N workers on
     this machine; doubles: whether slow tasks may run twice at a time. `InputError` if no cluster answers, if it is
-    lost, or if a worker cannot load the models. """
+    lost, or if a worker cannot load the models.
+    """
     check_ray(given)
     import ray
 

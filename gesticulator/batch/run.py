@@ -188,7 +188,8 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Se
     """Process recordings that are missing or changed and record them; returns (recordings in the shard, number done).
 
     outcomes: processes recordings by number, given longest first, yielding in any order. `InputError` if another
-    process has locked the manifest. """
+    process has locked the manifest.
+    """
     from tqdm import tqdm
 
     lengths = _read(estimated_seconds, [task.source for task in tasks])

@@ -136,7 +136,8 @@ class Phrases:
 
     A phrase gets a number q in (0, 1): the rank of the gate's probability at its first block among those of earlier
     phrases, mixed with a random number keyed by the seed and the phrase's start. It is gestured if q >= 1 - a, with a =
-    activity + (activity x speech so far - gestured so far) / `_REPAY`. Activity 0 is none and 1 is all. """
+    activity + (activity x speech so far - gestured so far) / `_REPAY`. Activity 0 is none and 1 is all.
+    """
 
     def __init__(self, activity: float, seed: int) -> None:
         self.activity, self.seed = activity, seed
@@ -366,7 +367,8 @@ class Rest:
     """Rest and idle motion of one performance, block by block.
 
     For each block call `hear`, which tells whether it needs generating; then `step` with the generated block, which
-    returns the block that becomes the generator's past; then `alive`, which returns the block to show. """
+    returns the block that becomes the generator's past; then `alive`, which returns the block to show.
+    """
 
     def __init__(self, statistics: Statistics, representation: Representation, speaker: int, activity: float, seed: int
                  ) -> None:

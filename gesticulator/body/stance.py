@@ -108,7 +108,8 @@ def with_legs(motion: Motion, seed: int, skeleton: Skeleton = WHOLE_BODY) -> Mot
     motion: on the default skeleton in any of its sizes, facing +Z as generated; the rotation of the hips is used, the
     path of the root is not. seed: the same as for the performance, so that legs and idle motion agree. skeleton: with
     the joint names of `WHOLE_BODY` and leg bones that hang straight down; all lengths scale with its legs. The floor is
-    Y = 0. Every joint from the chest up keeps its world rotation. """
+    Y = 0. Every joint from the chest up keeps its world rotation.
+    """
     return Stance(seed, motion.fps, skeleton).step(motion)
 
 

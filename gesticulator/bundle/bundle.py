@@ -107,7 +107,8 @@ class Bundle:
     it is first used. vectors: [S, D_s] the codebook; rest_distances: [speakers, S] squared distance of each lexeme, in
     the codebook, from standing still in the speaker's resting pose. silent: the silent lexemes. frequencies: [speakers,
     S] of each lexeme, and transitions: [S, S] between lexemes, on the training split. text: the source of the word
-    vectors. provenance: the training data, in plain values; figures: stage -> its validation figures. """
+    vectors. provenance: the training data, in plain values; figures: stage -> its validation figures.
+    """
 
     config: Config
     statistics: Statistics
@@ -332,8 +333,7 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
               "rest_distances": (count, size)}
     for name, shape in wanted.items():
         if name not in tensors or tensors[name].shape != shape:
-            raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({name})",
-                             "train it again")
+            raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({name})", "train it again")
     groups = {name: {key.partition("_")[2]: value for key, value in tensors.items() if key.startswith(f"{name}_")}
               for name in ("low", "high", "levels")}
     try:

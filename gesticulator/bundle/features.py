@@ -88,7 +88,8 @@ class Statistics:
     same in silence. deviation: [D_m]. bounds: [2, D_m] range of the normalised training data without one frame in a
     thousand at either end. low, high: normalisers of the audio features. quiet_low, quiet_high: [3K, d] normalised
     features of settled silence. levels: of the style features that can be controlled. A pose becomes (pose -
-    mean_pose[speaker]) / deviation: without each speaker's own mean, lexemes would encode speakers. """
+    mean_pose[speaker]) / deviation: without each speaker's own mean, lexemes would encode speakers.
+    """
 
     speakers: tuple[str, ...]
     mean_pose: Array
@@ -193,7 +194,8 @@ class SpeechBlock:
     number: from 0. start, end: seconds; flag: of the beat at its end. durations, silent: of the block before, the block
     and the block after (its own where there is none). low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K]
     whether each frame lies in a pause; ahead: [K] the same for the block after, None at the end. foreseen: the block
-    after is a prediction from its beginning. onsets: [n] seconds from its start to its end, inclusive. """
+    after is a prediction from its beginning. onsets: [n] seconds from its start to its end, inclusive.
+    """
 
     number: int
     start: float
@@ -244,8 +246,7 @@ def encode(stretched: Samples, reference: Array, durations: Array, config: Confi
     """Low and high level [N, 3K, d + 1] of blocks stretched to one length [N, L]; one array for both if they are
     equal."""
     windows = block_module.windows_of(stretched)
-    levels = [front.encode(windows[at:at + _CHUNK], reference[at:at + _CHUNK])
-              for at in range(0, len(windows), _CHUNK)]
+    levels = [front.encode(windows[at:at + _CHUNK], reference[at:at + _CHUNK]) for at in range(0, len(windows), _CHUNK)]
     tempo = tempo_column(durations, config.rhythm.beats.d_max, config.rhythm.frames)
     low = np.concatenate([np.concatenate([level.low for level in levels]), tempo], axis=-1)
     if levels[0].low is levels[0].high:

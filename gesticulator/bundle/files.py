@@ -138,8 +138,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
             ("files", _strings(index["files"].values())),
             ("figures", all(isinstance(value, dict) for value in index["figures"].values()))) if not fine]
     if wrong:
-        raise InputError(file, f"has invalid values under {', '.join(wrong)}",
-                         "copy the bundle again")
+        raise InputError(file, f"has invalid values under {', '.join(wrong)}", "copy the bundle again")
     if index["skeleton"].get("names") != list(_skeleton_of(index["config"]).names):
         raise InputError(file, "was trained on another skeleton", "train it again")
     return index
@@ -206,7 +205,8 @@ class Weights:
         """The tensors of a file in single precision.
 
         shapes: the expected shapes; None if the caller checks them. tied: hash of the codebook that the file must have
-        been trained with. """
+        been trained with.
+        """
         file = self._listed(name)
         largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * math.prod(s) for s in shapes.values())
         if file.stat().st_size > largest:

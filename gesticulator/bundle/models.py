@@ -41,7 +41,8 @@ class Sizes:
     motion: D_m; low, high: widths d + 1 of the two audio levels, including the log duration; two_levels: whether they
     differ; speakers: P; text: d_t + 1, 0 without words; present: [D_m] 1 for dimensions that ever move in training;
     vectors: [S, D_s] the codebook, if there is one; silent: the silent lexemes; training_blocks: number of learned
-    style codes, 0 at inference, where the generator has no table of them. """
+    style codes, 0 at inference, where the generator has no table of them.
+    """
 
     config: Config
     motion: int

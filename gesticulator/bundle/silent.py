@@ -3,7 +3,8 @@
 Training detects the silent lexemes. After inspecting the lexicon (`gesticulator draw lexicon`) the list can be changed
 here. Only `bundle.json` is rewritten; weights and hashes stay. Inference uses the new list at once: the choice in
 silent blocks, the resting lexeme, the blocks that the gate closes. What was trained with the old list stays: the hint
-in the lexeme interpreter, and the gate. """
+in the lexeme interpreter, and the gate.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ def edited(silent: Iterable[int], size: int, *, chosen: Iterable[int] | None = N
     """The silent lexemes after an edit, sorted: `chosen` instead of them, or with `add` and without `remove`.
 
     size: S. InputError for a number outside 0 to S - 1, for an empty set (silence would have no lexeme) and for the
-    whole lexicon (speech would have none). """
+    whole lexicon (speech would have none).
+    """
     start = set(silent) if chosen is None else set(chosen)
     unknown = sorted(n for n in {*start, *add, *remove} if not 0 <= n < size)
     if unknown:

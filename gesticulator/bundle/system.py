@@ -20,7 +20,8 @@ class Naming:
 
     stage: the stage that trains it. codebook: the tensor of its code vectors. blocks: it labels blocks at the beat one
     by one, so that a block can be generated again; otherwise all codes are decoded together. in_context: what a lexeme
-    shows depends on the block before. knows_silence: some of its lexemes are silent. """
+    shows depends on the block before. knows_silence: some of its lexemes are silent.
+    """
 
     stage: str
     codebook: str

@@ -77,8 +77,7 @@ def _write(source: Path, index: dict[str, Any], folder: Path) -> None:
             shutil.copyfile(source / name, folder / name)
     tensors = load_file(source / "statistics.safetensors")
     statistics = _poses(tensors, tuple(index["speakers"]))
-    sizes = Sizes(config, representation_of(config).width, 1, 1, False, len(statistics.speakers), 0,
-                  statistics.present)
+    sizes = Sizes(config, representation_of(config).width, 1, 1, False, len(statistics.speakers), 0, statistics.present)
     tokens = models.tokens(sizes)
     tokens.load_state_dict({key: value.float() if value.is_floating_point() else value
                             for key, value in load_file(source / "lexicon.safetensors").items()})

@@ -23,7 +23,8 @@ def read_bvh_character(path: str | os.PathLike[str]) -> Character:
 
     The rest pose has all angles zero, as the format defines it. If that is not a pose of a body (some tools write every
     offset along one axis, and only the angles of the first frame make the body stand), the first frame is used as the
-    pose to align with (`Character.bind`). """
+    pose to align with (`Character.bind`).
+    """
     motion, channels = bvh.read_hierarchy(path)
     skeleton = motion.skeleton
     n = len(skeleton)
@@ -50,24 +51,19 @@ def write_character_bvh(path: str | os.PathLike[str], character: Character, rota
     """Write a motion of a BVH character atomically, with the hierarchy, channel order, units and axes of its file.
 
     rotations: [T, N, 4] local; placed: a node and its local translation [T, 3], None if all stay at rest; fps: frames
-    per second. ValueError for a character of another format. """
+    per second. ValueError for a character of another format.
+    """
     if character.kind != "bvh":
         raise ValueError(f"a {character.kind} character has no BVH hierarchy")
-    frames, n = len(rotations), len(character)
-    below: list[list[int]] = [[] for _ in range(n)]
-    for node, parent in enumerate(character.parents):
-        if parent >= 0:
-            below[parent].append(node)
-    channels = [_channels(character, node, placed[0] if placed else -1) for node in range(n)]
-    lines, order = ["HIERARCHY"], list[int]()
-    _describe(character, 0, below, channels, lines, order)
+    channels = [_channels(character, node, placed[0] if placed else -1) for node in range(len(character))]
+    lines, order = bvh.hierarchy(character.names, character.parents, character.translations, character.tips, channels)
     columns: list[Array] = []
     for node in order:
         columns += _values(character, node, channels[node], rotations[:, node],
                            placed[1] if placed and placed[0] == node else None)
     body = StringIO()
     np.savetxt(body, np.stack(columns, axis=-1) + 0.0, fmt="%.6f")
-    lines += ["MOTION", f"Frames: {frames}", f"Frame Time: {1.0 / fps:.10f}"]
+    lines += ["MOTION", f"Frames: {len(rotations)}", f"Frame Time: {1.0 / fps:.10f}"]
     write_text(path, "\n".join(lines) + "\n" + body.getvalue())
 
 
@@ -91,31 +87,6 @@ def _values(character: Character, node: int, channels: tuple[str, ...], turns: A
     if places is None:
         places = np.broadcast_to(character.translations[node], (len(turns), 3))
     return [places[:, PLACES.index(name)] if name in PLACES else angles[:, order.index(name[0])] for name in channels]
-
-
-def _describe(character: Character, node: int, below: list[list[int]], channels: list[tuple[str, ...]],
-              lines: list[str], order: list[int]) -> None:
-    """Append the hierarchy as text and the order of its joints; iterative, for trees of any depth."""
-    todo: list[tuple[int, int, bool]] = [(node, 0, False)]
-    while todo:
-        at, depth, done = todo.pop()
-        pad = "  " * depth
-        if done:
-            lines.append(pad + "}")
-            continue
-        order.append(at)
-        lines += [f"{pad}{'JOINT' if depth else 'ROOT'} {character.names[at]}", pad + "{",
-                  f"{pad}  OFFSET {_triple(character.translations[at])}",
-                  f"{pad}  CHANNELS {len(channels[at])} {' '.join(channels[at])}"]
-        if not below[at] or at in character.tips:
-            tip = character.tips.get(at, np.zeros(3))
-            lines += [f"{pad}  End Site", pad + "  {", f"{pad}    OFFSET {_triple(tip)}", pad + "  }"]
-        todo.append((at, depth, True))
-        todo += [(child, depth + 1, False) for child in reversed(below[at])]
-
-
-def _triple(values: Array) -> str:
-    return " ".join(f"{value:.6f}" for value in np.asarray(values) + 0.0)
 
 
 def turns_of(matrices: Array) -> Array:

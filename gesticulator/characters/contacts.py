@@ -3,7 +3,8 @@
 The same bone directions bring hands to other places on other bodies: a hand that passes a slim waist at a hand's
 breadth ends inside a stout one. If a hand is nearer to the character's trunk than the default character's hand is to
 its own, or inside it, the arm is bent until the distances agree (up to `MARGIN`). Both distances are computed by the
-same continuous function, so the correction is continuous too. """
+same continuous function, so the correction is continuous too.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +50,8 @@ class Trunk:
         """[T] metres from the surface (negative inside) and [T, 3] the outward direction, for points [T, 3].
 
         hips, neck: [T, 3] the ends of the column; chest: [T, 3, 3] the character's axes there (columns left, up,
-        ahead). The ends of the column are rounded. """
+        ahead). The ends of the column are rounded.
+        """
         axis = neck - hips
         length = np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
         up = axis / length
@@ -235,7 +237,8 @@ def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
     """A motion on the default skeleton, root at the origin, with hands kept at the distances `near` from the trunk.
 
     near: side -> [T] metres, as from `our_distances`; beyond `MARGIN` a hand is free. Frames that need no correction
-    are unchanged bit for bit. """
+    are unchanged bit for bit.
+    """
     names, pose = motion.skeleton.index, pose_of(motion)
     turns = {joint: pose.turns[name] for joint, name in enumerate(motion.skeleton.names)}
     column = plain_trunk(*OURS), pose.places["Hips"], pose.places["Neck"], pose.turns["Spine3"]

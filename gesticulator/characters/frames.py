@@ -61,7 +61,8 @@ class Body:
     unit: metres per unit of the character's world. lift: metres that the character is lifted to stand on the floor.
     rest_places: [N, 3] positions of the nodes at rest; rest_turns: [N, 3, 3] from the nodes' axes to ours at rest;
     local_turns: [N, 3, 3] the same to their parents' axes. offsets: [N, 3] metres from each node's parent, in the
-    parent's axes. leg_ratio: length of the character's leg relative to ours. """
+    parent's axes. leg_ratio: length of the character's leg relative to ours.
+    """
 
     character: Character
     mapping: RigMapping
@@ -413,8 +414,7 @@ def _change(bone: Array, across: Array | None, ours: Array, ours_across: Array) 
     return frame(ours, ours_across) @ frame(bone, across).T
 
 
-def _place_among(ours: Sequence[str], steps: Array, share: float, constant: Array
-                 ) -> tuple[str, Array, str, float]:
+def _place_among(ours: Sequence[str], steps: Array, share: float, constant: Array) -> tuple[str, Array, str, float]:
     """The fields (joint, C, other, share) of a `BoneSegment` at position `share` among our joints at `steps`."""
     place = int(np.clip(np.searchsorted(steps, share, side="right") - 1, 0, len(ours) - 1))
     if place == len(ours) - 1:

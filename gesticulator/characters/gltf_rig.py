@@ -140,7 +140,8 @@ def _bind(character: Character, inverse: Mapping[int, Array]) -> tuple[Array, Ar
     """[N, 4, 4] world matrices of the bind pose, and [4, 4] from mesh space to the world.
 
     Inverse bind matrices give each joint's place in mesh space. Mesh space is aligned to the world such that most
-    joints are where they are at rest (all of them, if the file rests in its bind pose). """
+    joints are where they are at rest (all of them, if the file rests in its bind pose).
+    """
     rest = character.world_matrices()
     joints = list(inverse)
     there = np.array([np.linalg.inv(inverse[node]) for node in joints])

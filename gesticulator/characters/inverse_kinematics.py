@@ -29,7 +29,8 @@ def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal
 
     The middle joint stays in the plane in which it bends; that of a straight limb bends towards `pole` [3]. Positions
     are relative to the hips; the third node keeps its world rotation if it is in `turns`. where: [T] the frames to
-    change; default all. """
+    change; default all.
+    """
     top, middle, _ = chain
     socket, hinge, tip = (body.place(turns, node) for node in chain)
     upper, lower = hinge - socket, tip - hinge

@@ -191,7 +191,8 @@ def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str], 
     """The best choice of nodes on a path for the four parts of a limb, with the confidence of each.
 
     An arm may lack its clavicle (the first part), a leg its toes (the last). Helper nodes (twist bones) are chosen only
-    if there is nothing else. """
+    if there is nothing else.
+    """
     arm = parts is ARM_PARTS
     best = -np.inf
     chosen: tuple[int, ...] = ()

@@ -22,8 +22,7 @@ FORMAT = 1
 SIDES = ("Left", "Right")
 ARM_PARTS = ("Shoulder", "Arm", "ForeArm", "Hand")
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
-SINGLE = ("Hips", "Head", *(side + part for side in SIDES for part in ARM_PARTS), *LEG_JOINTS,
-          *FINGER_JOINTS)
+SINGLE = ("Hips", "Head", *(side + part for side in SIDES for part in ARM_PARTS), *LEG_JOINTS, *FINGER_JOINTS)
 """Our joints that map to one node each; spine and neck are chains of any length."""
 NEEDED = ("Hips", "Head", *(side + part for side in SIDES for part in ("Arm", "ForeArm", "Hand")))
 """Joints required for gesturing."""

@@ -68,7 +68,8 @@ class Retargeter:
         """mapping: detected if None. contacts: keep hands out of the trunk.
 
         legs: False keeps hips and legs at rest (a seated character), True makes the character stand; None: it stands
-        unless it sits in its file. `InputError` if the joints cannot be identified reliably. """
+        unless it sits in its file. `InputError` if the joints cannot be identified reliably.
+        """
         from gesticulator.characters.joints import find_joints
 
         self.character = character
@@ -129,7 +130,8 @@ class Retargeter:
         """[T, 3] path of the hips; bends the legs in `turns` so that feet stay in place.
 
         Each ankle moves as ours does, scaled by the ratio of leg lengths, about its mean place under our bone
-        directions. The hips go where both ankles are nearest to that. """
+        directions. The hips go where both ankles are nearest to that.
+        """
         joints, body = self.mapping.joints, self.body
         self._scale_hips(turns, ours.turns["Hips"])
         ankles = np.stack([ours.places[side + "Foot"] for side in SIDES], axis=1)
@@ -155,7 +157,8 @@ class Retargeter:
         """Rotate hips of another width so that the hip sockets move as ours do, scaled by the legs.
 
         Wide hips that tilt like narrow ones would lift a foot off the floor. The rotation about the up and forward axes
-        is scaled, relative to its mean over time, usually by less than a degree. """
+        is scaled, relative to its mean over time, usually by less than a degree.
+        """
         body = self.body
         sockets = [body.place(turns, self.mapping.joints[side + "UpLeg"]) for side in SIDES]
         width = float(np.linalg.norm(sockets[0] - sockets[1], axis=-1).mean())
@@ -190,8 +193,7 @@ class Retargeter:
             matrix = character.world_matrices()[parent] if parent >= 0 else np.eye(4)
             places = root / body.unit @ body.axes
             translations = (places - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
-        return CharacterMotion(character, rotations, translations, fps, self.mapping.named(),
-                               moved, body.unit)
+        return CharacterMotion(character, rotations, translations, fps, self.mapping.named(), moved, body.unit)
 
 
 def _between(a: Array, b: Array, share: float) -> Array:

@@ -92,7 +92,8 @@ class Character:
         """[..., N, 4, 4] the nodes' world matrices, in the file's units and axes.
 
         rotations: local [..., N, 4]; default: at rest. translations: node -> local translation [..., 3] replacing that
-        at rest. """
+        at rest.
+        """
         local = self.local_matrices(rotations)
         for node, place in (translations or {}).items():
             local[..., node, :3, 3] = place

@@ -41,7 +41,8 @@ def limb_ends(character: Character, places: Array, up: Array) -> dict[str, int]:
     """The last nodes of both arms and legs; left and right assume that the character faces along the third axis.
 
     Feet are the lowest leaves on both sides of the middle, hands those farthest from the middle; only skin joints count
-    if there is a skin. """
+    if there is a skin.
+    """
     below = _children(character)
     joints = np.flatnonzero(character.skinned)
     if len(joints) < 8:

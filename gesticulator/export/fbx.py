@@ -18,7 +18,8 @@ def write_fbx(path: Path, scene: Scene) -> Path:
     """Write the motion as binary FBX, atomically. Returns `path`.
 
     The default skeleton uses an integer frame rate: other rates are resampled to the nearest. `InputError` without
-    Blender or if it fails. """
+    Blender or if it fails.
+    """
     character = own_character(scene)
     if character is not None:
         return write_animated(path, character)

@@ -58,7 +58,8 @@ def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: boo
 
     Any upper body is converted to the 16-joint character, faces +Z, and stands at `skeletons.HIP_HEIGHT`. With `legs`,
     the motion's legs are used where they stand; InputError if it has none. With `fingers`, existing fingers are
-    included ("LeftHandIndex1" ... "LeftHandIndex3Tip"). """
+    included ("LeftHandIndex1" ... "LeftHandIndex3Tip").
+    """
     if legs and not skeletons.has_legs(motion):
         raise InputError("--legs", "are not in this motion", "generate it with infer --legs, or leave them out")
     frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
@@ -212,8 +213,7 @@ def flattened(part: BodyPart, look: Look) -> FlatPart:
     limbs, depths = [], []
     for limb in part.limbs:
         (start, scale, _), (end, other, _) = look(limb.start), look(limb.end)
-        limbs.append(FlatLimb(start, end, limb.wide / 2 * scale, limb.narrow / 2 * other, (scale, other),
-                              limb.colour))
+        limbs.append(FlatLimb(start, end, limb.wide / 2 * scale, limb.narrow / 2 * other, (scale, other), limb.colour))
         depths.append(look((limb.start + limb.end) / 2)[2])
     return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, limbs, part.hand)
 
@@ -229,7 +229,8 @@ def outlines(start: Array, end: Array, r0: Array, r1: Array) -> Array:
     """[T, 2 * ROUND, 2] outlines of the convex hulls of two discs: centres [T, 2], radii [T].
 
     The sides are tangent to both circles, at asin((r0 - r1) / distance) to the axis. If one disc contains the other,
-    its circle is the outline. """
+    its circle is the outline.
+    """
     way = end - start
     heading = np.arctan2(way[:, 1], way[:, 0])[:, None]
     touch = np.arccos(np.clip((r0 - r1) / np.maximum(np.hypot(*way.T), 1e-9), -1.0, 1.0))[:, None]

@@ -191,7 +191,8 @@ def encode(points: dict[str, Array], speech: Speech, suffix: str, *, size: tuple
     """The bytes of a video: frame k shows time k of `points` (name -> [T, 3]), with `speech` as audio from its start.
 
     The audio is truncated, or padded with silence, to T / fps seconds. suffix: ".mp4" or ".webm". InputError for
-    another suffix, an invalid size or rate, or if PyAV or Pillow is not installed. """
+    another suffix, an invalid size or rate, or if PyAV or Pillow is not installed.
+    """
     kind = format_of(suffix)
     if min(size) < 16 or size[0] % 2 or size[1] % 2:
         raise InputError("size", f"must be even and 16 or more, not {size[0]} x {size[1]}")
@@ -224,7 +225,8 @@ def filled(data: bytes, size: int, suffix: str) -> bytes:
     """Pad a file to `size` bytes with an element that players skip ("free" or Void, filled with zeros).
 
     File sizes reveal how much a figure moves, and so which of two is the still one. `size` must equal the size of the
-    file or exceed it by at least `LEAST_FILLING`. """
+    file or exceed it by at least `LEAST_FILLING`.
+    """
     gap = size - len(data)
     if gap == 0:
         return data

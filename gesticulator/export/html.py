@@ -111,7 +111,8 @@ def describe(scene: Scene) -> dict[str, Any]:
     """The data of a take for the page: times in seconds, lengths in metres, arrays as base64 of little-endian numbers.
 
     `rotations` is int16 [T, J, 4], w first, in steps of 1 / `QUATERNION_STEPS`; `root` is float32 [T, 3], or [1, 3] for
-    a still root; `plan` is the gesture plan. """
+    a still root; `plan` is the gesture plan.
+    """
     return {**describe_motion(scene), "plan": scene.plan.to_dict()}
 
 

@@ -103,7 +103,8 @@ def of_character(moved: CharacterMotion) -> NodeMotion:
     """The joints of a character from the hips down the tree, in the file's axes, in metres; the hips become the root.
 
     Joints are the skin's nodes, the moved nodes, and nodes between them; meshes and cameras are omitted. Node scales
-    are applied to the lengths below, so that nodes only rotate. """
+    are applied to the lengths below, so that nodes only rotate.
+    """
     character = moved.character
     nodes = _joints_below(character, moved.hips, {*np.flatnonzero(character.skinned).tolist(), *moved.moved})
     rest, world = character.world_matrices(), moved.world_matrices()

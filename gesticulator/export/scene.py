@@ -20,7 +20,8 @@ class Scene:
     """A recording with gestures, ready to be written.
 
     motion: on the default skeleton, as generated. speech: the audio. make_plan: computes the plan, only for writers
-    that need it. character: the same motion on the user's character, if any. """
+    that need it. character: the same motion on the user's character, if any.
+    """
 
     motion: Motion
     speech: Speech

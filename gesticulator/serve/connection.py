@@ -266,7 +266,8 @@ class Connection:
         """The next item: a command, up to half a second of audio, or None for idle motion that is due.
 
         Waits for an item, and until the client has read enough. lacking: seconds of the avatar's audio below which
-        processing would produce nothing, and is not worth a round trip to the compute thread. """
+        processing would produce nothing, and is not worth a round trip to the compute thread.
+        """
         async with self._changed:
             await self._room()
             while self._too_little(lacking):

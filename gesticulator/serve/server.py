@@ -52,7 +52,8 @@ class ServerAddress:
     """Where to listen, and who may connect.
 
     port: 0 for any free one. origins: web pages that may connect, such as "https://example.org"; pages of this machine
-    and clients other than browsers always may. token: required in a client's hello; "" for none. """
+    and clients other than browsers always may. token: required in a client's hello; "" for none.
+    """
 
     host: str = "127.0.0.1"
     port: int = 8765
@@ -97,7 +98,8 @@ class LiveServer:
     """Serves streams until stopped.
 
     open_session: creates a session for a stream's name and request; output: also receives the motion; pages: URL path
-    -> file; folder: where workers of one server share their metrics. """
+    -> file; folder: where workers of one server share their metrics.
+    """
 
     address: ServerAddress
     limits: ServerLimits

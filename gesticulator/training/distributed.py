@@ -203,8 +203,7 @@ def mean(figures: dict[str, float]) -> dict[str, float]:
 _aten = torch.ops.aten
 _SIZED = {_aten.rand.default: 0, _aten.randn.default: 0, _aten.randint.default: 1, _aten.randint.low: 2}
 """Random functions with a size -> position of the size argument."""
-_ALIKE = {_aten.rand_like.default, _aten.randn_like.default, _aten.randint_like.default,
-          _aten.randint_like.low_dtype}
+_ALIKE = {_aten.rand_like.default, _aten.randn_like.default, _aten.randint_like.default, _aten.randint_like.low_dtype}
 """Random functions with the shape of another tensor."""
 _FILLED = {_aten.bernoulli_.float, _aten.exponential_.default, _aten.uniform_.default, _aten.normal_.default}
 """Random functions that fill a tensor."""
@@ -216,7 +215,8 @@ class BatchDraws(TorchDispatchMode):
     so that the noise of a row does not depend on the process that computes it.
 
     A process with n rows (of the batch, or of a flattened form of it) gets rows n * share to n * (share + 1) of n *
-    shares. The cost of generating all rows is small compared with the layers. """
+    shares. The cost of generating all rows is small compared with the layers.
+    """
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}

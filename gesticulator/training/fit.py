@@ -164,7 +164,8 @@ class Task:
     (`data_module.parallel.own_rows`), consuming the same random numbers. losses(batch, progress): the terms, keyed like
     the model's `weights`; None for the model's own. validate(): figures on the validation split. before_step(step): a
     hook that must depend on the step alone. watch: the figure of `validate` to minimise for early stopping, if the
-    settings have patience; "" for none. """
+    settings have patience; "" for none.
+    """
 
     make_batch: MakeBatch
     losses: Losses | None = None

@@ -2,7 +2,8 @@
 
 Trials are recorded in an SQLite file, so an interrupted search resumes, even within a trial: stages are cached in the
 work folder as in a training. It suits choices that a validation figure can decide. The quality of motion must be
-viewed, and measured by `gesticulator ablate`. """
+viewed, and measured by `gesticulator ablate`.
+"""
 
 from __future__ import annotations
 

@@ -161,10 +161,10 @@ def style_table(styled: Sequence[StyledWindows]) -> Table:
         rows[target] = row
     windows = sum(len(own.features) for own in styled)
     note = (f"{len(styled)} recordings of part C, {windows} windows; each recording is told by a fit on the others, so "
-            "its text is unseen, its voice mostly not. The verdict is that of sound alone.")
+            "its text is unseen, its voice mostly not. The verdict uses audio alone.")
     columns = {"bound": Column("bound"), style_from_sound.KNOWN[0]: Column("sound alone"), "holds": Column("holds"),
                **{known: Column(known) for known in style_from_sound.KNOWN[1:]}}
-    return Table("Styles told from 8 s of sound, R2", columns, rows, "style", [note], {"bounds": facts})
+    return Table("Style recognised from 8 s of audio, R2", columns, rows, "style", [note], {"bounds": facts})
 
 
 def plan_table(plans: Sequence[PlayedPlan]) -> Table:

@@ -59,8 +59,8 @@ from eval.runner.renderings import (
 from eval.table import Cell, Column, Table, dumps, loads
 from gesticulator.bundle import bundle as bundles
 
-TITLES = {"motion": "What the eye sees", "lexicon": "Lexemes name movements and are obeyed",
-          "rest": "Rest and life", "controls": "Controls, words, interpreters, cost"}
+TITLES = {"motion": "Perceptual figures", "lexicon": "Lexemes: consistency and obedience",
+          "rest": "Rest and idle motion", "controls": "Controls, words, interpreters, cost"}
 
 
 @dataclass
@@ -183,9 +183,9 @@ def _whole(own: Acceptance, groups: Mapping[str, Sequence[Mapping[str, Any]]]) -
     selection = own.ours.bundle.config.selection
     frozen = {name: getattr(selection, name) for name in sorted(vars(selection))}
     notes = [summary(entries),
-             "Guidance and temperature as the bundle was frozen with: "
+             "Sampling settings of the bundle: "
              f"{', '.join(f'{name} {value}' for name, value in frozen.items())}.",
-             "Intervals are bootstrap 95 % over recordings; of one voice rendered several times, over seeds."]
+             "Intervals are bootstrap 95 % over recordings; for one voice rendered several times, over seeds."]
     if own.space is None:
         notes.append(f"No Frechet distance: {REFERENCE} is not in GESTICULATOR_DATA.")
     facts = {"clauses": entries, "selection": frozen, "renderings": own.renderings,

@@ -174,7 +174,7 @@ def accepted(context: EvalContext, folder: Path, arguments: argparse.Namespace) 
                *alive(measures, by, [voice.own for voice in stage.voices], arguments.renderings),
                *timed(measures), *values.honesty_clauses(values.honesty(context, decisions, tables)),
                *knob(measures), *values.cost_clauses(context, list(read_index(folder)["files"]))]
-    return clauses, [row_table("Motion as it is played", _SHOWN, {n: row.values for n, row in played.items()}),
+    return clauses, [row_table("Rendered motion", _SHOWN, {n: row.values for n, row in played.items()}),
                      row_table("Lexemes on recorded speech", _CHOSEN, measures.chosen)]
 
 

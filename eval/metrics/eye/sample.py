@@ -120,10 +120,10 @@ def eye_tables(samples: Mapping[str, EyeSample], of_controls: Mapping[str, EyeSa
     wrong = {name: sample.figures(space, corpus) for name, sample in of_controls.items()}
     shown = [row for row in rows() if any(math.isfinite(own[row].mean) for own in figures.values())]
     seconds = ", ".join(f"{name} {sample.seconds:.0f} s in {len(sample.groups)}" for name, sample in samples.items())
-    head = (f"Motion and clips: {seconds}. Means over clips with bootstrap 95 % intervals; of one recording rendered "
-            "several times the interval tells of seeds alone.")
+    head = (f"Motion and clips: {seconds}. Means over clips with bootstrap 95 % intervals; for one recording "
+            "rendered several times the interval is over seeds only.")
     marks = ('"!": outside the range of two real people (whole and in halves, widened by a quarter; or a rule: seams, '
-             "freezes, torso, yaw, drift, Frechet). The last column: controls that pass by this figure.")
+             "freezes, torso, yaw, drift, Frechet). Last column: negative controls that this figure does not detect.")
     systems = Table(title, {**{name: Column(name) for name in samples}, "range": Column("real people"),
                             "controls": Column("passed by")},
                     {heading(row): {**{name: _cell(row, own[row]) for name, own in figures.items()},

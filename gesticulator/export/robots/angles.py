@@ -134,7 +134,8 @@ def to_robot(motion: Motion) -> RobotMotion:
     """A motion of our character (16, 46 or 54 joints) on the robot.
 
     The pelvis stays over one place, with the legs in one stance; a motion with legs (54 joints) moves the pelvis like
-    the hips, over feet that stay in place. ValueError for another skeleton. """
+    the hips, over feet that stay in place. ValueError for another skeleton.
+    """
     size = len(motion.skeleton)
     if size not in skeletons.CHARACTERS or not motion.skeleton.same_joints(skeletons.CHARACTERS[size]):
         raise ValueError("the motion is not on one of our skeletons: bring it onto one with to_character")

@@ -31,7 +31,8 @@ class RobotJoint:
 
     name: as in the model. parent: the joint that carries it, "" for the pelvis. place: [3] metres, turn: a unit
     quaternion, w first: the link in its parent's axes with the hinge at zero. axis: "x", "y" or "z" of the link. low,
-    high: radians. speed: maximum of the motor, radians per second. """
+    high: radians. speed: maximum of the motor, radians per second.
+    """
 
     name: str
     parent: str
@@ -120,7 +121,8 @@ def forward(angles: Array, turns: Array, places: Array, joints: list[int] | None
     """Forward kinematics: positions [T, n, 3] and axes [T, n, 3, 3] of the links in the world.
 
     angles: [T, 29]; turns: [T, 3, 3] and places: [T, 3] of the pelvis. joints: n joints, parents before children and
-    with all of their parents; default: all 29. """
+    with all of their parents; default: all 29.
+    """
     chosen = list(range(len(JOINTS))) if joints is None else joints
     rows = {"": (places, turns)}
     for index in chosen:

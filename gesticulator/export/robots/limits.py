@@ -24,7 +24,8 @@ def slowed(values: Array, step: Array) -> Array:
 
     Every such track lies above the lower envelope of a(s) + step |t - s| and below the upper envelope of
     a(s) - step |t - s| over all s; the track halfway between minimises the greatest distance from a. It starts before a
-    jump and ends as much after it, so it has no lag on average; where a is slow enough, it equals a. """
+    jump and ends as much after it, so it has no lag on average; where a is slow enough, it equals a.
+    """
     ramp = np.arange(len(values))[:, None] * step
 
     def reach(track: Array) -> Array:

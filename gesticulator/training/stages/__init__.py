@@ -68,8 +68,7 @@ def wanted(config: Config) -> list[Stage[Any]]:
 def assemble(run: Run, provenance: dict[str, Any] | None = None, leave_out: Sequence[Stage[Any]] = ()) -> Bundle:
     """Train or load every required stage except `leave_out`; returns them as a Bundle."""
     corpus, labelled, tokens = run.get(CORPUS), run.get(LABELS), run.get(TOKENS)
-    parts = {stage.part: run.get(stage) for stage in wanted(run.config)
-             if stage.part and stage not in leave_out}
+    parts = {stage.part: run.get(stage) for stage in wanted(run.config) if stage.part and stage not in leave_out}
     encoder = run.get(ENCODER)
     if encoder is not None:
         parts["encoder"] = encoder

@@ -53,7 +53,8 @@ class CounterfactualRewards:
     lengths, speaker: [E] number of decisions, and speaker; block, action, previous: [n]; silent: [n]; every: [n, S]
     rewards; log_prior: [n, S] log pi_b; swap: [n, k] lexemes substituted for the action, and gained: [n, k] the
     resulting change of later rewards, the first undiscounted, NaN if not tried; total: [n] the discounted sum of
-    rewards from here on. """
+    rewards from here on.
+    """
 
     lengths: NDArray[np.int64]
     speaker: NDArray[np.int64]

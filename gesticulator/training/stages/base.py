@@ -51,7 +51,8 @@ class Node(Generic[T]):
 
     settings: the settings that affect it: paths ("rhythm", "silence.hint"), or functions of the settings. Settings that
     matter only to some users of a value (the words of a corpus) belong to those users. needs: the nodes that `make`
-    gets from the run under these settings. of_data: further data besides the store (folders of additional audio). """
+    gets from the run under these settings. of_data: further data besides the store (folders of additional audio).
+    """
 
     name: str
     settings: tuple[str | Callable[[Config], Any], ...]

@@ -154,8 +154,7 @@ def word_file(store: Store, config: Config, folder: Path, *, progress: bool = Tr
                 words = store.load(info.name).speech.words
                 if words is not None and any(word.text for word in words):
                     with archive.open(f"{info.name}.npy", "w", force_zip64=True) as stream:
-                        np.lib.format.write_array(stream, encoder.encode(words).astype(np.float16),
-                                                  allow_pickle=False)
+                        np.lib.format.write_array(stream, encoder.encode(words).astype(np.float16), allow_pickle=False)
         with temporary.open("rb") as finished:
             os.fsync(finished.fileno())
         rename(temporary, cache)

@@ -42,7 +42,8 @@ class Corpus:
     of each recording.
 
     If a corpus does not fit into memory, motion, low, high, control, word_at and words are `StoredRows`, whose rows are
-    read when indexed. """
+    read when indexed.
+    """
 
     names: tuple[str, ...]
     splits: tuple[str, ...]
@@ -141,7 +142,8 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
     """Cut, encode and normalise a store; results cached in `folder` under the same settings are reused.
 
     encoder: the trained speech encoder, for the front end "vqwav2vec"; without it audio is omitted (one column of
-    zeros), which suffices for the lexicon. memory: bytes; a larger corpus stays on disk. """
+    zeros), which suffices for the lexicon. memory: bytes; a larger corpus stays on disk.
+    """
     infos = store.recordings
     speakers = tuple(sorted({info.speaker for info in infos if info.split == "train"}))
     if not speakers:
@@ -232,7 +234,6 @@ def _blocks(run: Run) -> Corpus:
     return corpus
 
 
-BLOCKS: Node[Corpus] = Node(
-    "blocks", settings=("rhythm",), make=_blocks)
+BLOCKS: Node[Corpus] = Node("blocks", settings=("rhythm",), make=_blocks)
 """The corpus without trained audio features: motion, stretched audio and words (and mel features, which need no
 training). The settings of the motion representation belong to the lexicon, its first user."""

@@ -27,7 +27,8 @@ class Labelled:
 
     labels: [N] lexemes; hinted: [N] the same, with a silent lexeme on every silent block; silent: the silent lexemes;
     nearest: [S] the nearest silent lexeme to each lexeme; active: [N] whether the block is a gesture; style_numbers:
-    [N] 1 and up for training blocks, 0 for others; inventory: counts over the training split. """
+    [N] 1 and up for training blocks, 0 for others; inventory: counts over the training split.
+    """
 
     labels: NDArray[np.int64]
     hinted: NDArray[np.int64]
@@ -43,7 +44,8 @@ def lexeme_speeds(corpus: Corpus, labels: NDArray[np.int64], size: int, config: 
     """[S] mean speed of all joints in the training blocks of each lexeme, metres per second of normalised time.
 
     Measured on the blocks themselves (up to `most` per lexeme): a decoded lexeme is a mean, and its small errors from
-    frame to frame would look like movement. A lexeme without blocks counts as infinitely fast. """
+    frame to frame would look like movement. A lexeme without blocks counts as infinitely fast.
+    """
     train = corpus.select("train")
     speeds = np.full(size, np.inf)
     for lexeme in range(size):

@@ -60,7 +60,8 @@ class MovementContext:
 
     A block is the sum of the prediction from its past, its lexeme, and the residual of the performer's block, which is
     used for any lexeme on that block. So the performer's lexemes reproduce the captured motion, and a changed lexeme
-    gives a movement with the same detail and affects all later blocks of the window. """
+    gives a movement with the same detail and affects all later blocks of the window.
+    """
 
     def __init__(self, lexicon: MovementLexicon, corpus: Corpus, labels: NDArray[np.int64]) -> None:
         """labels: [N] the lexeme of every block."""
@@ -121,7 +122,8 @@ class RewardWindows:
     shown: [N, K, D_m] the blocks as decoded by the lexicon. labels: [N]. lexemes: [S, K, D_m] and after: [S, S]
     transition matrix, for generating rivals: windows whose last lexemes are replaced, half of them by frequent
     successors, so that audio is needed to tell them apart; None generates no rivals. added: [S, K, D_m] contribution of
-    each lexeme of a lexicon of movements (`MovementContext`), for identifying the last one. """
+    each lexeme of a lexicon of movements (`MovementContext`), for identifying the last one.
+    """
 
     corpus: Corpus
     audio: Tensor

@@ -81,8 +81,7 @@ def measured_of(config: Config, speakers: tuple[str, ...], blocks: CachedBlocks,
     return measured(config, speakers, np.array(owners), ["train"] * len(loaded), loaded, encoded)
 
 
-def written(folder: Path, blocks: CachedBlocks, counts: NDArray[np.int64], statistics: Statistics
-            ) -> dict[str, Any]:
+def written(folder: Path, blocks: CachedBlocks, counts: NDArray[np.int64], statistics: Statistics) -> dict[str, Any]:
     """The per-block fields of a corpus, written to `folder` if missing, and the small ones (silent, durations, first,
     mask, has_text) in memory."""
     if not (folder / _SMALL).exists():

@@ -110,7 +110,8 @@ class TimedRun(Run):
     """A run that prints its progress and an estimate of the remaining time.
 
     The measured time per step of each stage is stored in the work folder, so a resumed run can estimate more than a
-    first one. """
+    first one.
+    """
 
     plan: list[Stage[Any]] = field(default_factory=list)
 

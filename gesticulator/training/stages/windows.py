@@ -24,7 +24,8 @@ class Sequence:
     """A recording as a sequence of M blocks, including inserted silence. All arrays are [M].
 
     motion: block numbers; held: whether the pose at the end of that block is held instead (inserted silence); audio:
-    block numbers of the audio windows; style: style code numbers, 0 for inserted silence. """
+    block numbers of the audio windows; style: style code numbers, 0 for inserted silence.
+    """
 
     recording: int
     motion: NDArray[np.int64]
@@ -46,7 +47,8 @@ def with_silence(parts: list[Sequence], corpus: Corpus, nearest_silent: NDArray[
     """Insert runs of 1 to `longest` silent blocks after silent ones until they make up `share` of all (RG 6.4.1).
 
     An inserted block has noise of the same recording as audio (a settled silence, or its quietest block), holds the
-    last pose, and has the zero style code and the silent lexeme nearest to the lexeme before. """
+    last pose, and has the zero style code and the silent lexeme nearest to the lexeme before.
+    """
     total = sum(len(part.motion) for part in parts)
     places = [(p, int(at)) for p, part in enumerate(parts) for at in np.flatnonzero(corpus.silent[part.motion])]
     budget = round(share * total / (1 - share)) if places else 0
