@@ -28,7 +28,7 @@ def main(sound: str, output: str, plan_output: str) -> None:
             blocks[at] = replace(block, intensity=1.4)
     plan = replace(plan, blocks=tuple(blocks))
     made = gesticulator(sound, plan=plan)
-    print(f"{made.save(output)}: {sum(edited_blocks(plan))} of {len(blocks)} blocks are drawn anew "
+    print(f"{made.save(output)}: {sum(edited_blocks(plan))} of {len(blocks)} blocks are generated again "
           f"-> {write_plan_file(plan_output, made.plan())}")
 
 

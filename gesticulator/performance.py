@@ -1,7 +1,6 @@
-"""A performance: what can be asked of it, what it is, and how it is written to a file.
+"""A performance, the result of inference: motion, sound and plan, and how they are saved.
 
-Nothing heavy is imported before it is needed, so that the command line checks its numbers against the same ranges
-before numpy and torch are loaded.
+Heavy modules are imported inside the functions that need them, to keep the start of the command line fast.
 """
 
 from __future__ import annotations
@@ -28,17 +27,17 @@ if TYPE_CHECKING:
 __all__ = ["Performance"]
 
 
-# The blocks must end where the sound ends; a cut on the frame grid may miss it by less than this.
 _END_TOLERANCE = 0.05
+"""Seconds between the end of the blocks and the end of the sound that a cut on the frame grid may leave."""
 
 
 @dataclass(frozen=True)
 class Performance:
-    """Gesture for one recording: the speech, the plan of what is gestured in it, and the motion.
+    """Gesture for one recording: the speech, its gesture plan, and the motion.
 
-    motion: on the character of 16, 46 or, with legs, 54 joints, at any frame rate. speech: the sound. blocks: N blocks
-    that tile it. lexemes: [N] the lexeme that was played. codes: [N, d_z] style codes. decided: the plan, without the
-    names of lexemes (`plan` gives them).
+    motion: on a skeleton of 16, 46 or, with legs, 54 joints, at any frame rate. speech: the sound. blocks: N blocks
+    that tile it. lexemes: [N] the lexeme played in each block. codes: [N, d_z] style codes. decided: the plan without
+    the names of lexemes (`plan` adds them).
     """
 
     motion: Motion
@@ -48,11 +47,11 @@ class Performance:
     codes: NDArray[np.float32]
     decided: GesturePlan
     options: InferenceOptions | None = None
-    """The options of the performance, with nothing left to the bundle."""
+    """The options of the performance, with the bundle's defaults filled in."""
     names: Callable[[], tuple[LexemeName, ...]] | None = None
-    """Gives the names of the lexemes, worked out on the first call."""
+    """Returns the names of the lexemes."""
     character: CharacterMotion | None = None
-    """The same motion on a character of the user's, shown by .bvh, .glb, .fbx, .usda, .usdc, .csv, .parquet."""
+    """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
 
     def __post_init__(self) -> None:
         import numpy as np
@@ -72,8 +71,8 @@ class Performance:
 
     @property
     def best(self) -> NDArray[np.int64]:
-        """[N, M] the best lexemes of each block, best first. The one that was played need not be the first: it may
-        have been sampled, or asked for."""
+        """[N, M] the best lexemes of each block, best first. The one that was played may be another: it may have been
+        sampled, or set by a cue or an edit."""
         return self._alternatives("lexeme", int)
 
     @property
@@ -83,14 +82,14 @@ class Performance:
 
     @property
     def score_is(self) -> str:
-        """The scores are natural logarithms of probabilities ("log-probability"), or "Q value": RACER's Q-network ranks
-        lexemes by it. It is no expected return: the conservative loss lowers it where the data have few examples
-        (RACER Eq. 11)."""
+        """The kind of `scores`: "log-probability" (natural logarithm), or "Q value", by which RACER's Q-network ranks
+        lexemes. A Q value is not an expected return: the conservative loss lowers it where data are sparse (RACER
+        Eq. 11)."""
         return self.decided.score_is
 
     @property
     def gate(self) -> NDArray[np.float64]:
-        """[N] the gate's probability of a gesture, NaN where there is no gate."""
+        """[N] the gate's probability of a gesture, NaN without a gate."""
         import numpy as np
 
         return np.array([np.nan if block.gate is None else block.gate for block in self.decided.blocks])
@@ -102,19 +101,19 @@ class Performance:
 
     @property
     def sound_name(self) -> str:
-        """The name of the sound's file; empty for samples."""
+        """The name of the sound file; empty for samples."""
         return self.decided.sound.name
 
     def labelled(self, sound_name: str, notes: tuple[str, ...] = ()) -> Performance:
-        """The performance with the name of the sound's file, and with remarks for the user."""
-        # A file's name may hold bytes that are no text.
+        """The performance with the name of its sound file and with remarks for the user."""
+        # A file name may contain bytes that are not valid UTF-8.
         name = sound_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
         return replace(self, decided=replace(self.decided, notes=notes, sound=replace(self.decided.sound, name=name)))
 
     def _alternatives(self, member: str, kind: type) -> NDArray[Any]:
         import numpy as np
 
-        rows = [[getattr(one, member) for one in block.alternatives] for block in self.decided.blocks]
+        rows = [[getattr(choice, member) for choice in block.alternatives] for block in self.decided.blocks]
         return np.array(rows, dtype=kind)
 
     def __repr__(self) -> str:
@@ -124,7 +123,7 @@ class Performance:
                 + (f", by {by}>" if by else ">"))
 
     def _repr_html_(self) -> str:
-        """The figure and its sound, for a notebook: the preview page in a frame."""
+        """The preview page with the character and the sound, for notebooks."""
         from html import escape
 
         from gesticulator.export.html import page
@@ -153,49 +152,48 @@ class Performance:
         return self.motion.rotations
 
     def positions(self) -> Array:
-        """[T, J, 3] where the joints are, metres: Y up, facing +Z, the floor at 0, as in the files that are written."""
+        """[T, J, 3] joint positions, metres: Y up, facing +Z, the floor at 0, as in the files that are written."""
         from data_module.motion.kinematics import positions_of
         from data_module.motion.skeletons import standing
 
         return positions_of(standing(self.motion))
 
     def save(self, path: str | os.PathLike[str], *, unit: str = "cm") -> Path:
-        """Write it, whole or not at all, in the format of the suffix (`WRITERS`): .bvh, .glb, .fbx and so on the
-        motion, .html a page that plays it, .json its plan.
+        """Write the performance atomically, in the format of the suffix (`WRITERS`): .bvh, .glb, .fbx and so on for the
+        motion, .html for a page that plays it, .json for its plan.
 
-        unit: "cm" or "m", the unit of length of a BVH file; all other formats are in metres, or tell their unit.
-        Folders that are missing are made. `InputError` for an unknown suffix, or where what its writer needs is not
-        installed; OSError where the disk refuses.
+        unit: "cm" or "m", the unit of length of a BVH file; all other formats are in metres or state their unit.
+        Missing folders are created. `InputError` for an unknown suffix or a missing dependency of its writer; OSError
+        where writing fails.
         """
         check_output(path, unit)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         return write(path, self.scene(), unit=unit)
 
     def scene(self) -> Scene:
-        """What writers are given: the motion, the sound, the plan, and the character."""
+        """The input of writers: motion, sound, plan and character."""
         from gesticulator.export.scene import Scene
 
         return Scene(self.motion, self.speech, self.plan, self.character)
 
     def on(self, character: Character | str | os.PathLike[str],
            mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True) -> Performance:
-        """The performance with its motion on a character as well (`gesticulator.characters.retarget`), which `save`
-        then writes.
+        """The performance retargeted to a character (`gesticulator.characters.retarget`), which `save` then writes.
 
-        character: a file (.bvh, .glb, .gltf, .vrm, .fbx), or what `read_character` gives. mapping: a file as
-        `save_mapping` writes it, where her joints are not found. contacts: keep hands out of her trunk.
-        `InputError` where she cannot be read, or her joints can only be guessed.
+        character: a file (.bvh, .glb, .gltf, .vrm, .fbx), or the result of `read_character`. mapping: a file as
+        written by `save_mapping`, needed where the joints are not recognised. contacts: keep the hands out of the
+        character's trunk. `InputError` if the character cannot be read or its joints are ambiguous.
         """
         from gesticulator.characters.retarget import retarget
 
         return replace(self, character=retarget(self.motion, character, mapping, contacts=contacts))
 
     def plan(self) -> GesturePlan:
-        """The plan with the names of lexemes: it can be edited and rendered again (`InferenceOptions.plan`)."""
+        """The plan with the names of lexemes. It can be edited and rendered again (`InferenceOptions.plan`)."""
         from gesticulator.directing.record import named
 
         return named(self.decided, () if self.names is None else self.names())
 
     def explain(self) -> dict[str, Any]:
-        """Why each block got its gesture, ready for JSON: `plan` in plain values (docs/plan.md)."""
+        """Why each block got its gesture: `plan` in plain values, ready for JSON (docs/plan.md)."""
         return self.plan().to_dict()

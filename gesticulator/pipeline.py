@@ -49,36 +49,36 @@ class Gesticulator:
     """A loaded bundle that turns speech into gesture, block by block (RG 6, Eq. 15)."""
 
     def __init__(self, bundle: Bundle, device: str | torch.device = "cpu") -> None:
-        """bundle: its models are moved to the device. device: what torch calls it, such as "cpu" or "cuda"."""
+        """bundle: its models are moved to the device. device: a torch device, such as "cpu" or "cuda"."""
         self.device = _usable(device)
         self.bundle = _moved(bundle, self.device)
         self._front_end = front_end_for(self.bundle.config, self.bundle.encoder)
         self._words: WordEncoder | None = None
         self._names: tuple[LexemeName, ...] | None = None
-        self._played: dict[str, LexemeInterpreter] = {}
+        self._used_interpreters: dict[str, LexemeInterpreter] = {}
 
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
                         ) -> Gesticulator:
-        """Load a bundle's folder; the shipped one when no path is given. device: "cpu" or "cuda".
+        """Load a bundle from its folder, or the shipped one when no path is given. device: "cpu" or "cuda".
 
-        Bytes are the same from run to run on one machine with one device and one number of threads.
+        Output is bit for bit reproducible on one machine with the same device and number of threads.
         """
-        device = _usable(device)  # before the work of loading
+        device = _usable(device)  # fail before the bundle is loaded
         return cls(load_bundle(Path(path) if path is not None else SHIPPED), device)
 
     @property
     def speakers(self) -> tuple[str, ...]:
-        """The performers whose habits the bundle knows."""
+        """Names of the performers in the training data; each has a gesture style of its own."""
         return self.bundle.speakers
 
     @property
     def interpreters(self) -> tuple[str, ...]:
-        """Names of the lexeme interpreters that the bundle holds; the first is taken when none is named."""
+        """Names of the bundle's lexeme interpreters; the first is the default."""
         return self.bundle.interpreters
 
     def speaker_index(self, speaker: str | None) -> int:
-        """The number of a performer; InputError lists the known ones."""
+        """The index of a performer, or of the default one for None; `InputError` lists the known names."""
         if speaker is None:
             preferred = self.bundle.config.default_speaker
             return self.speakers.index(preferred) if preferred in self.speakers else 0
@@ -92,11 +92,11 @@ class Gesticulator:
         return "interpreter_text" in self.bundle.parts
 
     def interpreter(self, name: str, text: bool = False) -> Interpreter:
-        """The lexeme interpreter of that name over the bundle's lexicon; with `text`, the one that reads the words."""
+        """The bundle's lexeme interpreter of this name; with `text`, its variant that reads the words."""
         return self.bundle.interpreter_named(name, text)
 
     def lexeme_names(self) -> tuple[LexemeName, ...]:
-        """A name for each lexeme of the bundle (`gesticulator.directing.lexeme_names`), worked out once."""
+        """A name for each lexeme of the bundle (`gesticulator.directing.lexeme_names`), computed on the first call."""
         from gesticulator.directing.lexeme_names import lexeme_names
 
         if self._names is None:
@@ -104,7 +104,7 @@ class Gesticulator:
         return self._names
 
     def word_encoder(self) -> WordEncoder:
-        """The word encoder that the bundle was trained on, opened once."""
+        """The word encoder that the bundle was trained with, opened on the first call."""
         from data_module.text.word_vectors import WordEncoder
 
         if self._words is None:
@@ -112,18 +112,21 @@ class Gesticulator:
                 raise InputError("text", "is not read by this bundle", "use a bundle trained with text")
             self._words = WordEncoder.open(self.bundle.text.encoder)
             if self._words.width + 1 != self.bundle.text.width:
-                raise InputError(self.bundle.text.encoder, "is not the word encoder that the bundle was trained on",
+                raise InputError(self.bundle.text.encoder, "is not the word encoder that the bundle was trained with",
                                  "install the same version")
         return self._words
 
     def read(self, speech: Speech, text: Text) -> tuple[Speech, str]:
-        """Speech with the words of a text (`str`) or of a transcript's file, and a line on how their times were got."""
-        if not self.reads_text:
-            raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+        """Speech with the words of a text (`str`) or a transcript file, and a line on how the words were timed."""
+        self._check_reads_text()
         from data_module.text.transcript import as_transcript, with_transcript
 
-        spoken, timing = with_transcript(speech, as_transcript(text, speech))
-        return spoken, timing.note
+        with_words, timing = with_transcript(speech, as_transcript(text, speech))
+        return with_words, timing.note
+
+    def _check_reads_text(self) -> None:
+        if not self.reads_text:
+            raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
 
     @overload
     def __call__(self, speech: SpeechInput, sample_rate: float | None = None, *, text: Text | None = None,
@@ -141,34 +144,33 @@ class Gesticulator:
                  ) -> Performance | list[Performance]:
         """Gesture for a recording, or for each of a list of them.
 
-        speech: the path of a sound file, samples [n] or [n, channels] with their `sample_rate` in hertz, or a `Speech`;
-        words that it carries are read. text: what is said, as a `str`, or as the path of a transcript (plain text,
-        TextGrid, SRT, VTT, JSON); a list of them for a list of recordings. Without words the audio-only path is taken
-        (RG 6.3). encoded: what `encode_speech` gave for this speech, to gesture for it again without encoding it
-        again. on_block(done, total) is called after each block. options: the fields of `InferenceOptions`.
-        `InputError` for what cannot be used.
+        speech: the path of a sound file, samples [n] or [n, channels] with their `sample_rate` in hertz, or a `Speech`,
+        with or without words. text: the spoken text as a `str`, or the path of a transcript (plain text, TextGrid, SRT,
+        VTT, JSON); for a list of recordings, a list of texts. Without words the audio-only models are used (RG 6.3).
+        encoded: the result of `encode_speech` for this speech, to avoid encoding it again. on_block(done, total) is
+        called after each block. options: the fields of `InferenceOptions`. `InputError` for unusable input.
 
         >>> g = Gesticulator.from_pretrained()
         >>> g("speech.wav", text="Hello there", hand_height="low", seed=3).save("gesture.bvh")
         """
-        asked = InferenceOptions.of(options)
+        checked = InferenceOptions.of(options)
         if isinstance(speech, list | tuple):
             if encoded is not None:
-                raise InputError("encoded", "is one for several recordings", "give one recording")
+                raise InputError("encoded", "cannot be used with a list of recordings", "give one recording")
             texts = _texts_for(len(speech), text)
-            return [self._one(one, sample_rate, said, asked, None, on_block)
-                    for one, said in zip(speech, texts, strict=True)]
-        return self._one(speech, sample_rate, text, asked, encoded, on_block)  # type: ignore[arg-type]
+            return [self._one(recording, sample_rate, transcript, checked, None, on_block)
+                    for recording, transcript in zip(speech, texts, strict=True)]
+        return self._one(speech, sample_rate, text, checked, encoded, on_block)  # type: ignore[arg-type]
 
     def perform(self, speech: Speech, options: InferenceOptions | None = None, *,
                 encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None) -> Performance:
-        """Gesture for a `Speech` at any sample rate, with the words that it carries; see `__call__`."""
+        """Gesture for a `Speech` at any sample rate, with or without words; see `__call__`."""
         options = options or InferenceOptions()
         return self._perform(_prepared(speech, options), options, encoded, on_block)
 
     def _perform(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
                  on_block: OnBlock | None) -> Performance:
-        """`perform` for speech that is at `SAMPLE_RATE` and as loud as it was asked for."""
+        """`perform` for speech that was resampled to `SAMPLE_RATE` and amplified (`_prepared`)."""
         if options.plan is not None:
             return self.render(speech, options, on_block=on_block)
         cast = self.cast(options, self._reads(speech))
@@ -185,57 +187,57 @@ class Gesticulator:
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
                **options: Unpack[InferenceArguments]) -> Stream:
-        """Gesture for speech while it arrives, see `gesticulator.stream.Stream`.
+        """Gesture for speech as it arrives, see `gesticulator.stream.Stream`.
 
-        sample_rate: hertz of the sound that will be fed; latency: "full", or "low" (see there); text: words will come;
-        options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`.
+        sample_rate: hertz of the sound that will be fed; latency: "full" or "low" (`BlockCutter`); text: words will be
+        added; options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`.
         """
         from gesticulator.stream import Stream
 
-        asked = InferenceOptions.of(options)
-        if text and not self.reads_text:
-            raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+        checked = InferenceOptions.of(options)
+        if text:
+            self._check_reads_text()
         cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder() if text else None,
                          latency)
-        return Stream(self.bundle, self.cast(asked, text), asked, cutter, sample_rate)
+        return Stream(self.bundle, self.cast(checked, text), checked, cutter, sample_rate)
 
     def cast(self, options: InferenceOptions, text: bool) -> Cast:
-        """Who gestures, and how, with nothing left to the bundle; text: words are read."""
-        chosen = self.bundle.config.selection
-        activity = (chosen.activity if options.activity is None else options.activity) * options.energy_share
+        """The performer for these options, with the bundle's defaults filled in. text: words are read."""
+        defaults = self.bundle.config.selection
+        activity = (defaults.activity if options.activity is None else options.activity) * options.energy_share
         self._check_activity(activity)
         self._check_variation(int(options.variation))
         controls = self.controls(options)
-        who = self.speaker_index(options.speaker)
-        system = as_interpreter(self._chosen_interpreter(options, text))
+        speaker = self.speaker_index(options.speaker)
+        interpreter = as_interpreter(self._chosen_interpreter(options, text))
         temperature = options.temperature
         if temperature is None:
-            temperature = chosen.q_temperature if system.gives_values else chosen.temperature
-        system = system.steered(options.beta, temperature)
-        sampling = Sampling(temperature, chosen.top, int(options.seed))
-        return Cast(system, who, sampling, activity, controls, int(options.variation), system.beta)
+            temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
+        interpreter = interpreter.steered(options.beta, temperature)
+        sampling = Sampling(temperature, defaults.top, int(options.seed))
+        return Cast(interpreter, speaker, sampling, activity, controls, int(options.variation), interpreter.beta)
 
     def _chosen_interpreter(self, options: InferenceOptions, text: bool) -> LexemeInterpreter:
-        """The object of the options, or that of their name: the bundle's, or one that was played here before.
+        """The interpreter object of the options, or the one of their name: the bundle's, or an object used before.
 
-        `InputError` for the name of a plan that was made with an object which this Gesticulator has not seen.
+        `InputError` for a plan that was made with an object which was never passed to this `Gesticulator`.
         """
         chosen = options.interpreter or self.interpreters[0]
         if not isinstance(chosen, str):
-            self._played[interpreter_name(chosen)] = chosen
+            self._used_interpreters[interpreter_name(chosen)] = chosen
             return chosen
         if chosen in self.interpreters or options.plan is None:
             return self.interpreter(chosen, text)
-        if chosen not in self._played:
+        if chosen not in self._used_interpreters:
             raise options.plan.error(("interpreter",), f"is {shown(chosen)}, which is not in the bundle",
                                      "pass the object that the plan was made with: interpreter=...")
-        return self._played[chosen]
+        return self._used_interpreters[chosen]
 
     def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
                on_block: OnBlock | None = None) -> Performance:
-        """The plan of the options (as `directing.planned` gives them) for a speech at 16 kHz, rendered.
+        """Render the plan of the options (as returned by `directing.planned`) for a speech at 16 kHz.
 
-        renderer: what `plan_renderer` gave for this drawing, so that only edited blocks are drawn.
+        renderer: the `plan_renderer` of the same first generation; then only edited blocks are generated.
         """
         from gesticulator.directing import directions as directing
 
@@ -245,9 +247,9 @@ class Gesticulator:
         return self._performance(speech, options, self.cast(options, self._reads(speech)), rendering)
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None) -> PlanRenderer:
-        """What renders the plans of one first drawing of a speech (at 16 kHz), each in the time of its edits.
+        """A renderer for all plans of one first generation; each then costs only its edited blocks. speech: at 16 kHz.
 
-        options: with a plan of that drawing, as `directing.planned` gives them.
+        options: with a plan of that generation, as returned by `directing.planned`.
         """
         from gesticulator.directing import directions as directing
         from gesticulator.directing.editing import PlanRenderer, Redrawer
@@ -289,24 +291,24 @@ class Gesticulator:
             from gesticulator.directing import directions as directing
 
             options = directing.planned(options)
-        spoken = _prepared(as_speech(speech, sample_rate), options)
+        recording = _prepared(as_speech(speech, sample_rate), options)
         notes: tuple[str, ...] = ()
         if options.plan is not None:
-            spoken = directing.with_planned_words(spoken, options.plan)
+            recording = directing.with_planned_words(recording, options.plan)
         elif text is not None:
-            spoken, note = self.read(spoken, text)
+            recording, note = self.read(recording, text)
             notes = (note,)
         if options.plan is None and (options.cues or options.hold_still):
             from gesticulator.directing.mismatches import without_mismatches
 
-            options = without_mismatches(options, spoken.words or (), spoken.duration)
-        made = self._perform(spoken, options, encoded, on_block)
+            options = without_mismatches(options, recording.words or (), recording.duration)
+        performance = self._perform(recording, options, encoded, on_block)
         name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
-        return made.labelled(name, made.notes if options.plan is not None else notes)
+        return performance.labelled(name, performance.notes if options.plan is not None else notes)
 
     def encode_speech(self, speech: Speech, blocks: Blocks | None = None) -> SpeechFeatures:
-        """A speech at 16 kHz cut into blocks (into these, where told) and encoded, with its words where the bundle
-        reads them."""
+        """Cut a speech at 16 kHz into blocks, or into the given ones, and encode it, with its words if the bundle reads
+        text."""
         words = self.word_encoder() if self._reads(speech) else None
         return encode_speech(speech, self.bundle.config, self._front_end, words, blocks)
 
@@ -315,33 +317,34 @@ class Gesticulator:
 
     def _check_variation(self, variation: int) -> None:
         if variation and not self.bundle.system.varies:
-            raise InputError(f"variation {variation}", "needs a generator that samples, and the bundle's draws "
-                             "a lexeme in one way", "leave it out, or choose another seed")
+            raise InputError(f"variation {variation}", "needs a generator that samples, and this bundle's is "
+                             "deterministic", "leave it out, or choose another seed")
 
     def _check_activity(self, activity: float) -> None:
-        # Where phrases rest (silence.rest=life) a gate only ranks them.
+        # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
         if 0 < activity < 1 and "gate" not in self.bundle.parts and not self.bundle.system.lives:
             raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
 
     def controls(self, options: InferenceOptions) -> Controls:
-        """What the options ask of the hands, in numbers: levels are the bundle's, files are read.
+        """The hand controls of the options as numbers: "low", "mid" and "high" by the bundle's levels, curves from
+        their files.
 
-        `InputError` where a control cannot be used, or the bundle was trained without style editing.
+        `InputError` for an invalid control, or if the bundle was trained without style editing.
         """
-        asked = options.controls or Controls.free()
-        if asked == Controls.free() and not any(hand is not None for hand in options.hands):
-            return asked
+        controls = options.controls or Controls.free()
+        if controls == Controls.free() and not any(hand is not None for hand in options.hands):
+            return controls
         if self.bundle.levels is None:
-            raise InputError(f"the control of {', '.join(FEATURES)}", "is not heard by this bundle",
+            raise InputError(f"the control of {', '.join(FEATURES)}", "is not supported by this bundle",
                              "use a bundle trained with generator.use_control")
-        given = {name: self._control(name, hand) for name, hand in zip(FEATURES, options.hands, strict=True)}
-        return Controls(**given) if options.controls is None else asked
+        values = {name: self._control(name, hand) for name, hand in zip(FEATURES, options.hands, strict=True)}
+        return Controls(**values) if options.controls is None else controls
 
-    def _control(self, feature: str, asked: HandControl) -> float | Curve | None:
+    def _control(self, feature: str, value: HandControl) -> float | Curve | None:
         assert self.bundle.levels is not None
-        if asked is None or isinstance(asked, Curve):
-            return asked
-        text = os.fspath(asked) if isinstance(asked, str | os.PathLike) else repr(float(asked))
+        if value is None or isinstance(value, Curve):
+            return value
+        text = os.fspath(value) if isinstance(value, str | os.PathLike) else repr(float(value))
         return parse(f"hand_{feature}", text, feature, self.bundle.levels)
 
     def _control_rows(self, controls: Controls, encoded: SpeechFeatures) -> ControlRows | None:
@@ -356,8 +359,8 @@ class Gesticulator:
                                                         "lexicon": lexicon_hash(self.bundle.vectors)}}
 
     def _settings(self, options: InferenceOptions, words: bool) -> dict[str, Any]:
-        """Everything that a generation depends on, in plain values. options: with nothing left to the bundle; words:
-        whether they were read."""
+        """Everything that a generation depends on, in plain values. options: with the bundle's defaults filled in;
+        words: whether words were read."""
         settings: dict[str, Any] = {
             "speaker": options.speaker, "interpreter": interpreter_name(options.interpreter or self.interpreters[0]),
             "words": words, "seed": int(options.seed), "variation": int(options.variation),
@@ -375,54 +378,54 @@ class Gesticulator:
 
     def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int,
                   options: InferenceOptions, shaping: Callable[[Array, Array], Array] | None = None) -> Motion:
-        """Normalised blocks [N, K, D_m] on the speech's own clock, smoothed, as motion (RG 4.2.2, 7.1.2).
+        """Normalised blocks [N, K, D_m], warped back onto the time of the speech and smoothed (RG 4.2.2, 7.1.2).
 
-        shaping: poses [K, D_m] at seconds [K] -> poses, what knobs make of them.
+        shaping: poses [K, D_m] at seconds [K] -> poses with intensity, mirroring and named gestures applied.
         """
         path, blocks = MotionPath(self.bundle, speaker, options, shaping=shaping), encoded.blocks
         parts = [path.push(at, block) for at, block in zip(blocks.knot_times.reshape(len(blocks), -1), features,
                                                            strict=True)]
-        made = [part for part in (*parts, path.finish(float(blocks.edges[-1]))) if part is not None]
-        return replace(made[0], rotations=np.concatenate([part.rotations for part in made]),
-                       root_positions=np.concatenate([part.root_positions for part in made]))
+        pieces = [part for part in (*parts, path.finish(float(blocks.edges[-1]))) if part is not None]
+        return replace(pieces[0], rotations=np.concatenate([piece.rotations for piece in pieces]),
+                       root_positions=np.concatenate([piece.root_positions for piece in pieces]))
 
 
 def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequence[Text | None]:
-    """A text for each of several recordings; `InputError` where there is one for all, or another number of them."""
+    """One text for each of `count` recordings; `InputError` for a single text or another number of texts."""
     if text is None:
         return [None] * count
     if isinstance(text, str | os.PathLike):
-        raise InputError("text", f"is one for {count} recordings", "give a list with a text (or None) for each")
+        raise InputError("text", f"is a single text for {count} recordings", "give a list with one text (or None) each")
     if len(text) != count:
         raise InputError("text", f"has {len(text)} entries for {count} recordings", "give one (or None) for each")
     return text
 
 
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:
-    """The speech as the models take it: amplified as asked, at `SAMPLE_RATE`."""
+    """The speech as the models need it: amplified by the gain, resampled to `SAMPLE_RATE`."""
     return resample(amplified(speech, options.gain), SAMPLE_RATE)
 
 
 def _usable(device: str | torch.device) -> torch.device:
-    """The device; `InputError` where torch does not know it or cannot use it here."""
+    """The torch device; `InputError` if torch does not know it or cannot use it here."""
     try:
-        found = torch.device(device)
-        torch.empty(1, device=found)
+        usable = torch.device(device)
+        torch.empty(1, device=usable)
     except (RuntimeError, AssertionError) as error:
         raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
                          'choose "cpu", or "cuda" where torch finds a GPU') from None
-    return found
+    return usable
 
 
 def _moved(bundle: Bundle, device: torch.device) -> Bundle:
-    """The bundle with its models on the device; itself on the CPU."""
+    """The bundle with its models on the device; the same object for the CPU."""
     if device.type == "cpu":
         return bundle
     return replace(bundle, vectors=bundle.vectors.to(device), parts=_PartsOn(device, bundle.parts))
 
 
 class _PartsOn(Mapping[str, nn.Module]):
-    """The models of a bundle, each moved to a device when it is asked for first."""
+    """The models of a bundle, each moved to a device on first access."""
 
     def __init__(self, device: torch.device, parts: Mapping[str, nn.Module]) -> None:
         self._device, self._parts = device, parts

@@ -1,12 +1,12 @@
 """Gesture while speech arrives: `stream = g.stream(sample_rate=16000)`, `frames = stream.feed(samples)`.
 
-Media time counts the seconds that were taken in: sound that was fed or listened to, and seconds of idling. Frame n is
-the pose at n / fps seconds of it, whenever it is made; who plays sound and frames by one clock has them in step, and
-nothing is dropped. Whatever the sizes of the pieces, the frames of a stream together are the frames of a file.
+Media time counts the seconds that were fed: sound of the character or of another speaker, and seconds of idling. Frame
+n is the pose at n / fps seconds of media time, so a player that runs sound and frames on one clock keeps them in sync,
+and no frame is dropped. A stream gives the same frames as a file, whatever the sizes of its pieces.
 
-Sound that is fed without a break is one utterance, cut at its beats; frames are given `Stream.look_ahead` seconds after
-their sound at most. Between utterances nothing is waited for: what is said, thought or listened to next is known to be
-no gesture of hers, so frames come at once.
+Sound that is fed without a break is one utterance, cut at its beats; its frames are returned at most
+`Stream.look_ahead` seconds after their sound. Between utterances there is no gesture to wait for, so the frames of
+idling, thinking and listening are returned at once.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 __all__ = ["Stream", "StreamFrames", "StreamState"]
 
 _KNOT = 0.04
-"""Seconds between the poses of idling."""
+"""Seconds between the knots of idle motion."""
 _LONGEST = 3600.0
-"""Seconds of idling at once: their frames are made at once."""
+"""Seconds of idling per call: their frames are generated in one call, which takes memory."""
 
 
 class StreamState(StrEnum):
@@ -58,12 +58,12 @@ class StreamState(StrEnum):
 
 @dataclass(frozen=True)
 class StreamFrames:
-    """Frames that are final: they follow those before without a gap and will not change, unless `interrupt` takes the
-    ones back that were not played. There may be none.
+    """Final frames, possibly none. They follow the earlier ones without a gap and do not change, unless `interrupt`
+    replaces frames that were not played.
 
     first: the number of the first frame; frame n is the pose at n / fps seconds of media time. rotations: [T, J, 4]
-    local rotations, unit quaternions, w first; root_positions: [T, 3] metres; skeleton: of J joints. blocks: those that
-    were drawn since the frames before.
+    local rotations, unit quaternions, w first; root_positions: [T, 3] metres; skeleton: of J joints. blocks: those
+    that were generated since the earlier frames.
     """
 
     first: int
@@ -78,32 +78,32 @@ class StreamFrames:
 
     @property
     def times(self) -> Array:
-        """[T] seconds of media time of the frames."""
+        """[T] media time of the frames, seconds."""
         times: Array = (self.first + np.arange(len(self))) / self.fps
         return times
 
     def motion(self) -> Motion:
-        """The frames as a motion; ValueError where there are none."""
+        """The frames as a motion; ValueError if there are none."""
         return Motion(self.skeleton, self.rotations, self.root_positions, self.fps)
 
 
-_Made: TypeAlias = "list[tuple[Motion | None, Block | None]]"
+_Parts: TypeAlias = "list[tuple[Motion | None, Block | None]]"
 
 
 class Stream:
     """One character that speaks, listens, thinks and idles; memory does not grow with time.
 
-    `Gesticulator.stream` makes one. Not for several threads at once. `InputError` for sound that is none (NaN,
-    infinite, another shape than [n]), and for anything that is asked after `finish`.
+    Created by `Gesticulator.stream`; not thread-safe. `InputError` for invalid sound (NaN, infinite, not of shape [n])
+    and for any call after `finish`.
     """
 
     def __init__(self, bundle: Bundle, cast: Cast, options: InferenceOptions, cutter: Callable[..., BlockCutter],
                  sample_rate: float = SAMPLE_RATE) -> None:
-        """cast: who gestures; options: of which fps, gain, seed and legs are taken; cutter: makes one for an utterance
-        whose blocks begin at so many seconds (`start`)."""
+        """cast: the performer; options: frame rate, gain, seed, legs, knobs and cues; cutter: makes the cutter of an
+        utterance, whose blocks begin at `start` seconds."""
         if not bundle.system.streams:
-            raise InputError("the bundle", "does not know how to rest without speech",
-                             "use one of lexemes whose phrases rest (silence.rest=life)")
+            raise InputError("the bundle", "cannot rest without speech",
+                             "use one with a lexicon of blocks and silence.rest=life")
         self._bundle, self._cast, self._new_cutter = bundle, cast, cutter
         self._gain, self._rate = float(options.gain), sample_rate
         self._feed = SampleFeed(sample_rate, self._gain)
@@ -113,7 +113,7 @@ class Stream:
         self._driver = Driver(bundle, cast)
         self._driver.begin(self._text)
         if options.plan is not None:
-            raise InputError("plan", "is of a whole recording", "render it without a stream")
+            raise InputError("plan", "needs a whole recording", "render it without a stream")
         self._director: Director | None = None
         shaping = None
         if options.shaped or options.directed:
@@ -127,26 +127,26 @@ class Stream:
         self._turns = HeadTurns(int(options.seed), joints)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
         self._state, self._finished, self._hurried = StreamState.IDLE, False, False
-        self._begun = self._committed = 0.0  # media time where the utterance begins, and of the last knot
+        self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
         rest = bundle.rest_feature(cast.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
         self._shown = deque([(RestKnots(np.zeros(1), rest, np.zeros((1, 2, 2))), rest)])
 
-    # -------------------------------------------------------------------------------------------------- what it is
+    # ------------------------------------------------------------------------------------------------------- state
 
     @property
     def state(self) -> StreamState:
-        """What the character does now."""
+        """The current state of the character."""
         return self._state
 
     @property
     def time(self) -> float:
-        """Seconds of media time that were taken in."""
+        """Media time up to which sound or seconds were fed."""
         return self._begun + self._feed.seconds
 
     @property
     def made(self) -> int:
-        """Frames that are final; the next has this number."""
+        """Count of final frames, which is the number of the next frame."""
         return self._path.next
 
     @property
@@ -156,30 +156,30 @@ class Stream:
 
     @property
     def skeleton(self) -> Skeleton:
-        """Of the J joints that the frames rotate."""
+        """The skeleton of J joints that the frames animate."""
         return self._path.skeleton
 
     @property
     def look_ahead(self) -> float:
-        """Seconds of sound after a frame's own that may be needed before it is final, at most."""
+        """Seconds of sound after a frame that are needed at most before the frame is final."""
         beats = self._bundle.config.rhythm.beats
-        # From a beat to where the next one is certain, and from the next to where the pauses of the block after it are.
+        # From a beat to where the next beat is certain, and from there to where the pauses of the block after it are.
         certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD
         if not self._path.prompt:
             known = beats.d_max + silence.LOOK_AHEAD + silence.STEP * silence.FRAME
-            # A block is drawn when the next is known, and its last knot is certain with the one after that.
+            # A block is generated once the next one is known; its last knot is certain with the knot after that.
             certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
         return certain + self._path.reach + TICK / SAMPLE_RATE
 
     @property
     def lacking(self) -> float:
-        """Seconds of sound that `feed` needs at least to give anything: it is taken in ticks of 50 ms."""
+        """Least seconds of sound that `feed` needs to return any frame: sound is processed in ticks of 50 ms."""
         return TICK / SAMPLE_RATE if self._cutter is None else self._cutter.lacking
 
     @property
     def history(self) -> float:
-        """Seconds before the last frame that `interrupt` can go back to: a minute, or as many as are set, up to ten
-        minutes. What lies further back is let go of with the next frames."""
+        """Seconds before the last frame to which `interrupt` can go back: a minute unless set, ten minutes at most.
+        Older frames are forgotten with the next ones."""
         return self._path.history
 
     @history.setter
@@ -190,8 +190,8 @@ class Stream:
 
     @property
     def hurried(self) -> bool:
-        """Blocks are drawn at less cost: one candidate in few steps, without guidance. Set it where there is no time;
-        a stream that never was hurried gives the frames of a file."""
+        """Whether blocks are generated at lower cost: one candidate, few steps, no guidance. Set it when generation
+        falls behind; a stream that was never hurried gives the frames of a file."""
         return self._hurried
 
     @hurried.setter
@@ -199,35 +199,32 @@ class Stream:
         self._hurried = on
         self._driver.hurry(on)
 
-    # -------------------------------------------------------------------------------------------------- what is done
+    # ------------------------------------------------------------------------------------------------------- input
 
     def feed(self, samples: NDArray[Any]) -> StreamFrames:
-        """Sound that the character says: [n] in [-1, 1] (or whole numbers of any width), any number of them, 0 too.
-        Gives the frames that are final by it."""
+        """Feed speech of the character: samples [n] in [-1, 1], or integers of any width; n may be 0. Returns the
+        frames that became final."""
         self._check_open()
         first, sound = self._path.next, self._feed.take(samples)
-        if len(samples) and self._state != StreamState.SPEAKING:
-            self._turns.release(self._committed)
-            self._state = StreamState.SPEAKING
-        return self._given(first, self._draw(self._utterance().feed(sound)) if len(sound) else [])
+        if len(samples):
+            self._speak()
+        return self._frames(first, self._draw(self._utterance().feed(sound)) if len(sound) else [])
 
     def pass_over(self, seconds: float) -> StreamFrames:
-        """So many seconds of what she says came too late to be drawn: media time goes on by them. What was fed and is
-        not drawn yet is passed over with them, and words for it are forgotten. Her hands stop softly and wait, and go
-        on with the next `feed`. Gives frames up to the new media time; costs about as little as `idle`."""
+        """Skip so many seconds of speech that came too late to be generated, and advance media time by them. Sound that
+        was fed but not generated yet is skipped too, and its words are forgotten. The hands stop softly and wait for
+        the next `feed`. Returns frames up to the new media time, at about the cost of `idle`."""
         self._check_open()
         _check_seconds(seconds)
         first = self._path.next
-        if self._state != StreamState.SPEAKING:
-            self._turns.release(self._committed)
-            self._state = StreamState.SPEAKING
+        self._speak()
         self._begin(self.time + seconds)
-        return self._given(first, self._advance(self._begun))
+        return self._frames(first, self._advance(self._begun))
 
     def add_words(self, words: Sequence[Word]) -> None:
-        """What is said, with seconds of media time. Words may come before their sound, late or never: a block is drawn
-        with the words that are known by then. Those that come together are read together. `InputError` where the
-        stream was not made to read."""
+        """Add words with their media time, seconds. They may come before their sound, late or never: a block is
+        generated with the words that are known by then. The words of one call are encoded together. `InputError` if the
+        stream was opened without text."""
         self._check_open()
         if not self._text:
             raise InputError("words", "are not read by this stream", "open it with text=True")
@@ -235,132 +232,137 @@ class Stream:
                                      for word in words])
 
     def idle(self, seconds: float) -> StreamFrames:
-        """So many seconds of media time without sound: she comes to rest and stays alive. Gives frames up to their end,
-        what was fed before included: nothing is waited for. 0 says that no more sound comes for now."""
-        return self._rests(seconds, StreamState.IDLE)
+        """Advance media time by seconds without sound: the character comes to rest, with idle motion. Returns the
+        frames up to the new media time, those of sound fed before included. 0 seconds end the utterance."""
+        return self._rest(seconds, StreamState.IDLE)
 
     def think(self, seconds: float) -> StreamFrames:
-        """As `idle`, while an answer is thought of: she looks away."""
-        return self._rests(seconds, StreamState.THINKING)
+        """As `idle`, while an answer is being prepared: the character looks away."""
+        return self._rest(seconds, StreamState.THINKING)
 
     def listen(self, samples: NDArray[Any]) -> StreamFrames:
-        """As `idle` for as long as this sound of another's voice [n] lasts: she nods in its pauses, and shifts."""
+        """As `idle` for the length of another speaker's sound [n]: the character nods in its pauses, and shifts."""
         self._check_open()
-        heard = self._voice.take(samples)
-        return self._rests(len(samples) / self._voice.rate, StreamState.LISTENING, heard)
+        voice = self._voice.take(samples)
+        return self._rest(len(samples) / self._voice.rate, StreamState.LISTENING, voice)
 
     def interrupt(self, at: float | None = None) -> StreamFrames:
-        """Stop speaking: no stroke begins any more, the hands are under 0.3 m/s within 300 ms and hang within 1.2 s.
+        """Stop speaking: no new stroke begins, the hands are under 0.3 m/s within 300 ms and hang within 1.2 s.
 
-        at: seconds of media time up to which was played; later frames are taken back, and media time goes on from
-        there. None keeps all that is final. Sound that was fed for later is forgotten. What is given (its `first` says
-        from where on) replaces what was taken back; `idle` and the others give what follows. `InputError` for a time
-        that is not yet, or longer ago than `history`.
+        at: media time up to which frames were played, seconds; media time continues from there, and later frames are
+        replaced by the returned ones, from number `first` on. None replaces no frame. Sound that was fed for later
+        times is forgotten. `InputError` for a time in the future or longer ago than `history`.
         """
         self._check_open()
-        made = self._path.next / self.fps
-        at = made if at is None else float(at)
-        knots, shown = self._history()
-        if not knots.times[0] <= at <= max(self.time, made):
-            raise InputError(f"interrupt at {at:g} s", f"is not between {knots.times[0]:.2f} and {made:.2f} s",
-                             "give the time up to which was played")
-        at = min(at, made)
-        # What the frames before were made of stays, and one knot beyond; there she breaks off.
+        final = self._path.next / self.fps
+        at = final if at is None else float(at)
+        knots, features = self._history()
+        if not knots.times[0] <= at <= max(self.time, final):
+            raise InputError(f"interrupt at {at:g} s", f"is not between {knots.times[0]:.2f} and {final:.2f} s",
+                             "give the media time of the last frame that was played")
+        at = min(at, final)
+        # The knots of the earlier frames stay, and one knot more, from which the character goes to rest.
         last = min(int(np.searchsorted(knots.times, at + self._path.reach)) + 2, len(knots.times))
-        # What is too long ago is let go of here: after this all is one piece, which later ones are measured by.
+        # Drop knots beyond the history here: the remaining ones become one entry, which is dropped as a whole later.
         old = int(np.searchsorted(knots.times, knots.times[last - 1] - self._path.history))
         old = max(min(old, last - 2 * self._bundle.frames), 0)
-        kept = RestKnots(knots.times[old:last], knots.poses[old:last], knots.gains[old:last])
-        shown = shown[old:last]
+        recent = RestKnots(knots.times[old:last], knots.poses[old:last], knots.gains[old:last])
+        features = features[old:last]
         if last > 1:
-            self._driver.break_off(kept, at)
-            self._path.rewind(kept.times, shown, min(math.ceil(at * self.fps - 1e-6), self._path.next))
-        self._shown = deque([(kept, shown)])
-        self._committed = float(kept.times[-1])
+            self._driver.break_off(recent, at)
+            self._path.rewind(recent.times, features, min(math.ceil(at * self.fps - 1e-6), self._path.next))
+        self._shown = deque([(recent, features)])
+        self._committed = float(recent.times[-1])
         self._turns.release(self._committed)
         self._begin(at)
         self._state = StreamState.IDLE
-        return self._given(self._path.next, self._advance(at))
+        return self._frames(self._path.next, self._advance(at))
 
     def finish(self) -> StreamFrames:
-        """The rest: no sound comes any more. `InputError` where nothing was ever taken in."""
+        """End the stream and return its last frames. `InputError` if nothing was ever fed."""
         self._check_open()
         if self.time == 0:
             raise InputError("speech", "holds no samples", "give a recording")
-        first, made = self._path.next, self._end_utterance()
-        made.append((self._path.finish(self._begun), None))
+        first, parts = self._path.next, self._end_utterance()
+        parts.append((self._path.finish(self._begun), None))
         self._finished = True
-        return self._given(first, made)
+        return self._frames(first, parts)
 
-    # -------------------------------------------------------------------------------------------------- how
+    # --------------------------------------------------------------------------------------------------- internals
 
     def _check_open(self) -> None:
         if self._finished:
             raise InputError("the stream", "is finished", "open another")
 
+    def _speak(self) -> None:
+        if self._state != StreamState.SPEAKING:
+            self._turns.release(self._committed)
+            self._state = StreamState.SPEAKING
+
     def _utterance(self) -> BlockCutter:
-        """What cuts the sound that is fed. What was shown already is not drawn again."""
+        """The cutter of the current utterance. Its blocks begin after the last knot that was generated."""
         if self._cutter is None:
             self._cutter = self._new_cutter(start=max(self._committed - self._begun, 0.0))
         return self._cutter
 
     def _begin(self, time: float) -> None:
-        """Media time goes on at `time`; what was fed is done with."""
+        """Begin the next utterance at media time `time`, without the sound that was fed before."""
         self._begun, self._feed, self._cutter = time, SampleFeed(self._feed.rate, self._gain), None
 
-    def _end_utterance(self) -> _Made:
-        """Draw what was fed to its end; media time stands there."""
+    def _end_utterance(self) -> _Parts:
+        """Generate the rest of the utterance, and set media time to its end."""
         if self._feed.seconds == 0 or self._cutter is None:
             return []
         cutter = self._cutter
-        made = self._draw(cutter.feed(self._feed.finish()))
-        made += self._draw(cutter.finish())
+        parts = self._draw(cutter.feed(self._feed.finish()))
+        parts += self._draw(cutter.finish())
         self._begin(self._begun + cutter.duration)
-        return made
+        return parts
 
-    def _rests(self, seconds: float, state: StreamState, heard: Samples | None = None) -> StreamFrames:
+    def _rest(self, seconds: float, state: StreamState, voice: Samples | None = None) -> StreamFrames:
+        """Advance by seconds in a state other than speaking. voice: samples of another speaker."""
         self._check_open()
         _check_seconds(seconds)
-        first, made = self._path.next, self._end_utterance()
+        first, parts = self._path.next, self._end_utterance()
         if state != self._state:
             self._turns.release(self._committed)
             if state == StreamState.THINKING:
                 self._turns.look_away(self._committed)
             self._state = state
-        if heard is not None:
-            self._turns.listen(heard, max(self._committed, self._begun))
+        if voice is not None:
+            self._turns.listen(voice, max(self._committed, self._begun))
         self._begin(self._begun + seconds)
-        return self._given(first, made + self._advance(self._begun))
+        return self._frames(first, parts + self._advance(self._begun))
 
-    def _advance(self, until: float) -> _Made:
-        """Idle until all frames before `until` seconds are made."""
+    def _advance(self, until: float) -> _Parts:
+        """Generate idle motion until all frames before `until` seconds are final."""
         count, frames = math.ceil(until * self.fps - 1e-6), self._bundle.frames
         none = np.zeros((0, self._shown[-1][1].shape[1]), np.float32)
-        made: _Made = [(self._path.push(np.zeros(0), none, count), None)]
+        parts: _Parts = [(self._path.push(np.zeros(0), none, count), None)]
         while self._path.next < count:
-            away = until + self._path.reach - self._committed
-            knots, start = min(max(math.ceil(away / _KNOT), 1), frames), self._committed
+            missing = until + self._path.reach - self._committed
+            knots, start = min(max(math.ceil(missing / _KNOT), 1), frames), self._committed
             features = self._driver.idle(start, _KNOT, knots)
             times = start + _KNOT * np.arange(1, knots + 1, dtype=np.float64)
-            made.append((self._show(times, features, count), None))
-        return made
+            parts.append((self._show(times, features, count), None))
+        return parts
 
-    def _draw(self, blocks: Sequence[SpeechBlock]) -> _Made:
-        made: _Made = []
+    def _draw(self, blocks: Sequence[SpeechBlock]) -> _Parts:
+        parts: _Parts = []
         for block in blocks:
             speech = replace(block, number=self._past_blocks, start=block.start + self._begun,
                              end=block.end + self._begun)
             edges = np.array([speech.start, speech.end])
             times = Blocks(edges, np.zeros(1, np.int8), np.zeros(1, bool), self._bundle.frames, 1.0).knot_times
             direction = FREE if self._director is None else self._director.direction(times, speech.start)
-            drawn = self._driver.draw(BlockRequest(
+            generated = self._driver.draw(BlockRequest(
                 speech, controls_at(self._bundle.levels, self._cast.controls, times), direction))
             self._past_blocks += 1
-            made.append((self._show(times, drawn.motion), drawn.block))
-        return made
+            parts.append((self._show(times, generated.motion), generated.block))
+        return parts
 
     def _show(self, times: Array, features: NDArray[np.float32], until: int | None = None) -> Motion | None:
-        """The frames that are certain by more knots, [K, D_m] at times [K], up to the one before `until`."""
+        """Add knots, features [K, D_m] at times [K]; return the frames that became final, those before `until`."""
         turned = self._turns(times)
         if turned is not None:
             features = (features + turned * self._scale).astype(np.float32)
@@ -371,19 +373,19 @@ class Stream:
         return self._path.push(times, features, until)
 
     def _history(self) -> tuple[RestKnots, NDArray[np.float32]]:
-        """All knots that are remembered, and the features [M, D_m] that were shown."""
-        knots = [one for one, _ in self._shown]
-        times, poses, gains = (np.concatenate([getattr(one, name) for one in knots])
+        """All knots in the history, and their features [M, D_m] with head turns."""
+        entries = [knots for knots, _ in self._shown]
+        times, poses, gains = (np.concatenate([getattr(knots, name) for knots in entries])
                                for name in ("times", "poses", "gains"))
         return RestKnots(times, poses, gains), np.concatenate([features for _, features in self._shown])
 
-    def _given(self, first: int, made: _Made) -> StreamFrames:
-        parts = [part for part, _ in made if part is not None]
+    def _frames(self, first: int, parts: _Parts) -> StreamFrames:
+        motions = [motion for motion, _ in parts if motion is not None]
         joints = len(self.skeleton)
         return StreamFrames(
-            first, self.fps, self.skeleton, np.concatenate([np.zeros((0, joints, 4)), *(p.rotations for p in parts)]),
-            np.concatenate([np.zeros((0, 3)), *(part.root_positions for part in parts)]),
-            tuple(block for _, block in made if block is not None))
+            first, self.fps, self.skeleton, np.concatenate([np.zeros((0, joints, 4)), *(m.rotations for m in motions)]),
+            np.concatenate([np.zeros((0, 3)), *(motion.root_positions for motion in motions)]),
+            tuple(block for _, block in parts if block is not None))
 
 
 def _check_seconds(seconds: float) -> None:

@@ -130,7 +130,7 @@ def test_a_list_gives_a_list(g: Gesticulator) -> None:
     assert g([]) == []
     texts = g((Speech(one, RATE), Speech(two, RATE)), text=["heavy bread", None])
     assert texts[0].speech.words and not texts[1].speech.words
-    for wrong, said in ((["a"], "1 entries for 2"), ("a text", "one for 2 recordings")):
+    for wrong, said in ((["a"], "1 entries for 2"), ("a text", "single text for 2 recordings")):
         with pytest.raises(InputError, match=said):
             g([one, two], RATE, text=wrong)  # type: ignore[call-overload]
 

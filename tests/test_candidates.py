@@ -12,7 +12,7 @@ from data_module.types import Array, Speech
 from eval.baselines import controls as baselines
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
-from gesticulator.drawing.candidates import FASTEST, CandidateChooser, in_time, not_thrown
+from gesticulator.drawing.candidates import FASTEST, CandidateChooser, in_time, slow_enough
 from gesticulator.drawing.cutter import encode_speech
 from gesticulator.pipeline import Gesticulator
 from tests.untrained import MOVING, PLAIN, untrained
@@ -80,8 +80,8 @@ def test_a_hand_that_is_thrown_counts_only_where_all_are() -> None:
         way = np.outer(speeds, np.maximum(times, 0.0))[..., None, None] * np.array([1.0, 0.5])[:, None]
         return np.concatenate([way, np.zeros((*way.shape[:3], 2))], axis=-1)
 
-    assert not_thrown(hands(1.0, FASTEST + 0.1, FASTEST - 0.1), times).tolist() == [0, 2]
-    assert not_thrown(hands(9.0, 5.0, 7.0), times).tolist() == [1], "the slowest of them"
+    assert slow_enough(hands(1.0, FASTEST + 0.1, FASTEST - 0.1), times).tolist() == [0, 2]
+    assert slow_enough(hands(9.0, 5.0, 7.0), times).tolist() == [1], "the slowest of them"
 
 
 def test_a_throw_is_one_in_every_candidate(bundle: Bundle) -> None:
@@ -93,8 +93,8 @@ def test_a_throw_is_one_in_every_candidate(bundle: Bundle) -> None:
     raised[:, 3 * skeleton.index("LeftArm") + 2] = np.arange(1, FRAMES + 1) / FRAMES
     past, slow, fast = (statistics.normalise(rest + turned * raised, 0) for turned in (0.0, 1.0, 5.0))
     chooser, speech = CandidateChooser(bundle, 0), block_of(np.zeros(0))
-    assert not chooser.throws(speech, past, slow[None]) and chooser.throws(speech, past, fast[None])
-    assert not chooser.throws(speech, past, np.stack([fast, slow]))
+    assert not chooser.too_fast(speech, past, slow[None]) and chooser.too_fast(speech, past, fast[None])
+    assert not chooser.too_fast(speech, past, np.stack([fast, slow]))
 
 
 def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> None:

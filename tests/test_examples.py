@@ -127,7 +127,7 @@ def test_a_plan_is_edited(recording: Path, tmp_path: Path, capsys: pytest.Captur
     first = Gesticulator.from_pretrained()(recording).save(tmp_path / "first.bvh")
     differs = np.abs(edited.rotations - read_bvh(first).rotations).max(axis=(1, 2)) > 1e-6
     assert sum(edited_blocks(plan)) >= 1 and 0.0 < differs.mean() < 0.9, "a part of it"
-    assert "drawn anew" in capsys.readouterr().out
+    assert "generated again" in capsys.readouterr().out
 
 
 def test_gestures_at_words(recording: Path, tmp_path: Path) -> None:

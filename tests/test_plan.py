@@ -115,7 +115,7 @@ def test_what_the_schema_refuses_is_refused_with_its_line(place: tuple[str | int
 
 @pytest.mark.parametrize(("old", "new", "told"), [
     ('"seed": 7,', '"seed": 7,,', "lacks a name"), ('"seed": 7,', '"seed": 7 "x": 1,', "lacks a comma"),
-    ('"seed": 7,', '"seed": 7, "seed": 8,', "twice"), ('"seed": 7,', '"seed": NaN,', "no JSON"),
+    ('"seed": 7,', '"seed": 7, "seed": 8,', "twice"), ('"seed": 7,', '"seed": NaN,', "not JSON"),
     ('"seed": 7,', '"seed" 7,', "lacks the colon"), ('"seed": 7,', '"seed": 07,', "lacks a comma"),
     ('"version": 2', '"version": 3', "this version reads 1 and 2"), (FORMAT, "other", "--plan-out"),
     ('"wave"', '"wavy"', "one of wave, point left"), ('"word": "Hello"', '"word": null', "a word or a time"),
@@ -162,16 +162,16 @@ def test_what_is_edited_is_found_and_a_lock_keeps_knobs_away() -> None:
 def test_bml_is_read_with_lines_and_without_documents_of_their_own() -> None:
     text = bml_of(a_plan())
     row = next(line for line in text.split("\n") if 'id="b2"' in line)
-    for new, told in ((row.replace("<gesture", "<gestur", 1).replace("/>", ">", 1), "no XML"),
+    for new, told in ((row.replace("<gesture", "<gestur", 1).replace("/>", ">", 1), "not XML"),
                       (row.replace('start="', 'start="x', 1), "start of a gesture"),
                       (row.replace('lexeme="', 'lexeme="q', 1), "a name of the lexicon"),
                       (row.replace('g:mirror="false"', 'g:mirror="3"'), "true or false")):
         with pytest.raises(InputError, match=told) as error:
             parse_bml(text.replace(row, new).encode(), "my.bml")
         assert str(error.value).startswith("my.bml, line ")
-    with pytest.raises(InputError, match="type of document"):
+    with pytest.raises(InputError, match="document type"):
         parse_bml(b'<!DOCTYPE bml [<!ENTITY a "b">]><bml/>')
-    with pytest.raises(InputError, match="no BML"):
+    with pytest.raises(InputError, match="not BML"):
         parse_bml(b"<bml/>")
 
 
@@ -385,14 +385,14 @@ def test_sections_stand_in_the_file_only_where_there_are_any_and_come_back_as_th
     ("units", (GestureUnit(0.1, 0.6, (GesturePhase("stroke", 0.0, 0.2),)),), "within 0.1 to 0.6"),
     ("units", (GestureUnit(0.1, 0.6, (GesturePhase("throw", 0.2, 0.3),)),), "one of preparation"),
     ("units", (GestureUnit(0.1, 0.6, hand="third"),), "one of left, right, both"),
-    ("meanings", (PlanMeaning(0.5, 0.4, "size"),), "the lesser first"),
+    ("meanings", (PlanMeaning(0.5, 0.4, "size"),), "the smaller first"),
     ("meanings", (PlanMeaning(0.4, 0.5, "size", certainty=1.5),), "0 to 1"),
     ("pins", (PosePin(0.5, "Head"),), "neither a rotation nor a position"),
-    ("pins", (PosePin(0.5, "Head", (1.0, 1.0, 0.0, 0.0)),), "no unit quaternion"),
+    ("pins", (PosePin(0.5, "Head", (1.0, 1.0, 0.0, 0.0)),), "not a unit quaternion"),
     ("curves", (KnobCurve("intensity", (0.0, 1.0), (1.0,)),), "1 entries for 2 times"),
     ("curves", (KnobCurve("intensity", (1.0, 1.0), (1.0, 1.0)),), "do not rise"),
-    ("curves", (KnobCurve("intensity", (), ()),), "one at least"),
-    ("curves", (KnobCurve("intensity", (1.0,), (1.0,)),) * 2, "one curve for a knob"),
+    ("curves", (KnobCurve("intensity", (), ()),), "at least one"),
+    ("curves", (KnobCurve("intensity", (1.0,), (1.0,)),) * 2, "one curve per knob"),
     ("alignment", SoundAlignment("ff", 2.0, (0.0, 1.0), (1.0, 1.0)), "there do not rise"),
     ("alignment", SoundAlignment("ff", 0.0, (0.0,), (0.0,)), "duration"),
 ])

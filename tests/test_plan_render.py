@@ -27,11 +27,11 @@ from gesticulator.directing.shaping import (
     FADE,
     MIRROR_FADE,
     REST_FADE,
-    AskedSizes,
+    ArmScales,
     Shaper,
     eased_levels,
-    left_by,
     levels_at,
+    rest_share,
 )
 from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
 from gesticulator.export.html import describe
@@ -214,9 +214,9 @@ def poses_of(made: Performance, step: int = 3) -> tuple[Array, Array]:
     return poses, np.arange(len(poses)) * step / made.fps
 
 
-def sized(count: int, left: float, right: float, both: float = 0.0) -> AskedSizes:
+def sized(count: int, left: float, right: float, both: float = 0.0) -> ArmScales:
     intensity = np.tile([left, right], (count, 1))
-    return AskedSizes(intensity, left_by(intensity), np.full(count, both))
+    return ArmScales(intensity, rest_share(intensity), np.full(count, both))
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +232,7 @@ def test_shaping_needs_no_later_frames_and_can_go_back(new_shaper: Callable[[], 
     shaper = new_shaper()
     for first, last in ((0, 7), (7, 60), (60, 61), (61, 90), (40, 70), (70, len(poses))):  # one of them goes back
         part = slice(first, last)
-        own = AskedSizes(asked.intensity[part], asked.left[part], asked.both[part])
+        own = ArmScales(asked.intensity[part], asked.share[part], asked.both[part])
         got = shaper.shaped(poses[part], times[part], own)
         np.testing.assert_allclose(got, whole[part], rtol=0, atol=1e-12)
 
@@ -254,7 +254,7 @@ def test_strokes_grow_and_what_is_slow_keeps_its_speed() -> None:
     fine.push(times, poses)
     brought = large.at(times)[:, 0]
     steps, ways = np.full(4, 0.25), np.array([0.75, 0.5, 0.25, 0.0])  # how much way was gone since each step
-    ages = ways / LARGE.way + (times[4] - times[1:5]) / REMEMBERED
+    ages = ways / LARGE.path + (times[4] - times[1:5]) / REMEMBERED
     np.testing.assert_allclose(brought[4], np.sum(steps * (1.0 + np.cos(np.pi * ages)) / 2.0), atol=1e-12)
     fades = np.abs(np.diff(brought[4:])).max() / 0.05
     assert fades < 0.5 * np.pi / REMEMBERED, "rad/s with which one radian is forgotten, at most"
@@ -394,7 +394,8 @@ def test_cues_find_their_words_and_say_what_is_said() -> None:
     due = cues_at(cues, words, 3.0, tuple)
     assert [round(one.time, 3) for one in due] == [0.3, 2.1, 1.0]
     for cue, told in ((GestureCue("wave", "hello", 3), "hello, you"), (GestureCue("wave", "red"), "0 times"),
-                      (GestureCue("wavy", "you"), "wave, point left"), (GestureCue("wave", time=4.0), "not in the 3")):
+                      (GestureCue("wavy", "you"), "wave, point left"),
+                      (GestureCue("wave", time=4.0), "not within the 3")):
         with pytest.raises(InputError, match=told):
             cues_at([cue], words, 3.0, tuple)
     with pytest.raises(InputError, match="--text"):
@@ -418,7 +419,7 @@ def test_a_plan_of_something_else_is_refused(system: Gesticulator, speech: Speec
     other = replace(plan, made_by={**plan.made_by, "bundle": {"preset": "x", "lexicon": "0"}})
     with pytest.raises(InputError, match="another bundle"):
         system(speech, plan=other)
-    with pytest.raises(InputError, match="belongs to what the plan replays"):
+    with pytest.raises(InputError, match="is determined by the plan"):
         system(speech, plan=plan, speaker="brad")
 
 
@@ -482,5 +483,5 @@ def test_an_interpreter_object_that_is_not_at_hand_is_asked_for(system: Gesticul
     assert "their own" in str(error.value)
     with pytest.raises(InputError, match="Steady: is not that of the plan, their own"):
         system(speech, plan=plan, interpreter=Steady(size))
-    with pytest.raises(InputError, match="belongs to what the plan replays"):
+    with pytest.raises(InputError, match="is determined by the plan"):
         system(speech, plan=plan, interpreter="lstm")

@@ -270,7 +270,7 @@ def test_who_hurries_draws_again_what_throws_a_hand(monkeypatch: pytest.MonkeyPa
     sound, counts = example()[:round(SHORT * SAMPLE_RATE)], []
     chosen = system().bundle.config.selection
     for thrown in (False, True):
-        monkeypatch.setattr(CandidateChooser, "throws", lambda *_, thrown=thrown: thrown)
+        monkeypatch.setattr(CandidateChooser, "too_fast", lambda *_, thrown=thrown: thrown)
         stream = system().stream()
         stream.hurried = True
         with asked_of_the_head() as rows:

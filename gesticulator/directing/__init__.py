@@ -1,1 +1,1 @@
-"""From plan and options to directions for each block: knobs, cues, named gestures, edits."""
+"""From plan and options to instructions for each block: knobs, cues, named gestures, edits."""

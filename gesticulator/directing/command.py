@@ -1,4 +1,4 @@
-"""`gesticulator plan`: look at gesture plans, and at the names that they can use; no sound is opened."""
+"""`gesticulator plan`: check and convert gesture plans, and list the names that they can use; needs no sound."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _BUNDLE_HELP = "folder of trained weights (default: the shipped ones)"
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     verbs = p.add_subparsers(dest="what", required=True, metavar="check|names|convert|schema")
     check = verbs.add_parser("check", help="report the errors of a plan with their lines, or its edits")
     check.add_argument("plan", metavar="PLAN", help="a plan, .json or .bml")
@@ -26,30 +26,30 @@ def arguments(p: argparse.ArgumentParser) -> None:
     verbs.add_parser("schema", help="print the JSON Schema of plans")
 
 
-def run(asked: argparse.Namespace) -> int:
-    """Do it; `InputError` for a plan that cannot be used."""
+def run(parsed: argparse.Namespace) -> int:
+    """Run the command; `InputError` for an invalid plan."""
     from gesticulator.plan.plan_file import schema
 
-    if asked.what == "schema":
+    if parsed.what == "schema":
         print(json.dumps(schema(), indent=1))
-    elif asked.what == "names":
-        _print_names(asked.bundle)
-    elif asked.what == "convert":
-        _convert(asked.plan, asked.out)
+    elif parsed.what == "names":
+        _print_names(parsed.bundle)
+    elif parsed.what == "convert":
+        _convert(parsed.plan, parsed.out)
     else:
-        print(_checked(asked.plan))
+        print(_summary(parsed.plan))
     return 0
 
 
-def _checked(path: str) -> str:
+def _summary(path: str) -> str:
     from gesticulator.plan.bml import read_any_plan
     from gesticulator.plan.plan import edited_blocks
 
     plan = read_any_plan(path)
-    anew = sum(edited_blocks(plan))
+    edited = sum(edited_blocks(plan))
     locked = sum(block.locked for block in plan.blocks)
-    return (f"{path}: {plan.sound.name or 'a sound'}, {plan.duration:.1f} s, {len(plan.blocks)} blocks, of which "
-            f"{anew} are drawn anew and {locked} are locked; {len(plan.cues)} cues")
+    return (f"{path}: {plan.sound.name or 'unnamed sound'}, {plan.duration:.1f} s, {len(plan.blocks)} blocks, of which "
+            f"{edited} will be generated again and {locked} are locked; {len(plan.cues)} cues")
 
 
 def _print_names(bundle: str | None) -> None:
@@ -60,9 +60,9 @@ def _print_names(bundle: str | None) -> None:
     print("gestures")
     for name, about in GESTURES.items():
         print(f"  {name}: {about}")
-    print("lexemes (movements that were learned, named by what the hands do)")
-    for one in lexeme_names(load(Path(bundle) if bundle else SHIPPED)):
-        print(f"  {one.lexeme}: {one.name}{'  (silent)' if one.silent else ''}")
+    print("lexemes (learned movements, named by what the hands do)")
+    for entry in lexeme_names(load(Path(bundle) if bundle else SHIPPED)):
+        print(f"  {entry.lexeme}: {entry.name}{'  (silent)' if entry.silent else ''}")
 
 
 def _convert(source: str, target: Path) -> None:
@@ -70,7 +70,7 @@ def _convert(source: str, target: Path) -> None:
 
     writers = {".json": lambda plan: plan.to_json(), ".bml": bml_of}
     if target.suffix.lower() not in writers:
-        raise InputError(target, "is neither .json nor .bml", "name it so")
+        raise InputError(target, "is neither .json nor .bml", "give a name with one of these suffixes")
     write_text(target, writers[target.suffix.lower()](read_any_plan(source)))
     print(f"{target}: written from {source}")
 

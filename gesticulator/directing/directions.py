@@ -1,4 +1,4 @@
-"""From what a user asks (options, knobs, cues, a plan) to what is done about it: directions and changes of poses."""
+"""From options, knobs, cues and plans to instructions for each block and changes of the generated poses."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from gesticulator.directing.shaping import (
     MIRROR_FADE,
     OTHER_HAND,
     REST_FADE,
-    AskedSizes,
+    ArmScales,
     Shaper,
     eased_levels,
-    left_by,
     levels_at,
+    rest_share,
 )
 from gesticulator.drawing.drawer import Direction
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
@@ -36,15 +36,15 @@ _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
 
 
 def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:
-    """[S] what a handedness adds to an interpreter's scores; None for none."""
+    """[S] what a handedness adds to an interpreter's scores; None without a handedness."""
     if hand is None:
         return None
     from gesticulator.directing.lexeme_names import handed_bias
 
     bias = handed_bias(bundle, hand)
     if bias is None:
-        raise InputError(f"handedness {hand}", "needs lexemes that can be looked at one by one, and this bundle's "
-                         "cannot", "leave it out")
+        raise InputError(f"handedness {hand}", "needs lexemes that can be decoded one by one, and this bundle's cannot",
+                         "leave it out")
     return bias
 
 
@@ -52,7 +52,7 @@ def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:
 
 @dataclass(frozen=True)
 class CueAt:
-    """A cue and the second at which its stroke arrives. lexeme: what it asks of the lexicon, or None."""
+    """A cue and the time of its stroke, seconds. lexeme: the one it names, or None for a gesture of `GESTURES`."""
 
     cue: GestureCue
     time: float
@@ -61,15 +61,16 @@ class CueAt:
 
 def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
             names: Callable[[], Sequence[LexemeName]]) -> list[CueAt]:
-    """When each cue is due. names: of the lexicon, asked only for a gesture that is none of `GESTURES`.
+    """The cues with the times of their strokes. names: returns the lexicon's names; called only for gestures that are
+    not in `GESTURES`.
 
-    `InputError` for a word that is not said, a time beyond the end and a gesture that nobody knows.
+    `InputError` for a word that is not spoken, a time beyond the end and an unknown gesture.
     """
     out = []
     for cue in cues:
         lexeme = None
         if cue.gesture not in GESTURES:
-            lexeme = next((one.lexeme for one in names() if one.name == cue.gesture), None)
+            lexeme = next((entry.lexeme for entry in names() if entry.name == cue.gesture), None)
             if lexeme is None:
                 raise InputError(f"gesture {shown(cue.gesture)}", "is unknown", f"choose among {', '.join(GESTURES)}, "
                                  "or a name of the lexicon (gesticulator plan names)")
@@ -80,29 +81,29 @@ def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
 def _time_of(cue: GestureCue, words: Sequence[Word], duration: float) -> float:
     if cue.time is not None:
         if not 0 <= cue.time <= duration:
-            raise InputError(f"cue at {cue.time:g} s", f"is not in the {duration:.2f} s of the sound",
-                             "choose a time in it")
+            raise InputError(f"cue at {cue.time:g} s", f"is not within the {duration:.2f} s of the sound",
+                             "choose an earlier time")
         return float(cue.time)
-    wanted = plain_word(cue.word or "")
-    said = [word for word in words if plain_word(word.text) == wanted]
+    matches = [word for word in words if plain_word(word.text) == plain_word(cue.word or "")]
     if not words:
-        raise InputError(f"cue at the word {shown(cue.word)}", "needs the words", "give them with --text, or a time")
-    if len(said) < cue.occurrence:
-        raise InputError(f"cue at the word {shown(cue.word)}", f"is said {len(said)} times, and "
-                         f"{cue.occurrence} is asked for", "choose among " + _listed(words))
-    word = said[cue.occurrence - 1]
-    # The stroke arrives with the word's stressed part, which no transcript tells: a third into it.
+        raise InputError(f"cue at the word {shown(cue.word)}", "needs the words of the recording",
+                         "give them with --text, or a time instead of the word")
+    if len(matches) < cue.occurrence:
+        raise InputError(f"cue at the word {shown(cue.word)}, occurrence {cue.occurrence}",
+                         f"is impossible: the word is spoken {len(matches)} times", "choose among " + _listed(words))
+    word = matches[cue.occurrence - 1]
+    # The stroke should arrive at the stressed syllable, which a transcript does not mark: assume a third of the word.
     return word.start + (word.end - word.start) / 3.0
 
 
 def plain_word(text: str) -> str:
-    """A word without punctuation and capitals, as cues are compared."""
+    """A word in lower case without punctuation, for comparison with cues."""
     return text.strip(_PUNCTUATION).casefold()
 
 
 def _listed(words: Sequence[Word]) -> str:
-    every = list(dict.fromkeys(plain_word(word.text) for word in words if plain_word(word.text)))
-    return ", ".join(every[:30]) + (" ..." if len(every) > 30 else "")
+    distinct = list(dict.fromkeys(plain_word(word.text) for word in words if plain_word(word.text)))
+    return ", ".join(distinct[:30]) + (" ..." if len(distinct) > 30 else "")
 
 
 def _names(bundle: Bundle) -> Sequence[LexemeName]:
@@ -112,26 +113,26 @@ def _names(bundle: Bundle) -> Sequence[LexemeName]:
 
 
 class Director:
-    """Says of each block what the options ask for, in a file and in a stream."""
+    """Turns options into instructions for each block, for files and streams."""
 
     def __init__(self, bundle: Bundle, options: InferenceOptions, words: Sequence[Word], duration: float) -> None:
-        """words: what is said, as far as it is known; duration: seconds, infinite in a stream."""
+        """words: those known so far; duration: seconds, infinite in a stream."""
         self._knobs, self._bias = options.knobs, bias_of(bundle, options.handedness)
-        self._due = [one for one in cues_at(options.cues, words, duration, lambda: _names(bundle))
-                     if one.lexeme is not None]
+        self._cues = [cue for cue in cues_at(options.cues, words, duration, lambda: _names(bundle))
+                      if cue.lexeme is not None]
 
     def direction(self, times: Array, start: float) -> Direction:
-        """Of the block with frames at `times` [K] seconds, which begins at `start`."""
+        """Instructions for the block that begins at `start` and has frames at `times` [K], seconds."""
         end = float(times[-1])
-        lexeme = next((one.lexeme for one in self._due if start < one.time <= end or one.time == start == 0.0), None)
+        lexeme = next((cue.lexeme for cue in self._cues if start < cue.time <= end or cue.time == start == 0.0), None)
         return Direction(lexeme, still=still_frames(self._knobs, times, start), bias=self._bias)
 
 
 def directions(bundle: Bundle, options: InferenceOptions, speech: Speech, blocks: Blocks) -> list[Direction]:
-    """What the options say of each block of a first drawing."""
+    """Instructions for each block of a first generation."""
     director = Director(bundle, options, speech.words or (), float(blocks.edges[-1]))
     times = blocks.knot_times.reshape(len(blocks), -1)
-    return [director.direction(own, float(start)) for own, start in zip(times, blocks.edges, strict=False)]
+    return [director.direction(knots, float(start)) for knots, start in zip(times, blocks.edges, strict=False)]
 
 
 # -------------------------------------------------------------------------------------------------------- plans
@@ -140,33 +141,31 @@ _OF_THE_PLAN = ("speaker", "temperature", "beta", "hand_height", "hand_speed", "
 
 
 def planned(options: InferenceOptions) -> InferenceOptions:
-    """The options of a rendering: the plan's, with the knobs and cues that were given beside it put into the plan.
+    """The options to render the plan of `options`: those of the plan, with the given knobs and cues added to the plan.
 
-    `InputError` for what belongs to the first drawing, and where the plan lacks what is needed to replay it.
+    `InputError` for options that the plan determines, and for a plan without the settings that are needed to replay it.
     """
     plan = options.plan
     assert plan is not None
-    for name in _OF_THE_PLAN:
-        if getattr(options, name) is not None:
-            raise InputError(f"--{name.replace('_', '-')}", "belongs to what the plan replays",
-                             "leave it out, or render without a plan")
-    if isinstance(options.interpreter, str):
-        raise InputError("--interpreter", "belongs to what the plan replays", "leave it out, or render without a plan")
+    determined = [name for name in _OF_THE_PLAN if getattr(options, name) is not None]
+    if determined or isinstance(options.interpreter, str):
+        raise InputError(f"--{(determined or ['interpreter'])[0].replace('_', '-')}", "is determined by the plan",
+                         "leave it out, or render without a plan")
     if options.interpreter is not None and interpreter_name(options.interpreter) != plan.interpreter:
         raise InputError(f"interpreter {interpreter_name(options.interpreter)}", f"is not that of the plan, "
                          f"{shown(plan.interpreter)}", "pass the object that the plan was made with")
     settings = plan.made_by.get("settings")
     if not isinstance(settings, dict) or not isinstance(settings.get("temperature"), int | float):
-        raise plan.error(("made_by",), "does not tell how it was drawn", "leave it as --plan-out wrote it")
+        raise plan.error(("made_by",), "lacks the settings of its generation", "leave it as --plan-out wrote it")
     knobs = plan.knobs
-    given: dict[str, Any] = {
+    combined: dict[str, Any] = {
         "intensity": float(options.intensity) if options.intensity != 1.0 else knobs.intensity,
         "mirror": options.mirror or knobs.mirror,
         "energy": options.energy if options.energy != "neutral" else knobs.energy,
         "activity": knobs.activity if options.activity is None else float(options.activity),
         "handedness": options.handedness or knobs.handedness,
         "hold_still": tuple(dict.fromkeys((*knobs.hold_still, *options.hold_still)))}
-    plan = replace(plan, knobs=PlanKnobs(**given), cues=(*plan.cues, *options.cues))
+    plan = replace(plan, knobs=PlanKnobs(**combined), cues=(*plan.cues, *options.cues))
     if options.variation:
         plan = replace(plan, blocks=tuple(block if block.locked else replace(block, draw=replace(
             block.draw, variation=int(options.variation))) for block in plan.blocks))
@@ -177,101 +176,103 @@ def planned(options: InferenceOptions) -> InferenceOptions:
             fps=options.fps if options.fps != FPS else settings.get("fps", FPS), gain=settings.get("gain", 0.0),
             controls=_controls(settings), plan=_cued(plan), cues=plan.cues,
             legs=options.legs or settings.get("legs") == "standing",
-            seated=options.seated or settings.get("legs") == "seated", **given)
+            seated=options.seated or settings.get("legs") == "seated", **combined)
     except (TypeError, ValueError) as error:
         raise plan.error(("made_by", "settings"), f"cannot be used ({error})", "leave it as it was written") from None
 
 
 def _controls(settings: Mapping[str, Any]) -> Controls | None:
-    given = {}
+    values = {}
     for name in FEATURES:
         value = settings.get(f"hand_{name}")
         if value is not None:
-            given[name] = Curve(tuple(value["times"]), tuple(value["values"])) if isinstance(value, dict) else value
-    return Controls(**given) if given else None
+            values[name] = Curve(tuple(value["times"]), tuple(value["values"])) if isinstance(value, dict) else value
+    return Controls(**values) if values else None
+
+
+def _words(plan: GesturePlan) -> tuple[Word, ...]:
+    return tuple(Word(word.text, word.start, word.end) for word in plan.words)
 
 
 def _cued(plan: GesturePlan) -> GesturePlan:
-    """The plan with the lexemes that its cues ask for in their blocks."""
-    words = [Word(word.text, word.start, word.end) for word in plan.words]
+    """The plan with the lexemes of its cues in their blocks."""
     blocks = list(plan.blocks)
-    for due in cues_at(plan.cues, words, plan.duration, lambda: plan.lexicon):
-        if due.lexeme is not None:
-            at = next((i for i, block in enumerate(blocks) if due.time <= block.end), len(blocks) - 1)
-            blocks[at] = replace(blocks[at], lexeme=due.lexeme)
+    for cue in cues_at(plan.cues, _words(plan), plan.duration, lambda: plan.lexicon):
+        if cue.lexeme is not None:
+            at = next((i for i, block in enumerate(blocks) if cue.time <= block.end), len(blocks) - 1)
+            blocks[at] = replace(blocks[at], lexeme=cue.lexeme)
     return replace(plan, blocks=tuple(blocks))
 
 
 def with_planned_words(speech: Speech, plan: GesturePlan) -> Speech:
-    """The speech with the words of the plan, where they were read."""
-    if not plan.words:
-        return replace(speech, words=None)
-    return replace(speech, words=tuple(Word(word.text, word.start, word.end) for word in plan.words))
+    """The speech with the words of the plan, or without words if it has none."""
+    return replace(speech, words=_words(plan) or None)
 
 
 def check_plan_of(bundle: Bundle, plan: GesturePlan, speech: Speech) -> None:
-    """`InputError` where a plan is of another sound or of another bundle, or names lexemes that there are not."""
-    theirs = plan.made_by.get("bundle")
-    if not isinstance(theirs, dict) or theirs.get("lexicon") != lexicon_hash(bundle.vectors):
+    """`InputError` for a plan of another sound or another bundle, or with a lexeme that the bundle does not have."""
+    made_with = plan.made_by.get("bundle")
+    if not isinstance(made_with, dict) or made_with.get("lexicon") != lexicon_hash(bundle.vectors):
         raise plan.error(("made_by", "bundle"), "is another bundle than this one",
-                         "render it with the one that made it")
+                         "render the plan with the bundle that made it")
     if plan.sound.sha256 != sound_hash(speech):
         raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and not "
-                         "the one that was given", "give the sound that the plan was made of")
+                         "the one that was given", "give the sound that the plan was made for")
     size = len(bundle.vectors)
     for at, block in enumerate(plan.blocks):
         if block.lexeme is not None and block.lexeme >= size:
             raise plan.error(("blocks", at, "lexeme"), f"is {block.lexeme}", f"give 0 to {size - 1}, or null")
     if not bundle.system.blocks and any(edited_blocks(plan)):
-        raise plan.error(("blocks",), "cannot be drawn anew: this bundle decodes all of its codes together",
+        raise plan.error(("blocks",), "cannot be generated one by one: this bundle decodes all of its codes together",
                          "use a bundle with a lexicon of blocks")
 
 
 # ------------------------------------------------------------------------------------------------------- shaping
 
 def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array) -> Shaping:
-    """What intensity, mirrored blocks and gestures by name make of drawn poses [M, D_m] at seconds [M].
+    """A function that applies intensity, mirroring and named gestures to generated poses [M, D_m] at seconds [M].
 
-    edges: [N + 1] seconds of the blocks; without a plan from the start to the end (of a stream: infinity) is enough.
+    edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are enough.
     """
     representation = representation_of(bundle.config)
     if representation.name != "rotations":
         raise InputError("intensity, energy, handedness, cues and plans", "need a bundle of joint rotations, and this "
-                         "one has places", "leave them out")
-    sizes, both, mirrored, kept = _levels(options, len(edges) - 1)
-    left = [eased_levels(edges, left_by(own), REST_FADE, kept) for own in sizes.T]
-    due = [one for one in cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle)) if one.lexeme is None]
+                         "one has joint positions", "leave them out")
+    sizes, both, mirrored, locked = _levels(options, len(edges) - 1)
+    shares = [eased_levels(edges, rest_share(side), REST_FADE, locked) for side in sizes.T]
+    cues = [cue for cue in cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle)) if cue.lexeme is None]
     shaper = Shaper(bundle.statistics, representation, speaker)
 
     def shape(poses: Array, times: Array) -> Array:
-        poses = shaper.shaped(poses, times, AskedSizes(
-            np.stack([levels_at(edges, own, times, FADE, kept) for own in sizes.T], axis=1),
-            np.stack([levels_at(edges, own, times, REST_FADE, kept) for own in left], axis=1),
-            levels_at(edges, both, times, REST_FADE, kept)))
-        poses = shaper.mirrored(poses, levels_at(edges, mirrored, times, MIRROR_FADE, kept))
-        if due:
+        poses = shaper.shaped(poses, times, ArmScales(
+            np.stack([levels_at(edges, side, times, FADE, locked) for side in sizes.T], axis=1),
+            np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in shares], axis=1),
+            levels_at(edges, both, times, REST_FADE, locked)))
+        poses = shaper.mirrored(poses, levels_at(edges, mirrored, times, MIRROR_FADE, locked))
+        if cues:
             from gesticulator.directing.named_gestures import laid_over
 
-            poses = laid_over(poses, times, [(one.cue, one.time) for one in due])
+            poses = laid_over(poses, times, [(cue.cue, cue.time) for cue in cues])
         return poses
 
     return shape
 
 
 def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """[N, 2] intensities of the left and the right hand; [N] whether both take part, and whether the block is mirrored,
-    0 or 1; [N] whether it is locked."""
+    """Of N blocks: [N, 2] intensities of the left and the right hand; [N] 1.0 where each hand joins in the other's
+    strokes; [N] 1.0 where the block is mirrored; [N] whether it is locked."""
     if options.plan is None:
         both = np.full(count, float(options.handedness == "both"))
         return np.array([_hands(options.knobs)] * count), both, np.zeros(count), np.zeros(count, bool)
-    now, then = options.plan.knobs, options.plan.drawn.knobs
-    kept = [block.locked for block in options.plan.blocks]
-    hands = np.where(np.array(kept)[:, None], _hands(then), _hands(now))
+    now, first = options.plan.knobs, options.plan.drawn.knobs
+    locked = [block.locked for block in options.plan.blocks]
+    hands = np.where(np.array(locked)[:, None], _hands(first), _hands(now))
     sizes = np.minimum(np.array([block.intensity for block in options.plan.blocks])[:, None] * hands, 2.0)
     whole = options.mirrored
-    mirrored = [block.mirror != (not whole and (then if block.locked else now).mirror) for block in options.plan.blocks]
-    both = np.where(kept, float(then.handedness == "both"), float(now.handedness == "both"))
-    return sizes, both, np.array(mirrored, dtype=np.float64), np.array(kept)
+    mirrored = [block.mirror != (not whole and (first if block.locked else now).mirror)
+                for block in options.plan.blocks]
+    both = np.where(locked, float(first.handedness == "both"), float(now.handedness == "both"))
+    return sizes, both, np.array(mirrored, dtype=np.float64), np.array(locked)
 
 
 def _hands(knobs: PlanKnobs) -> tuple[float, float]:

@@ -1,10 +1,10 @@
-"""Names for lexemes, read off the movements that they decode to.
+"""Names for lexemes, derived from the movements that they decode to.
 
-A lexeme is a number in a codebook; what a person can choose by is what the hands do in it. Each lexeme is decoded from
-the pose that its nearest training block began with, and named by rule: which hand moves (more than `MOVES`), where to
-(up, down, out, in, forward, back, by the greatest parts of the way), how far, or that it beats (there and back again).
-Two lexemes of one name are numbered. The same bundle gives the same names. They tell form, never meaning: no lexeme
-is a wave, and for meanings there are gestures made by formula (`gesticulator.directing.named_gestures`).
+A lexeme is a number in a codebook; a person needs to know what the hands do in it. Each lexeme is decoded from the pose
+at the start of its nearest training block, and named by rule: which hand moves (more than `MOVES`), the directions in
+which it moves most (up, down, out, in, forward, back), how far, or that it beats (there and back again). Lexemes with
+the same name are numbered. The same bundle gives the same names. Names describe form, not meaning: no lexeme is a
+wave; gestures with a meaning are procedural (`gesticulator.directing.named_gestures`).
 """
 
 from __future__ import annotations
@@ -25,22 +25,23 @@ from gesticulator.plan.plan import LexemeName
 from lexicon.movement import MovementLexicon
 
 MOVES, FAR = 0.05, 0.18
-"""Metres of a hand's way from which it counts as moving, and as going far."""
+"""Path of a hand that counts as moving, and displacement that counts as far, metres."""
 BEATS = 2.2
-"""A hand whose path is this many times as long as the way from its start to its end goes there and back."""
+"""Ratio of path to displacement from which a movement counts as going there and back."""
 _LEANS = 0.6
-"""Share of the greatest part of a way from which another part is told, too."""
+"""A direction is named if its share of the displacement is at least this part of the greatest share."""
 _LIFTED = 0.12
-"""Metres over the hips from which a hand is up."""
+"""Height above the hips from which a hand counts as up, metres."""
 BIAS = 2.5
-"""Nats by which a lexeme of one hand alone is preferred, or passed over, for handedness."""
+"""Bias for handedness, nats: added to the score of a lexeme of the preferred hand alone, subtracted for the other."""
 _SIDES = ("Right", "Left")
 
 
 @dataclass(frozen=True)
 class HandWays:
-    """What the hands do in S lexemes. ways: [S, 2, 3] metres from start to end, the right hand first: outwards from the
-    body's middle, up, forward; paths: [S, 2] metres along the way; heights: [S, 2] metres over the hips, at the end."""
+    """Movements of the hands in S lexemes, the right hand first. ways: [S, 2, 3] displacement from start to end, metres
+    outwards from the body's middle, up and forward; paths: [S, 2] length of the path, metres; heights: [S, 2] metres
+    above the hips at the end."""
 
     ways: Array
     paths: Array
@@ -49,12 +50,12 @@ class HandWays:
 
 @torch.no_grad()
 def hand_ways(bundle: Bundle) -> HandWays | None:
-    """Of every lexeme, decoded; None where a lexeme alone cannot be (RACER's codes are decoded together)."""
+    """Movements of the hands in every lexeme; None if lexemes cannot be decoded one by one (RACER's codes)."""
     lexicon: Any = bundle.lexicon
     if not hasattr(lexicon, "shown"):
         return None
     blocks = lexicon.shown()
-    if isinstance(lexicon, MovementLexicon):  # it begins where the training block nearest to it began
+    if isinstance(lexicon, MovementLexicon):  # movements need a start: that of the nearest training block
         blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
     statistics = bundle.statistics
     poses = blocks.double().cpu().numpy() * statistics.deviation + statistics.mean_pose.mean(axis=0)
@@ -82,16 +83,16 @@ def lexeme_names(bundle: Bundle) -> tuple[LexemeName, ...]:
 
 
 def described(ways: Array, paths: Array, heights: Array, silent: bool) -> str:
-    """What two hands do, in words. ways: [2, 3]; paths, heights: [2]; see `HandWays`."""
+    """The movement of both hands in words. ways: [2, 3]; paths, heights: [2]; see `HandWays`."""
     moves = [float(path) > MOVES for path in paths]
     if silent:
         return "rest"
     if not any(moves):
         return "hold, hands " + ("up" if heights.min() > _LIFTED else "down" if heights.max() <= _LIFTED else "apart")
-    told = [_way(ways[side], float(paths[side])) for side in (0, 1)]
+    right, left = (_way(ways[side], float(paths[side])) for side in (0, 1))
     if all(moves):
-        return f"both hands {told[0]}" if told[0] == told[1] else f"right hand {told[0]}, left hand {told[1]}"
-    return f"right hand {told[0]}" if moves[0] else f"left hand {told[1]}"
+        return f"both hands {right}" if right == left else f"right hand {right}, left hand {left}"
+    return f"right hand {right}" if moves[0] else f"left hand {left}"
 
 
 def _way(way: Array, path: float) -> str:
@@ -100,18 +101,19 @@ def _way(way: Array, path: float) -> str:
         return "beat"
     names = (("in", "out"), ("down", "up"), ("back", "forward"))
     order = [int(axis) for axis in np.argsort(-np.abs(way), kind="stable")]
-    told = [names[axis][int(way[axis] > 0)] for axis in order if abs(way[axis]) >= _LEANS * abs(way[order[0]])]
-    return ("far " if length > FAR else "") + " and ".join(told[:2])
+    directions = [names[axis][int(way[axis] > 0)] for axis in order if abs(way[axis]) >= _LEANS * abs(way[order[0]])]
+    return ("far " if length > FAR else "") + " and ".join(directions[:2])
 
 
 def handed_bias(bundle: Bundle, hand: str) -> NDArray[np.float64] | None:
-    """[S] nats to add to an interpreter's scores, so that it prefers lexemes of the left, the right or both hands."""
+    """[S] nats to add to an interpreter's scores to prefer lexemes of the left, the right or both hands; None as
+    `hand_ways`."""
     ways = hand_ways(bundle)
     if ways is None:
         return None
     total = ways.paths.sum(axis=1)
     right = (ways.paths[:, 0] - ways.paths[:, 1]) / np.maximum(total, 1e-9)
     sided = {"right": right, "left": -right, "both": 1.0 - 2.0 * np.abs(right)}[hand]
-    # A lexeme in which nothing moves is no hand's.
+    # A lexeme in which nothing moves gets no bias.
     bias: NDArray[np.float64] = BIAS * sided * np.clip(total / MOVES - 1.0, 0.0, 1.0)
     return bias

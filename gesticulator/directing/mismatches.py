@@ -1,4 +1,4 @@
-"""Wishes that a recording cannot fulfil: stillness after its end, cues at words that are not spoken."""
+"""Options that a recording cannot satisfy: stillness after its end, cues at words that are not spoken."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class OptionWarning(UserWarning):
 
 
 def without_mismatches(options: InferenceOptions, words: Sequence[Word], duration: float) -> InferenceOptions:
-    """The options without cues at words that are not among `words`, each with an `OptionWarning`; one too for a
-    range of stillness that ends after `duration` seconds.
+    """The options without cues at words that are not among `words`. Warns (`OptionWarning`) about each such cue, and
+    about each range of stillness that ends after `duration` seconds.
 
-    Cues stay where there are no words at all: that is an `InputError` of the performance.
+    Without any words the cues stay: they raise an `InputError` later.
     """
     for begin, end in options.hold_still:
         if end > duration:
@@ -34,9 +34,9 @@ def without_mismatches(options: InferenceOptions, words: Sequence[Word], duratio
         if cue.word is None or count >= cue.occurrence:
             cues.append(cue)
             continue
-        why = ("the word is never spoken" if not count else f"the word is spoken {count} times, and occurrence "
-               f"{cue.occurrence} is asked for")
-        _warn(f"the cue {cue.word}={cue.gesture} is left out: {why}")
+        reason = ("the word is never spoken" if not count else f"the word is spoken {count} times, and occurrence "
+                  f"{cue.occurrence} is asked for")
+        _warn(f"the cue {cue.word}={cue.gesture} is left out: {reason}")
     return replace(options, cues=tuple(cues))
 
 

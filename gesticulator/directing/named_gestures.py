@@ -1,9 +1,10 @@
-"""Gestures by name, made by formula and laid over what was drawn: a wave, a shrug, a nod.
+"""Named gestures, such as a wave, a shrug or a nod: procedural, and blended over the generated motion.
 
-The lexicon knows movements and no meanings; nothing in it is a wave. So each gesture of `plan.GESTURES` is a short
-script of our own: where the hands are (from their shoulders, in the frame of the chest), how the palms face, how
-the fingers bend, and what shoulders, neck and head add. Two-bone inverse kinematics makes poses of it, and an envelope
-blends them in and out on the sphere of rotations, so that there is no jump. The stroke arrives at the cue's time.
+The lexicon has movements without meanings; no lexeme is a wave. So each gesture of `plan.GESTURES` is a short script:
+positions of the hands (relative to the shoulders, in the frame of the chest), directions of the palms, bends of the
+fingers, and rotations added to shoulders, neck and head. Two-bone inverse kinematics turns it into poses, and an
+envelope blends them in and out along the shortest rotation, so that there is no jump. The stroke arrives at the cue's
+time.
 """
 
 from __future__ import annotations
@@ -25,29 +26,28 @@ from gesticulator.plan.plan import GestureCue
 
 Vector = tuple[float, float, float]
 _RISE, _FALL = 0.55, 0.7
-"""Seconds in which a gesture is blended in before its stroke arrives, and out after its hold."""
+"""Seconds in which a gesture is blended in before its stroke, and out after its hold."""
 _NOD_RISE, _NOD_FALL = 0.2, 0.3
-"""The same for the head alone."""
+"""The same for gestures of the head alone."""
 _STRETCHED = 0.97
-"""Share of the arm's length that a hand is away at most: an elbow that locks jumps."""
+"""Greatest distance of a hand from the shoulder, as a share of the arm's length: an elbow that locks would jump."""
 _PRONATES = 0.6
-"""Share of the hand's turn about the forearm that the forearm makes, as two bones of a forearm do."""
+"""Share of the hand's twist that the forearm takes over, as pronation does in a human forearm."""
 _MOST_BEND = math.radians(60.0)
-"""Of the wrist."""
+"""Greatest bend of the wrist, radians."""
 _ELBOW = {"Left": np.array([0.45, -1.0, -0.25]), "Right": np.array([-0.45, -1.0, -0.25])}
-"""Where the elbow tends to: down, a little outwards and back."""
+"""Direction in which the elbow points: down, a little outwards and back."""
 _CURL = {"Thumb": (8.0, 12.0, 12.0), "Index": (62.0, 80.0, 45.0), "Middle": (66.0, 84.0, 48.0),
          "Ring": (68.0, 84.0, 48.0), "Pinky": (68.0, 82.0, 46.0)}
-"""Degrees that the joints of a closed finger bend."""
+"""Bends of the joints of a closed finger, degrees."""
 
 
 @dataclass(frozen=True)
 class HandScript:
-    """What a hand does, told for the left one; outwards is away from the body's middle.
+    """Pose of a hand at the stroke. All directions are (outwards from the body's middle, up, forward).
 
-    place: metres from the shoulder (outwards, up, forward) at the stroke. fingers: where they point; palm: where it
-    faces (both outwards, up, forward). curl: of thumb, index and the other fingers, 0 open to 1 closed. swing: metres
-    that it goes to and fro sideways, `rate` times a second.
+    place: metres from the shoulder. fingers: direction in which they point; palm: direction in which it faces. curl: of
+    thumb, index and the other fingers, 0 open to 1 closed. swing: amplitude to both sides, metres, at `rate` hertz.
     """
 
     place: Vector
@@ -60,10 +60,8 @@ class HandScript:
 
 @dataclass(frozen=True)
 class GestureScript:
-    """A gesture: hands by side, degrees added to joints (exponential maps), seconds of hold after the stroke arrives.
-
-    shakes: degrees that a joint swings by, `rate` times a second, while the gesture holds.
-    """
+    """A gesture. hands: side -> pose; adds: joint -> rotation to add, an exponential map in degrees; shakes: joint ->
+    amplitude of its oscillation, the same, at `rate` hertz; hold: seconds after the stroke."""
 
     hands: Mapping[str, HandScript] = field(default_factory=dict)
     adds: Mapping[str, Vector] = field(default_factory=dict)
@@ -94,14 +92,14 @@ SCRIPTS: dict[str, GestureScript] = {
 
 
 def span_of_gesture(name: str) -> tuple[float, float]:
-    """Seconds before the stroke at which a gesture begins to show, and after it at which it is gone."""
+    """Seconds from the start of a gesture to its stroke, and from its stroke to its end."""
     script = SCRIPTS[name]
     return (_RISE, script.hold + _FALL) if script.hands else (_NOD_RISE, script.hold + _NOD_FALL)
 
 
 def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float]]) -> Array:
-    """Poses [M, 3 J] (exponential maps, radians) at seconds [M] with gestures at their seconds; what no gesture touches
-    stays bit for bit as it is."""
+    """Poses [M, 3 J] (exponential maps, radians) at seconds [M], with each gesture blended in at its time; all other
+    poses stay the same bit for bit."""
     out = poses.copy()
     for cue, at in cues:
         before, after = span_of_gesture(cue.gesture)
@@ -112,17 +110,17 @@ def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float
 
 
 def _with_gesture(poses: Array, seconds: Array, cue: GestureCue) -> Array:
-    """Poses [M, 3 J] with one gesture; seconds: [M] from its stroke."""
+    """Poses [M, 3 J] with one gesture blended in; seconds: [M] relative to its stroke."""
     script = SCRIPTS[cue.gesture]
     before, after = span_of_gesture(cue.gesture)
     names = CHARACTERS[poses.shape[1] // 3].names
     size = min(cue.intensity, 1.0) if script.hands else cue.intensity
-    shown = size * _smooth((seconds + before) / before) * _smooth((after - seconds) / (after - script.hold))
+    weight = size * _smooth((seconds + before) / before) * _smooth((after - seconds) / (after - script.hold))
     targets = {name: turns for side, hand in script.hands.items()
                for name, turns in _hand_turns(side, hand, seconds, cue.intensity).items() if name in names}
     wave = np.sin(2.0 * np.pi * script.rate * np.clip(seconds + before, 0.0, None))
-    added = {name: shown[:, None] * np.radians(vector) for name, vector in script.adds.items()}
-    added |= {name: (shown * wave)[:, None] * np.radians(vector) for name, vector in script.shakes.items()}
+    added = {name: weight[:, None] * np.radians(vector) for name, vector in script.adds.items()}
+    added |= {name: (weight * wave)[:, None] * np.radians(vector) for name, vector in script.shakes.items()}
     vectors = poses.reshape(len(poses), -1, 3).copy()
     flipped = exchanged_joints(names)
     flip = np.array([1.0, -1.0, -1.0])
@@ -130,7 +128,7 @@ def _with_gesture(poses: Array, seconds: Array, cue: GestureCue) -> Array:
         joint = names.index(name)
         if cue.mirror:
             joint, turns = int(flipped[joint]), turns * flip
-        vectors[:, joint] = _blended(vectors[:, joint], turns, shown)
+        vectors[:, joint] = _blended(vectors[:, joint], turns, weight)
     for name, vector in added.items():
         joint = names.index(name)
         if cue.mirror:
@@ -145,7 +143,8 @@ def _smooth(s: Array) -> Array:
 
 
 def _blended(now: Array, target: Array, share: Array) -> Array:
-    """[M, 3] a share [M] of the way from rotations to others, along the shortest turn, near to what they were."""
+    """[M, 3] rotations a share [M] of the way from `now` to `target`, along the shortest turn, as the exponential maps
+    nearest to `now`."""
     begin = Rotation.from_rotvec(now)
     turn = (begin.inv() * Rotation.from_rotvec(target)).as_rotvec()
     return nearest_turn((begin * Rotation.from_rotvec(share[:, None] * turn)).as_rotvec(), now)
@@ -154,12 +153,13 @@ def _blended(now: Array, target: Array, share: Array) -> Array:
 # ---------------------------------------------------------------------------------------------------- the arms
 
 def _hand_turns(side: str, script: HandScript, seconds: Array, size: float) -> dict[str, Array]:
-    """Joint -> [M, 3] exponential maps of an arm and its fingers that do as the script says."""
+    """Joint -> [M, 3] exponential maps of an arm and its fingers for a script. seconds: [M] relative to the stroke;
+    size: factor on the swing."""
     outwards = 1.0 if side == "Left" else -1.0
     flip = np.array([outwards, 1.0, 1.0])
     swing = script.swing * size * np.sin(2.0 * np.pi * script.rate * seconds)
     places = np.array(script.place) + swing[:, None] * np.array([1.0, 0.0, 0.0])
-    # A hand that waves tilts with its forearm.
+    # A waving hand tilts with its forearm.
     tilt = np.array(script.fingers) + 3.0 * swing[:, None] * np.array([1.0, 0.0, 0.0])
     arm, forearm, hand = _arm(side, places * flip, tilt * flip, np.broadcast_to(np.array(script.palm) * flip,
                                                                                places.shape))
@@ -173,9 +173,9 @@ def _hand_turns(side: str, script: HandScript, seconds: Array, size: float) -> d
 
 
 def _arm(side: str, places: Array, fingers: Array, palms: Array) -> tuple[Array, Array, Array]:
-    """[M, 3] exponential maps of the upper arm, the forearm and the hand that bring the wrist to `places` [M, 3] metres
-    from the shoulder, the fingers to point along `fingers` and the palm to face along `palms`, as far as the wrist
-    bends. The chest is upright."""
+    """Inverse kinematics of an arm: exponential maps [M, 3] of upper arm, forearm and hand that bring the wrist to
+    `places` [M, 3], metres from the shoulder, with fingers and palm in the directions `fingers` and `palms` [M, 3] as
+    far as the wrist bends. The chest is assumed upright."""
     skeleton = CHARACTERS[16]
     bone = np.array([1.0 if side == "Left" else -1.0, 0.0, 0.0])
     hinge = _hinge(side)
@@ -203,21 +203,21 @@ def _arm(side: str, places: Array, fingers: Array, palms: Array) -> tuple[Array,
 
 
 def _limited(bend: Rotation) -> Rotation:
-    """Bends of the wrist, none of more than `_MOST_BEND`."""
+    """Bends of the wrist, limited to `_MOST_BEND`."""
     vectors = bend.as_rotvec()
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return Rotation.from_rotvec(vectors * np.minimum(1.0, _MOST_BEND / np.maximum(length, 1e-9)))
 
 
 def _hinge(side: str) -> Array:
-    """[3] the axis about which the elbow of a level arm closes: the forearm comes forward and a little up."""
+    """[3] axis of the elbow of a level arm: bending moves the forearm forward and a little up."""
     angle = math.radians(12.0)
     down = np.array([0.0, -math.cos(angle), -math.sin(angle)])
     return down if side == "Left" else -down
 
 
 def _frames(rest_along: Array, rest_across: Array, along: Array, across: Array) -> Rotation:
-    """Rotations that bring two orthogonal unit vectors onto `along` and `across` [M, 3]."""
+    """Rotations that map the orthogonal unit vectors `rest_along` and `rest_across` to `along` and `across` [M, 3]."""
     now = np.stack([along, across, np.cross(along, across)], axis=-1)
     rest = np.stack([rest_along, rest_across, np.cross(rest_along, rest_across)], axis=-1)
     return Rotation.from_matrix(now @ rest.T)
@@ -225,7 +225,7 @@ def _frames(rest_along: Array, rest_across: Array, along: Array, across: Array) 
 
 @functools.cache
 def _finger_axes(side: str) -> tuple[tuple[str, Array, float], ...]:
-    """Finger joint, [3] the axis it bends about (to the palm, which faces down at rest), degrees when closed."""
+    """(joint of a finger, [3] its bending axis, its bend in a closed hand, degrees); at rest the palm faces down."""
     skeleton, out = CHARACTERS[46], []
     for name in FINGER_JOINTS:
         if name.startswith(side):

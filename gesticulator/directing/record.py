@@ -1,4 +1,4 @@
-"""The plan of a performance: its blocks, what was considered for each, and everything needed to render it again."""
+"""The plan of a performance: its blocks with their alternatives, and everything needed to render it again."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from gesticulator.options import InferenceOptions
 
 _ABOVE = ("seed", "variation", "speaker", "interpreter", "activity")
-"""Settings that stand elsewhere in a plan."""
+"""Settings that have fields of their own in a plan."""
 _GESTURES = tuple(GestureName(name, about) for name, about in GESTURES.items())
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What made a performance. options: with nothing left to the bundle; program: the version and the bundle, in plain
-    values; settings: everything that the generation depends on; score_is: what the scores are."""
+    """Provenance of a performance. options: with the bundle's defaults filled in; program: version and bundle, in plain
+    values; settings: everything that the generation depends on; score_is: the kind of the scores."""
 
     options: InferenceOptions
     program: Mapping[str, Any]
@@ -42,7 +42,7 @@ class Origin:
 
 
 def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:
-    """The plan of a first drawing. cut: the N blocks of the speech. Lexemes have no names yet (`named`)."""
+    """The plan of a first generation, still without names of lexemes (`named`). cut: the N blocks of the speech."""
     settings, decisions = origin.settings, tuple(block.block for block in blocks)
     drawn = DrawnBlocks(tuple(cut.edges.tolist()), tuple(block.flag for block in decisions),
                         tuple(block.silent for block in decisions), tuple(block.lexeme for block in blocks),
@@ -55,23 +55,23 @@ def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: 
 
 
 def rendered_plan(plan: GesturePlan, speech: Speech, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:
-    """The plan that was rendered, with what the models chose in its edited blocks. Parts that did not change are the
-    same objects, so that a page is sent only what did."""
-    # The sound was compared with the plan's before it was rendered (`directions.check_plan_of`).
+    """A plan after rendering, with the models' choices in its edited blocks. Unchanged parts are the same objects, so
+    that `PlanExchange` need not write them again."""
+    # The hash of the sound was compared with the plan's before rendering (`directions.check_plan_of`).
     sound, words = PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256), _words(speech)
-    return replace(plan, sound=sound, blocks=tuple(_rendered(block, made) for block, made
+    return replace(plan, sound=sound, blocks=tuple(_rendered(block, generated) for block, generated
                                                    in zip(plan.blocks, blocks, strict=True)),
                    words=plan.words if words == plan.words else words, gestures=_GESTURES, score_is=origin.score_is,
                    source=None)
 
 
-def _rendered(block: Block, made: BlockMotion) -> Block:
-    """A planned block with what was decided when it was drawn; itself where it says so already."""
-    now, choices = made.block, block.alternatives
-    rows = [(one.lexeme, one.score, one.prior, one.advantage) for one in now.alternatives]
-    if [(one.lexeme, one.score, one.prior, one.advantage) for one in choices] != rows:
+def _rendered(block: Block, generated: BlockMotion) -> Block:
+    """A planned block with the decisions of its generation; the same object if nothing differs."""
+    now, choices = generated.block, block.alternatives
+    rows = [(choice.lexeme, choice.score, choice.prior, choice.advantage) for choice in now.alternatives]
+    if [(choice.lexeme, choice.score, choice.prior, choice.advantage) for choice in choices] != rows:
         choices = now.alternatives
-    lexeme = made.lexeme if block.lexeme is None else block.lexeme
+    lexeme = generated.lexeme if block.lexeme is None else block.lexeme
     before = (block.lexeme, block.gate, block.chosen, block.runner_up)
     if choices is block.alternatives and before == (lexeme, now.gate, now.chosen, now.runner_up):
         return block
@@ -80,14 +80,14 @@ def _rendered(block: Block, made: BlockMotion) -> Block:
 
 
 def named(plan: GesturePlan, names: tuple[LexemeName, ...]) -> GesturePlan:
-    """The plan with the names of lexemes; blocks that have them already are the same objects."""
-    called = {one.lexeme: one.name for one in names}
+    """The plan with the names of lexemes; blocks that have their names already are the same objects."""
+    by_lexeme = {entry.lexeme: entry.name for entry in names}
     blocks = []
     for block in plan.blocks:
-        name, choices = called.get(block.lexeme) if block.lexeme is not None else None, block.alternatives
-        for one in choices:
-            if one.name != called.get(one.lexeme, ""):
-                choices = tuple([replace(one, name=called.get(one.lexeme, "")) for one in choices])
+        name, choices = by_lexeme.get(block.lexeme) if block.lexeme is not None else None, block.alternatives
+        for choice in choices:
+            if choice.name != by_lexeme.get(choice.lexeme, ""):
+                choices = tuple([replace(other, name=by_lexeme.get(other.lexeme, "")) for other in choices])
                 break
         same = name == block.name and choices is block.alternatives
         blocks.append(block if same else replace(block, name=name, alternatives=choices))

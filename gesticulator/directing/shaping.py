@@ -1,24 +1,24 @@
-"""Knobs on the finished poses: how large gestures are, and which hand makes them.
+"""Knobs applied to the generated poses: the size of gestures, and which hand makes them.
 
-Everything here is a function of the poses up to now and of their times, so that a stream gets the frames of a file.
-What needs the lexemes or rest is directed while blocks are drawn (`gesticulator.directing.editing`).
+All functions depend only on the poses so far and their times, so a stream gives the frames of a file. Knobs that affect
+lexemes or rest are applied while blocks are generated (`gesticulator.directing.editing`).
 
-**Intensity** i makes strokes larger or smaller and leaves alone what is slow: hands that go half as far again in the
-same time would be faster than people's everywhere, and people who gesture larger are no faster in between. With S what
-large strokes brought an arm's pose x, and F what small movements did (`gesticulator.directing.strokes`), it becomes
+**Intensity** i scales strokes and leaves slow movement alone. Scaling whole poses would make hands faster than people's
+everywhere, whereas people who gesture larger are not faster between strokes. With S the displacement of an arm's pose x
+by large strokes, and F that by small movements (`gesticulator.directing.strokes`), the pose becomes
 
     x + h ((a - 1) S + (b - 1) F)        a = 1 + 0.8 (i - 1), b = 1                     for i >= 1
                                          a = 1 - 0.5 (1 - i), b = 1 - 0.8 (1 - i)       for 0.5 <= i < 1
 
-h falls from 1 to 0 as the arm is let down, so who hangs is left hanging: with r the resting and m the mean pose, the
-arm is lifted by s = <x - r, m - r> / |m - r|^2, and h is a smooth step of s from 0.1 to 0.7. Below 0.5 the arms and
-fingers of i = 0.5 are brought to the resting pose, where they are at 0: r + 2 i (x - r).
+h falls from 1 to 0 as the arm is lowered, so that a hanging arm is not moved: with r the resting pose and m the mean
+pose, the lift of the arm is s = <x - r, m - r> / |m - r|^2, and h is a smooth step of s from 0.1 to 0.7. Below i = 0.5,
+arms and fingers approach the resting pose, which they reach at 0: r + 2 i (x - r), with x as for i = 0.5.
 
-What this moves outwards is taken back smoothly where the training data end (`Statistics.bounds`), and hands are kept
-out of the trunk. Head and spine are scaled about their mean pose.
+Movement towards the bounds of the training data (`Statistics.bounds`) is limited smoothly, and hands are kept out of
+the trunk. Head and spine are scaled about their mean pose.
 
-**Both hands**: each arm takes over a share of the other's strokes, mirrored and a little later, and leaves out as much
-of its own: x + e (M S'(t - lag) - 0.9 S), with S' of the other arm, M the mirror and e = `ECHO`.
+**Both hands**: each arm takes over a share of the other arm's strokes, mirrored and a little later, in exchange for its
+own: x + e (M S'(t - lag) - 0.9 S), with S' of the other arm, M the mirror image and e = `ECHO`.
 """
 
 from __future__ import annotations
@@ -37,85 +37,86 @@ from gesticulator.characters.contacts import kept_out_of_us, our_distances, pose
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
 
 STRONGER, WEAKER, FINER = 0.8, 0.5, 0.8
-"""What a step of intensity adds to strokes above 1, and takes of strokes and of small movements below it: chosen so
-that from 0.5 to 1.5 all figures stay within those of people (docs/knobs.md)."""
+"""Gain of strokes per unit of intensity above 1; loss of strokes, and of small movements, per unit below 1. With these,
+all statistics stay within the range of people for intensities from 0.5 to 1.5 (docs/knobs.md)."""
 RESTING = 0.5
-"""Intensity below which the arms are brought towards the resting pose: smaller strokes are smaller than people's."""
+"""Intensity below which the arms approach the resting pose: still smaller strokes would be smaller than people's."""
 TRUNK, TRUNK_LEAST = 0.25, 0.2
-"""Head and spine: exponent of their gain above 1, and what is left of their movement at 0, where she is still alive."""
+"""Head and spine: exponent of their gain above 1, and share of their movement at 0, so that idle motion remains."""
 OTHER_HAND = 0.45
 """Intensity of the hand that is not preferred."""
-ECHO, OWN, LAG = 0.4, 0.9, 0.1
-"""Of the other hand's strokes that a hand takes over; share of it that its own lose; seconds that it comes later. With
-these, both hands are as fast as before, and their speeds are as alike as people's (correlation 0.7 of at most 0.83)."""
+ECHO, LOSS, LAG = 0.4, 0.9, 0.1
+"""Share of the other hand's strokes that a hand takes over; share of that by which its own strokes shrink; delay,
+seconds. With these, both hands are as fast as before, and their speeds correlate as people's do (0.7, of at most 0.83).
+"""
 FADE, MIRROR_FADE, REST_FADE = 0.15, 0.3, 0.6
-"""Seconds to both sides of a beat in which intensity, the exchange of sides, and the way to rest of an intensity below
-0.5 change: a hand half a metre from rest goes there at 0.6 m/s."""
+"""Seconds to both sides of a beat over which intensity, mirroring, and the approach to rest (intensity below 0.5)
+change. In 0.6, a hand half a metre from rest gets there at 0.6 m/s."""
 _FLIP = np.array([1.0, -1.0, -1.0])
-"""A reflection in x = 0 keeps the x of an axis times angle and turns y and z round."""
+"""A reflection in x = 0 keeps the x component of an exponential map and negates y and z."""
 _HANGS, _LIFTED = 0.1, 0.7
-"""Lift of an arm, in that of the mean pose, up to which it hangs, and from which on it is up."""
+"""Lift s (see the module) up to which an arm hangs, and from which on it is up."""
 
 
 def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: float,
-              kept: NDArray[np.bool_] | None = None) -> Array:
-    """[M] what holds at times [M], where block n [N] of edges [N + 1] holds levels[n]; between blocks of different
-    levels it changes smoothly over `fade` seconds to both sides, or half of the shorter run of blocks.
+              locked: NDArray[np.bool_] | None = None) -> Array:
+    """[M] level at times [M], where block n of edges [N + 1] has levels[n]. Between blocks of different levels it
+    changes smoothly, over `fade` seconds to both sides or half of the shorter run of blocks.
 
-    Where nothing changes within reach it is exactly the block's own. kept: [N] blocks that must not be touched: beside
-    them the change takes place on the other side.
+    Elsewhere it is exactly the level of the block. locked: [N] blocks that must keep their level; beside them the
+    change takes place on the other side alone.
     """
-    own = np.clip(np.searchsorted(edges, times, side="left") - 1, 0, len(levels) - 1)
-    out = np.asarray(levels, dtype=np.float64)[own]
+    block = np.clip(np.searchsorted(edges, times, side="left") - 1, 0, len(levels) - 1)
+    out = np.asarray(levels, dtype=np.float64)[block]
     changes = np.flatnonzero(np.diff(levels)) + 1
     bounds = edges[[0, *changes, len(levels)]]
     for at, before, begins, after in zip(changes, bounds[:-2], bounds[1:-1], bounds[2:], strict=True):
         reach = min(fade, (begins - before) / 2.0, (after - begins) / 2.0)
         first, last = begins - reach, begins + reach
-        if kept is not None and kept[at - 1] != kept[at]:
-            first, last = (begins, last) if kept[at - 1] else (first, begins)
-        # A time on the beat belongs to the block before; where the change ends on the beat it is over there.
+        if locked is not None and locked[at - 1] != locked[at]:
+            first, last = (begins, last) if locked[at - 1] else (first, begins)
+        # A time on the beat belongs to the block before, but a change that ends on the beat is complete there.
         near = np.flatnonzero((times > first) & ((times < last) | (times == begins)))
         u = (times[near] - first) / (last - first)
         out[near] = levels[at - 1] + (levels[at] - levels[at - 1]) * u * u * (3.0 - 2.0 * u)
     return out
 
 
-def eased_levels(edges: Array, levels: NDArray[np.floating], fade: float, kept: NDArray[np.bool_]) -> Array:
-    """[N] levels of blocks in which a run of equal ones that is shorter than 2 x fade is brought nearer to the run
-    beside it that is most like it, as much as it is shorter: what cannot be reached in its time is not asked for.
+def eased_levels(edges: Array, levels: NDArray[np.floating], fade: float, locked: NDArray[np.bool_]) -> Array:
+    """[N] levels of blocks in which runs of equal levels that are too short to fade are moved towards the more similar
+    neighbouring run: by 1 - duration / (2 fade) of the difference, so that the change is not too fast.
 
-    edges: [N + 1] seconds; kept: [N] blocks that stay as they are.
+    edges: [N + 1] seconds; locked: [N] blocks that keep their level.
     """
     out = np.array(levels, dtype=np.float64)
     begins = [0, *(np.flatnonzero(np.diff(levels)) + 1), len(levels)]
     for before, at, stop, after in zip([-1, *begins[:-2]], begins[:-1], begins[1:], [*begins[2:], -1], strict=True):
         beside = ([levels[at - 1]] if before >= 0 else []) + ([levels[stop]] if after >= 0 else [])
         if beside:
-            nearest = min(beside, key=lambda level, own=levels[at]: abs(level - own))  # type: ignore[misc]
+            nearest = min(beside, key=lambda level, here=levels[at]: abs(level - here))  # type: ignore[misc]
             short = 1.0 - min((edges[stop] - edges[at]) / (2.0 * fade), 1.0)
-            out[at:stop] += np.where(kept[at:stop], 0.0, short * (nearest - levels[at]))
+            out[at:stop] += np.where(locked[at:stop], 0.0, short * (nearest - levels[at]))
     return out
 
 
 @dataclass(frozen=True)
-class AskedSizes:
-    """What is asked at M times. intensity: [M, 2] of the left and the right arm; left: [M, 2] share of the pose that is
-    left of the way from rest (`left_by` the intensity, where that does not change); both: [M] 0 to 1, how much each
-    hand takes over of the other's strokes."""
+class ArmScales:
+    """Scaling of the arms at M times. intensity: [M, 2] of the left and the right arm; share: [M, 2] of the way from
+    rest to the pose (`rest_share`); both: [M] how much each hand joins in the other's strokes, 0 to 1."""
 
     intensity: Array
-    left: Array
+    share: Array
     both: Array
 
     @property
     def changed(self) -> NDArray[np.int64]:
-        """[n] at which anything is asked at all."""
-        return np.flatnonzero((self.intensity != 1.0).any(axis=1) | (self.left != 1.0).any(axis=1) | (self.both != 0.0))
+        """[n] indices of the times at which poses change."""
+        return np.flatnonzero((self.intensity != 1.0).any(axis=1) | (self.share != 1.0).any(axis=1)
+                              | (self.both != 0.0))
 
 
-def left_by(intensity: NDArray[np.floating]) -> Array:
-    """2 i of the module, at most 1."""
+def rest_share(intensity: NDArray[np.floating]) -> Array:
+    """The factor 2 i of the approach to rest (see the module), at most 1."""
     return np.minimum(intensity / RESTING, 1.0)
 
 
@@ -128,15 +129,15 @@ class _ScaledArm:
         self.large, self.fine = StrokeMemory(columns, LARGE), StrokeMemory(columns, FINE)
 
     def lifted(self, poses: Array) -> Array:
-        """[M, 1] h of the module, of poses [M, D]."""
-        way = self.mean - self.rest
-        lift = (poses - self.rest) @ way / max(float(way @ way), 1e-9)
+        """[M, 1] h of the module for poses [M, D]."""
+        up = self.mean - self.rest
+        lift = (poses - self.rest) @ up / max(float(up @ up), 1e-9)
         return smooth_step((lift - _HANGS) / (_LIFTED - _HANGS))[:, None]
 
 
 class Shaper:
-    """The knobs of one speaker. Poses are exponential maps [M, 3 J] in radians; `shaped` is given all of them, in the
-    order of their times."""
+    """Applies the knobs for one speaker. Poses are exponential maps [M, 3 J], radians; all poses of a performance must
+    pass through `shaped` in the order of their times."""
 
     def __init__(self, statistics: Statistics, representation: Representation, speaker: int) -> None:
         mean, rest = statistics.mean_pose[speaker], statistics.rest_pose[speaker]
@@ -154,59 +155,58 @@ class Shaper:
         self._trunk = _columns([j for j, name in enumerate(names) if name.startswith(("Spine", "Neck", "Head"))])
         self._mean = mean
 
-    def shaped(self, poses: Array, times: Array, sizes: AskedSizes) -> Array:
-        """The next poses [M, 3 J] at rising seconds [M], at these sizes; where nothing is asked, bit for bit as they
-        are. Where the times go back, what came later is forgotten."""
+    def shaped(self, poses: Array, times: Array, scales: ArmScales) -> Array:
+        """Scale the next poses [M, 3 J] at rising seconds [M]. Poses without change stay the same bit for bit. If the
+        times go back, later poses are forgotten."""
         for arm in self._arms:
             arm.large.push(times, poses)
             arm.fine.push(times, poses)
-        at = sizes.changed
+        at = scales.changed
         if not len(at):
             return poses
-        own, out = poses[at], poses[at].copy()
-        intensity, both = sizes.intensity[at], sizes.both[at, None]
+        before, out = poses[at], poses[at].copy()
+        intensity, both = scales.intensity[at], scales.both[at, None]
         strokes = [arm.large.at(times[at]) for arm in self._arms]
-        added = [np.zeros_like(one) for one in strokes]
+        echoes = [np.zeros_like(stroke) for stroke in strokes]
         if both.any():
-            added = [ECHO * both * (other.large.at(times[at] - LAG) * self._mirror - OWN * one)
-                     for one, other in zip(strokes, self._arms[::-1], strict=True)]
-        for side, (arm, stroke, echo) in enumerate(zip(self._arms, strokes, added, strict=True)):
-            asked, left = intensity[:, side, None], sizes.left[at, side, None]
-            now, some = own[:, arm.columns], np.maximum(asked, RESTING) - 1.0
-            large = (stroke + echo) * some * np.where(some > 0.0, STRONGER, WEAKER)
-            fine = arm.fine.at(times[at]) * np.minimum(some, 0.0) * FINER
-            changed = self._within(now, echo + arm.lifted(now) * (large + fine), arm.columns)
-            out[:, arm.columns] = _towards(arm.rest, changed, left)
-            out[:, arm.fingers] = _towards(arm.resting_fingers, own[:, arm.fingers], left)
+            echoes = [ECHO * both * (other.large.at(times[at] - LAG) * self._mirror - LOSS * stroke)
+                      for stroke, other in zip(strokes, self._arms[::-1], strict=True)]
+        for side, (arm, stroke, echo) in enumerate(zip(self._arms, strokes, echoes, strict=True)):
+            pose, share = before[:, arm.columns], scales.share[at, side, None]
+            step = np.maximum(intensity[:, side, None], RESTING) - 1.0
+            large = (stroke + echo) * step * np.where(step > 0.0, STRONGER, WEAKER)
+            fine = arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
+            changed = self._within(pose, echo + arm.lifted(pose) * (large + fine), arm.columns)
+            out[:, arm.columns] = _towards(arm.rest, changed, share)
+            out[:, arm.fingers] = _towards(arm.resting_fingers, before[:, arm.fingers], share)
         most = intensity.max(axis=1, keepdims=True)
         gain = np.where(most > 1.0, np.maximum(most, 1.0) ** TRUNK, TRUNK_LEAST + (1.0 - TRUNK_LEAST) * most)
-        trunk = own[:, self._trunk]
+        trunk = before[:, self._trunk]
         out[:, self._trunk] = self._within(trunk, (gain - 1.0) * (trunk - self._mean[self._trunk]), self._trunk)
         result = poses.copy()
-        result[at] = self._outside(own, out)
+        result[at] = self._outside(before, out)
         return result
 
-    def _within(self, now: Array, added: Array, columns: NDArray[np.int64]) -> Array:
-        """Poses [M, D] with what is added to them, taken back smoothly where that leads out of the data."""
-        outwards = added * (now - self._mean[columns]) > 0
-        room = np.maximum(np.where(added > 0, self._high[columns] - now, now - self._low[columns]), 1e-9)
-        return now + np.where(outwards, room * np.tanh(added / room), added)
+    def _within(self, poses: Array, added: Array, columns: NDArray[np.int64]) -> Array:
+        """Poses [M, D] with a displacement added, limited smoothly at the bounds of the training data."""
+        outwards = added * (poses - self._mean[columns]) > 0
+        room = np.maximum(np.where(added > 0, self._high[columns] - poses, poses - self._low[columns]), 1e-9)
+        return poses + np.where(outwards, room * np.tanh(added / room), added)
 
-    def _outside(self, own: Array, out: Array) -> Array:
-        """Poses [M, 3 J] with the hands as far outside the trunk as they were in the poses `own`."""
-        before = self._representation.motion(own, 1.0)
+    def _outside(self, before: Array, out: Array) -> Array:
+        """Poses `out` [M, 3 J] with the hands pushed as far out of the trunk as they were in the poses `before`."""
         scaled = self._representation.motion(out, 1.0)
-        kept = kept_out_of_us(scaled, our_distances(pose_of(before)))
-        pushed = np.flatnonzero((kept.rotations != scaled.rotations).any(axis=-1).any(axis=-1))
+        freed = kept_out_of_us(scaled, our_distances(pose_of(self._representation.motion(before, 1.0))))
+        pushed = np.flatnonzero((freed.rotations != scaled.rotations).any(axis=-1).any(axis=-1))
         if len(pushed):
-            turned = rotation.to_exponential_map(kept.rotations[pushed])
-            was = out[pushed].reshape(turned.shape)
-            moved = (kept.rotations[pushed] != scaled.rotations[pushed]).any(axis=-1, keepdims=True)
-            out[pushed] = np.where(moved, nearest_turn(turned, was), was).reshape(len(pushed), -1)
+            turned = rotation.to_exponential_map(freed.rotations[pushed])
+            reference = out[pushed].reshape(turned.shape)
+            moved = (freed.rotations[pushed] != scaled.rotations[pushed]).any(axis=-1, keepdims=True)
+            out[pushed] = np.where(moved, nearest_turn(turned, reference), reference).reshape(len(pushed), -1)
         return out
 
     def mirrored(self, poses: Array, share: Array) -> Array:
-        """Poses [M, 3 J], each a share [M] of the way (0 to 1) to its mirror image; at 0 and 1 exact."""
+        """Poses [M, 3 J], each a share [M] of the way to its mirror image; exact at 0 and 1."""
         at = np.flatnonzero(share)
         if not len(at):
             return poses
@@ -218,15 +218,15 @@ class Shaper:
 
 
 def _columns(joints: list[int]) -> NDArray[np.int64]:
-    """[3 n] of a pose, those of some joints."""
+    """[3 n] columns of n joints in a pose."""
     return (3 * np.array(joints, dtype=np.int64)[:, None] + np.arange(3)).ravel()
 
 
-def _towards(rest: Array, poses: Array, left: Array) -> Array:
-    """Poses [M, D] with a share `left` [M, 1] of their way from a pose [D]; at 1 bit for bit as they are."""
-    return np.where(left == 1.0, poses, rest + left * (poses - rest))
+def _towards(rest: Array, poses: Array, share: Array) -> Array:
+    """Poses [M, D] a share [M, 1] of the way from the pose `rest` [D]; the same bit for bit where it is 1."""
+    return np.where(share == 1.0, poses, rest + share * (poses - rest))
 
 
 def nearest_turn(vectors: Array, reference: Array) -> Array:
-    """Exponential maps [..., 3] as the same rotations nearest to a reference [..., 3]: with full turns added."""
+    """Exponential maps [..., 3] of the same rotations that are nearest to a reference [..., 3], by full turns."""
     return rotation.unroll(np.stack([reference, vectors]))[1]

@@ -19,16 +19,15 @@ from gesticulator.drawing.rollout import BlockMotion, CodecRollout, Rollout, Sam
 from interpreters.base import Interpreter
 
 OnBlock = Callable[[int, int], None]
-"""Called after each block with how many are done, and how many there are."""
+"""Called after each block with the number of finished blocks and the total."""
 ControlRows = NDArray[np.float32]
 """[K, 2 F] or [N, K, 2 F]: standardised control features, and whether each is given (`control_rows`)."""
 
 
 @dataclass(frozen=True)
 class Cast:
-    """The performer of a recording: an interpreter, a speaker's index, how lexemes are chosen, how readily to gesture
-    (0 to 1), the controls of the hands, and which variation is drawn. beta: that of the interpreter, where it has one.
-    """
+    """The performer of a recording. speaker: index; activity: share of the speaking time with gestures, 0 to 1; beta:
+    of the interpreter, or None."""
 
     interpreter: Interpreter
     speaker: int
@@ -40,7 +39,7 @@ class Cast:
 
     @property
     def score_is(self) -> str:
-        """What the interpreter's scores are."""
+        """The kind of the interpreter's scores."""
         return "Q value" if self.interpreter.gives_values else "log-probability"
 
 
@@ -55,7 +54,7 @@ class BlockRequest:
 
 @dataclass(frozen=True)
 class Rendering:
-    """A recording's N blocks as they were generated, and their motion [N, K, D_m], normalised, on the blocks' clock."""
+    """A recording's N generated blocks and their normalised motion [N, K, D_m], K frames per block."""
 
     encoded: SpeechFeatures
     blocks: Sequence[BlockMotion]
@@ -70,7 +69,7 @@ def requests(encoded: SpeechFeatures, control: ControlRows | None = None,
 
 
 def controls_at(levels: Levels | None, controls: Controls, times: Array) -> ControlRows | None:
-    """[K, 2 F] rows of the controls at `times` [K] seconds; None where nothing is controlled."""
+    """[K, 2 F] rows of the controls at `times` [K] seconds; None without controls."""
     if levels is None or controls == Controls.free():
         return None
     values, given = controls.at(times)
@@ -78,10 +77,10 @@ def controls_at(levels: Levels | None, controls: Controls, times: Array) -> Cont
 
 
 class Driver:
-    """Generates the blocks of one performance in their order.
+    """Generates the blocks of one performance in order.
 
-    One rollout chooses the lexemes. A variation needs a second one, which draws the same lexemes in another manner; its
-    blocks are then the ones that are shown.
+    One rollout chooses the lexemes. A variation needs a second one, which samples other motion for the same lexemes;
+    the motion of the performance is then that of the second one.
     """
 
     def __init__(self, bundle: Bundle, cast: Cast) -> None:
@@ -105,30 +104,30 @@ class Driver:
 
     def run(self, blocks: Sequence[BlockRequest], on_block: OnBlock | None = None) -> list[BlockMotion]:
         """The next blocks, one after the other."""
-        drawn = []
-        for done, request in enumerate(blocks, 1):
-            drawn.append(self.draw(request))
+        generated = []
+        for count, request in enumerate(blocks, 1):
+            generated.append(self.draw(request))
             if on_block is not None:
-                on_block(done, len(blocks))
-        return drawn
+                on_block(count, len(blocks))
+        return generated
 
     def motion(self, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
-        """[N, K, D_m] of all blocks of a performance together."""
+        """[N, K, D_m] motion of all blocks of a performance."""
         return self._rollouts[-1].motion(blocks)
 
     def fork(self) -> Driver:
-        """A twin that continues from here on its own, so that blocks can be drawn from one state in several ways."""
+        """An independent copy with the same state, to generate the following blocks in another way."""
         twin = copy.copy(self)
         twin._rollouts = [rollout.fork() for rollout in self._rollouts]
         return twin
 
     def stand_as(self, other: Driver) -> None:
         """Take over the pose and the last block from another driver of the same bundle."""
-        for rollout, there in zip(self._rollouts, other._rollouts, strict=True):
-            rollout.stand_as(there)
+        for rollout, source in zip(self._rollouts, other._rollouts, strict=True):
+            rollout.stand_as(source)
 
     def hurry(self, on: bool) -> None:
-        """Draw blocks at less cost from now on, or as well as possible."""
+        """Generate the following blocks at lower cost, or at full quality again."""
         for rollout in self._rollouts:
             rollout.hurry(on)
 
@@ -137,12 +136,12 @@ class Driver:
         return [rollout.idle(start, seconds, knots) for rollout in self._rollouts][-1]
 
     def break_off(self, shown: RestKnots, time: float) -> None:
-        """Return to the poses that were shown last and go to rest from there; see `Rollout.break_off`."""
+        """Return to the last knots that were shown and go to rest from there; see `Rollout.break_off`."""
         for rollout in self._rollouts:
             rollout.break_off(shown, time)
 
     def knots(self, times: Array) -> RestKnots:
-        """The last frames that were drawn, without idle motion, as knots at `times` [M] seconds."""
-        shown = self._rollouts[-1]
-        assert shown.life is not None
-        return RestKnots(times, shown.past[-len(times):], shown.life.gains)
+        """The last generated frames, without idle motion, as knots at `times` [M] seconds."""
+        rollout = self._rollouts[-1]
+        assert rollout.life is not None
+        return RestKnots(times, rollout.past[-len(times):], rollout.life.gains)

@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from lexicon.racer import RacerCodec
 
 BEST = 5
-"""How many candidate lexemes a block keeps."""
+"""Number of alternative lexemes stored for a block."""
 
 _BLOCKS_BEFORE_REST = 2
-"""Quiet blocks that are played as they are generated: the arms come down in them."""
+"""Quiet blocks that are played as generated, before rest decay begins: the arms come down in them."""
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a lexeme is chosen from scores: see `interpreters.select`. top: 0 for all; seed: of the random numbers;
-    variation: another manner of drawing the same lexemes."""
+    """How lexemes and motion are sampled; see `interpreters.select`. top: number of best lexemes to sample from, 0 for
+    all; seed: of the random numbers; variation: selects other motion for the same lexemes."""
 
     temperature: float
     top: int
@@ -44,16 +44,16 @@ class Sampling:
 
     @property
     def keys(self) -> Keys:
-        """Of the noise that blocks are drawn from."""
+        """Keys of the noise of the blocks' motion."""
         return Keys(self.seed, self.variation)
 
 
 @dataclass(frozen=True)
 class BlockMotion:
-    """A block as it was generated.
+    """A generated block.
 
-    block: what was decided, without names of lexemes (`directing.record.named`). lexeme: the one that was played; an
-    edited plan may name another where the hands are to rest. motion: [K, D_m] features with rest and idle motion;
+    block: the block of the plan, without names of lexemes (`directing.record.named`). lexeme: the one that was played;
+    where the hands are to rest, an edited plan may hold another. motion: [K, D_m] features with rest and idle motion.
     code: [d_z] style code.
     """
 
@@ -65,10 +65,10 @@ class BlockMotion:
 
 def decided(speech: SpeechBlock, lexeme: int, scores: NDArray[np.float64], explanation: Explanation | None,
             keys: Keys, gate: float = math.nan) -> Block:
-    """The block of a plan that records a decision.
+    """The block of a plan that records the choice of a lexeme.
 
-    scores: [S] of the interpreter; the best come first, and of equals the lower number. explanation: how the
-    interpreter explains them, or None. gate: its probability, NaN without a gate.
+    scores: [S] of the interpreter; alternatives are ordered by score, equal ones by number. explanation: of the scores,
+    by interpreters that have one. gate: the gate's probability, NaN without a gate.
     """
     best = np.argsort(-scores, kind="stable")[:BEST].tolist()
     draw = BlockDraw(keys.seed, keys.variation, speech.number)
@@ -76,20 +76,21 @@ def decided(speech: SpeechBlock, lexeme: int, scores: NDArray[np.float64], expla
                   gate=None if math.isnan(gate) else gate)
     if explanation is None:
         return replace(block, alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
-    places = [*best, lexeme]
-    prior, advantage = np.exp(explanation.log_prior[places]).tolist(), explanation.advantage[places].tolist()
-    other = next((place for place, n in enumerate(best) if n != lexeme), 0)
+    lexemes = [*best, lexeme]
+    prior, advantage = np.exp(explanation.log_prior[lexemes]).tolist(), explanation.advantage[lexemes].tolist()
+    other = next((rank for rank, n in enumerate(best) if n != lexeme), 0)
     return replace(
-        block, alternatives=tuple(LexemeChoice(n, "", float(scores[n]), prior[place], advantage[place])
-                                  for place, n in enumerate(best)),
+        block, alternatives=tuple(LexemeChoice(n, "", float(scores[n]), prior[rank], advantage[rank])
+                                  for rank, n in enumerate(best)),
         chosen={"prior": prior[-1], "advantage": advantage[-1]},
         runner_up={"id": best[other], "worth_more": advantage[other] - advantage[-1]})
 
 
 def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
-    """A block of rest [B, K, D_m]: evenly from the last pose [B, 1, D_m] a share of the way to the block's mean pose.
+    """A block of rest [B, K, D_m]: a straight line from the last pose [B, 1, D_m], `share` of the way to the block's
+    mean pose.
 
-    The distance to rest shrinks by `share` with each block, so a long rest becomes still.
+    Each block shortens the distance to rest by `share`, so the body becomes still in a long rest.
     """
     frames = block.shape[1]
     steps = torch.arange(1, frames + 1, dtype=block.dtype, device=block.device)[:, None] / frames
@@ -97,9 +98,9 @@ def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
 
 
 class Rollout:
-    """One performance over a lexicon of blocks: the states of interpreter, gate, style and generator.
+    """Block-by-block generation with a lexicon of blocks: the states of interpreter, gate, style and generator.
 
-    It is stepped block by block, `step` after `begin`; a stream and a file go through it alike. It begins at rest.
+    Call `begin`, then `step` for each block. The body begins at rest.
     """
 
     def __init__(self, bundle: Bundle, interpreter: LexemeInterpreter, speaker: int, sampling: Sampling,
@@ -109,7 +110,7 @@ class Rollout:
 
     @torch.inference_mode()
     def begin(self, text: bool = False) -> None:
-        """Go back to the start. text: the blocks that follow come with words."""
+        """Reset to the start. text: the blocks that follow come with words."""
         b, speaker = self.bundle, self.speaker
         self.device = b.vectors.device
         self.rng = np.random.default_rng(self.sampling.seed)
@@ -120,7 +121,7 @@ class Rollout:
         self._begin_body(text)
 
     def _begin_body(self, text: bool) -> None:
-        """Put the body at rest, and what draws it and decides on its rest to the start."""
+        """Put the body at rest; reset the drawer, the gate and the rest controller."""
         b, speaker = self.bundle, self.speaker
         self._gate = b.gate if self.activity < 1 else None
         self._past = b.rest_feature(speaker).expand(1, b.frames, -1)
@@ -128,14 +129,14 @@ class Rollout:
         self._gate_state = None if self._gate is None else self._gate.start(speaker)
         self.life = Rest(b.statistics, representation_of(b.config), speaker, self.activity,
                          self.sampling.seed) if b.system.lives else None
-        self._resting = _BLOCKS_BEFORE_REST  # a body that has not begun is at rest
+        self._resting = _BLOCKS_BEFORE_REST  # the body is at rest at the start
 
     @torch.inference_mode()
-    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
+    def step(self, speech: SpeechBlock, control: NDArray[np.float32] | None = None, direction: Direction = FREE
              ) -> BlockMotion:
-        """The next block. asked: [K, 2 F] rows of the control, or None; direction: what a director says of it."""
+        """The next block. control: rows [K, 2 F], or None; direction: instructions for the block."""
         b = self.bundle
-        features = self._features(speech, asked, self._past[0])
+        features = self._features(speech, control, self._past[0])
         closed, probability = self._closed(speech, features, direction.still)
         scores = self._scores(features)
         quiet = closed or (features.silent and b.config.silence.mask)
@@ -145,7 +146,7 @@ class Rollout:
         else:
             self._previous = direction.lexeme
         if closed and self.life is None and self._quiet_low is not None:
-            # A block on which nothing is to be done is one on which nothing is said.
+            # The generator gets a block without gesture as silence.
             features = replace(features, low=self._quiet_low, silent=True)
         self._drawer.keys = direction.keys or self.sampling.keys
         self._drawer.unseen = self.life is not None and self.life.rests_wholly
@@ -154,33 +155,32 @@ class Rollout:
         rest_decay = b.config.silence.rest_decay
         if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
             block = approach_rest(self._past[:, -1:], block, rest_decay)
-        shown = self._go_on(block)
+        motion = self._advance(block)
         decision = decided(speech, self._previous, scores, self.interpreter.explain(self._inner), self._drawer.keys,
                            probability)
-        return BlockMotion(decision, self._previous, shown, code[0].cpu().numpy())
+        return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy())
 
     @torch.inference_mode()
     def idle(self, start: float, seconds: float, knots: int) -> NDArray[np.float32]:
-        """[k, D_m] so many frames of rest that follow each other by `seconds`, the first so long after `start`.
+        """[knots, D_m] frames of rest at intervals of `seconds`, the first one interval after `start`.
 
-        `InputError` where the bundle knows no rest by phrases (silence.rest=decay).
+        `InputError` if the bundle does not rest by phrases (silence.rest=decay).
         """
         if self.life is None:
-            raise InputError("the bundle", "does not know how to rest without speech",
-                             "use one whose phrases rest (silence.rest=life)")
+            raise InputError("the bundle", "cannot rest without speech", "use one with silence.rest=life")
         past = self._past
         self.life.rest(Span(start, seconds * knots, np.ones(knots, bool)))
-        shown = self._go_on(past[:, -1:].expand(1, knots, -1))
+        motion = self._advance(past[:, -1:].expand(1, knots, -1))
         self._past = torch.cat([past, self._past], 1)[:, -past.shape[1]:]
-        return shown
+        return motion
 
     def hurry(self, on: bool) -> None:
-        """Draw blocks at less cost from now on, or as well as can be."""
+        """Generate the following blocks at lower cost, or at full quality again."""
         self._drawer.hurried = on
 
     def break_off(self, shown: RestKnots, word: float) -> None:
-        """Go back to what was shown last (K frames or more), and to rest from there at once; word: seconds at which she
-        was interrupted."""
+        """Return to the last knots that were shown (K or more), and go to rest from there at once; word: time of the
+        interruption, seconds."""
         assert self.life is not None
         frames = self.bundle.frames
         before = np.repeat(shown.poses[:1], max(frames - len(shown.poses), 0), axis=0)
@@ -189,35 +189,35 @@ class Rollout:
 
     @property
     def past(self) -> NDArray[np.float32]:
-        """[K, D_m] the last frames that were drawn, without the life on them."""
+        """[K, D_m] the last generated frames, without idle motion."""
         return np.asarray(self._past[0].cpu().numpy())
 
     def motion(self, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
-        """[N, K, D_m] of all blocks of a performance together."""
+        """[N, K, D_m] motion of all blocks of a performance."""
         return np.stack([block.motion for block in blocks])
 
     def fork(self) -> Rollout:
-        """A twin that goes on from here by itself: blocks can be drawn from one place in several ways."""
+        """An independent copy with the same state, to generate the following blocks in another way."""
         twin = copy.copy(self)
-        twin.rng, twin._inner, twin._free = (copy.deepcopy(own) for own in (self.rng, self._inner, self._free))
+        twin.rng, twin._inner, twin._free = (copy.deepcopy(state) for state in (self.rng, self._inner, self._free))
         self._fork_body(twin)
         return twin
 
     def _fork_body(self, twin: Rollout) -> None:
-        """Give a twin what draws the body and decides on its rest."""
+        """Copy the states of gate, drawer and rest controller."""
         twin._gate_state, twin._drawer = copy.deepcopy(self._gate_state), self._drawer.fork()
         twin.life = None if self.life is None else self.life.fork()
 
     def stand_as(self, other: Rollout) -> None:
-        """Take over where the body is, and what it did last, from another rollout of the same bundle."""
+        """Take over the pose, the last lexeme and the state of rest from another rollout of the same bundle."""
         self._past, self._previous, self._resting = other._past, other._previous, other._resting
         if self.life is not None and other.life is not None:
             self.life.stand_as(other.life)
 
     def _closed(self, speech: SpeechBlock, features: BlockFeatures, still: NDArray[np.bool_] | None
                 ) -> tuple[bool, float]:
-        """Whether nothing is to be done on the block, and the gate's probability. still: [K] frames in which the hands
-        are told to rest."""
+        """Whether the body rests in the block, and the gate's probability. still: [K] frames in which an instruction
+        requires rest."""
         closed, probability = self.activity == 0, math.nan
         if self._gate is not None and self._gate_state is not None:
             probability, self._gate_state = self._gate.step(self._gate_state, features)
@@ -229,17 +229,17 @@ class Rollout:
         return closed, probability
 
     def _scores(self, features: BlockFeatures) -> NDArray[np.float64]:
-        """[S] of the interpreter, with style guidance: beyond what it does when asked, away from what it does
-        unasked."""
+        """[S] scores of the interpreter, with classifier-free guidance by the controls: extrapolated from the scores
+        without control through those with control."""
         scores, self._inner = self.interpreter.step(self._inner, features, self._previous)
         if features.control is None or "control" not in self.interpreter.needs:
             return scores
-        unasked, self._free = self.interpreter.step(self._free, replace(features, control=None), self._previous)
-        return unasked + self.bundle.config.selection.guidance * (scores - unasked)
+        free, self._free = self.interpreter.step(self._free, replace(features, control=None), self._previous)
+        return free + self.bundle.config.selection.guidance * (scores - free)
 
-    def _go_on(self, block: Tensor) -> NDArray[np.float32]:
-        """[K, D_m] what is shown of a drawn block [1, K, D_m], which becomes the past of the next."""
-        # What it was never shown it must not feed itself: one odd pose would lead to the next.
+    def _advance(self, block: Tensor) -> NDArray[np.float32]:
+        """[K, D_m] final motion of a generated block [1, K, D_m], which becomes the past of the next one."""
+        # Stay within the training data: the models' input must not drift away from it, pose by pose.
         self._past = torch.clamp(block, self._low, self._high)
         if self.life is None:
             return np.asarray(self._past[0].cpu().numpy())
@@ -254,35 +254,35 @@ class Rollout:
     def _tensor(self, values: NDArray) -> Tensor:
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
 
-    def _features(self, speech: SpeechBlock, asked: NDArray[np.float32] | None, past: Tensor | None = None
+    def _features(self, speech: SpeechBlock, control: NDArray[np.float32] | None, past: Tensor | None = None
                   ) -> BlockFeatures:
         s, config = self.bundle.statistics, self.bundle.config
         low, high = self._tensor(s.low.apply(speech.low)), self._tensor(s.high.apply(speech.high))
-        if speech.foreseen:  # whoever was taught to do without the block after is not shown a part of it
-            shut = torch.ones(1, dtype=torch.bool, device=self.device)
-            low = without_after(low[None], shut)[0] if config.generator.after_dropout else low
-            high = without_after(high[None], shut)[0] if config.interpreter.after_dropout else high
+        if speech.foreseen:  # a model trained with dropout of the next block gets none rather than an incomplete one
+            drop = torch.ones(1, dtype=torch.bool, device=self.device)
+            low = without_after(low[None], drop)[0] if config.generator.after_dropout else low
+            high = without_after(high[None], drop)[0] if config.interpreter.after_dropout else high
         return BlockFeatures(low, high, speech.silent[1], None if speech.text is None else self._tensor(speech.text),
-                             None if asked is None else self._tensor(asked), past, speech.durations[:2])
+                             None if control is None else self._tensor(control), past, speech.durations[:2])
 
 
 class CodecRollout(Rollout):
-    """A performance of RACER's own: codes are chosen one by one and decoded together, without a generator (RACER 5.2).
+    """Generation with RACER's codec: codes are chosen one by one and decoded together, without a generator (RACER 5.2).
 
-    There is no style, no gate and no silence in it; `activity` 0 holds the resting code.
+    There is no style, no gate and no silence; `activity` 0 holds the resting code.
     """
 
     def _begin_body(self, text: bool) -> None:
-        """Nothing to put back: the codec has no state."""
+        """Nothing to reset: the codec has no state."""
 
     def _fork_body(self, twin: Rollout) -> None:
-        """Nothing to give."""
+        """Nothing to copy."""
 
     @torch.inference_mode()
-    def step(self, speech: SpeechBlock, asked: NDArray[np.float32] | None = None, direction: Direction = FREE
+    def step(self, speech: SpeechBlock, control: NDArray[np.float32] | None = None, direction: Direction = FREE
              ) -> BlockMotion:
-        """The next code, without motion; see `Rollout.step`. Nothing can be asked of the style."""
-        scores, self._inner = self.interpreter.step(self._inner, self._features(speech, asked), self._previous)
+        """The next code, without motion; see `Rollout.step`."""
+        scores, self._inner = self.interpreter.step(self._inner, self._features(speech, control), self._previous)
         chosen = direction.lexeme
         if chosen is None:
             chosen = self._select(direction.biased(scores), self.rng)
@@ -292,8 +292,7 @@ class CodecRollout(Rollout):
 
     @torch.inference_mode()
     def motion(self, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
-        """All codes decoded together, the resting code before the first: the codec then begins where the figure
-        stands."""
+        """[N, K, D_m] all codes decoded together, after a resting code, so that the motion begins at rest."""
         codes = [self.bundle.rest_lexeme(self.speaker), *(block.lexeme for block in blocks)]
         codec = cast("RacerCodec", self.bundle.lexicon)
         decoded = codec.decode_tokens(torch.tensor(codes, device=self.device)[None])

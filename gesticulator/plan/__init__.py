@@ -1,1 +1,1 @@
-"""The gesture plan: every decision behind a performance, as a file to read and edit."""
+"""The gesture plan: all decisions of a performance, in a file that can be read and edited."""

@@ -1,4 +1,4 @@
-"""Whether the parts of a gesture plan fit each other: blocks tile the sound, times rise, names are known."""
+"""Consistency checks of gesture plans: blocks tile the sound, times rise, names are known."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from gesticulator.plan.plan import GESTURES, GesturePlan, GestureUnit, PlanMeani
 SHORTEST, LONGEST = 0.1, 1.0
 """Allowed length of an edited block, seconds (detected blocks last 0.2 to 0.5)."""
 _EPS = 1e-6
-"""Seconds within which two times are equal: files round."""
+"""Largest difference of two equal times, seconds: numbers in files are rounded."""
 _UNIT = 1e-3
-"""How far the squared length of a quaternion may be from 1: files round."""
+"""Largest deviation of the squared length of a quaternion from 1: numbers in files are rounded."""
 
 
 def check_plan(plan: GesturePlan) -> None:
-    """`InputError` where the parts of a plan do not fit each other."""
+    """`InputError` if the parts of a plan are inconsistent."""
     _check_drawn(plan)
     _check_blocks(plan)
     for at, (start, end) in enumerate(plan.knobs.hold_still):
         if not start < end:
             raise plan.error(("knobs", "hold_still", at), f"is {start:g} to {end:g}",
-                             "give from and to, the lesser first")
+                             "give from and to, the smaller first")
     for at, cue in enumerate(plan.cues):
         if (cue.word is None) == (cue.time is None):
             raise plan.error(("cues", at), "must have either a word or a time", 'write {"gesture": "wave", "word": '
@@ -43,7 +43,7 @@ def _check_sections(plan: GesturePlan) -> None:
     for at, curve in enumerate(plan.curves):
         check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
         if curve.knob in knobs[:at]:
-            raise plan.error(("curves", at, "knob"), f"is {curve.knob} once more", "give one curve for a knob")
+            raise plan.error(("curves", at, "knob"), f"is {curve.knob} again", "give one curve per knob")
     if plan.alignment is not None:
         times, there = plan.alignment.times, plan.alignment.there
         check_points(("alignment",), ("times", "there"), (times, there), plan.error)
@@ -51,7 +51,7 @@ def _check_sections(plan: GesturePlan) -> None:
 
 
 def _check_gesture(plan: GesturePlan, at: int, name: str) -> None:
-    known = [*GESTURES, *(one.name for one in plan.lexicon)]
+    known = [*GESTURES, *(entry.name for entry in plan.lexicon)]
     if name not in known and plan.lexicon:
         raise plan.error(("cues", at, "gesture"), f"is {shown(name)}",
                          f"give one of {', '.join(GESTURES)}, or a name of the lexicon")
@@ -63,18 +63,18 @@ def _check_drawn(plan: GesturePlan) -> None:
     for name in ("flags", "silent", "lexemes"):
         if len(getattr(drawn, name)) != count or count < 1:
             raise plan.error(("drawn", name), f"has {len(getattr(drawn, name))} entries for {count} blocks",
-                             "leave what was drawn as it was written")
-    if drawn.edges[0] != 0 or any(not a < b for a, b in zip(drawn.edges, drawn.edges[1:], strict=False)):
-        raise plan.error(("drawn", "edges"), "do not rise from 0", "leave what was drawn as it was written")
+                             "leave `drawn` as it was written")
+    if drawn.edges[0] != 0 or any(not a < b for a, b in pairwise(drawn.edges)):
+        raise plan.error(("drawn", "edges"), "do not rise from 0", "leave `drawn` as it was written")
 
 
 def _check_blocks(plan: GesturePlan) -> None:
-    """Blocks tile the sound, and have lexemes that there are."""
+    """Blocks must tile the sound and have lexemes of the lexicon."""
     if not plan.blocks:
-        raise plan.error(("blocks",), "is empty", "leave a block at least")
-    known = {one.lexeme for one in plan.lexicon}
+        raise plan.error(("blocks",), "is empty", "leave at least one block")
+    known = {entry.lexeme for entry in plan.lexicon}
     edges, at_edge = plan.drawn.edges, 0.0
-    pairs = set(zip(edges, edges[1:], strict=False))
+    pairs = set(pairwise(edges))
     for at, block in enumerate(plan.blocks):
         place: Place = ("blocks", at)
         if abs(block.start - at_edge) > _EPS:
@@ -91,43 +91,45 @@ def _check_blocks(plan: GesturePlan) -> None:
 
 
 def check_units(units: tuple[GestureUnit, ...], error: Callable[[Place, str, str], InputError]) -> None:
-    """`InputError` where units overlap, or their phases do not lie in them one after the other. error: makes one."""
-    before = 0.0
+    """`InputError` for overlapping units, and for phases that overlap or are not within their unit. error: makes the
+    error of a place."""
+    end = 0.0
     for at, unit in enumerate(units):
         place: Place = ("units", at)
-        if not before <= unit.start < unit.end:
-            raise error((*place, "start"), f"is {unit.start:g}", f"give {before:g} or more, and less than its end")
-        inner = unit.start
+        if not end <= unit.start < unit.end:
+            raise error((*place, "start"), f"is {unit.start:g}", f"give {end:g} or more, and less than its end")
+        end = unit.start
         for number, phase in enumerate(unit.phases):
-            if not inner <= phase.start < phase.end <= unit.end:
+            if not end <= phase.start < phase.end <= unit.end:
                 raise error((*place, "phases", number), f"is {phase.start:g} to {phase.end:g} s",
-                            f"give a range within {inner:g} to {unit.end:g} s")
-            inner = phase.end
-        before = unit.end
+                            f"give a range within {end:g} to {unit.end:g} s")
+            end = phase.end
+        end = unit.end
 
 
 def check_meanings(meanings: tuple[PlanMeaning, ...], error: Callable[[Place, str, str], InputError]) -> None:
-    """`InputError` where a meaning ends before it begins."""
-    for at, one in enumerate(meanings):
-        if not one.start <= one.end:
-            raise error(("meanings", at), f"is {one.start:g} to {one.end:g} s", "give from and to, the lesser first")
+    """`InputError` for a meaning that ends before it begins."""
+    for at, meaning in enumerate(meanings):
+        if not meaning.start <= meaning.end:
+            raise error(("meanings", at), f"is {meaning.start:g} to {meaning.end:g} s",
+                        "give from and to, the smaller first")
 
 
 def check_pins(pins: tuple[PosePin, ...], error: Callable[[Place, str, str], InputError]) -> None:
-    """`InputError` for a pin of nothing, or with a rotation that is no unit quaternion."""
+    """`InputError` for a pin without rotation and position, or with a rotation that is not a unit quaternion."""
     for at, pin in enumerate(pins):
         if pin.rotation is None and pin.position is None:
             raise error(("pins", at), "has neither a rotation nor a position", "give one of them, or both")
         if pin.rotation is not None and abs(sum(part * part for part in pin.rotation) - 1.0) > _UNIT:
-            raise error(("pins", at, "rotation"), "is no unit quaternion", "give w, x, y and z of length 1")
+            raise error(("pins", at, "rotation"), "is not a unit quaternion", "give w, x, y and z of length 1")
 
 
 def check_points(place: Place, names: tuple[str, str], columns: tuple[tuple[float, ...], tuple[float, ...]],
                  error: Callable[[Place, str, str], InputError]) -> None:
-    """`InputError` where two columns of a table [M] are empty or differ in length, or the first does not rise."""
+    """`InputError` if two columns [M] are empty or differ in length, or the first does not rise."""
     first, second = columns
     if not first or len(first) != len(second):
         raise error((*place, names[1]), f"has {len(second)} entries for {len(first)} {names[0]}",
-                    "give as many of both, one at least")
+                    "give the same number of both, at least one")
     if any(not a < b for a, b in pairwise(first)):
-        raise error((*place, names[0]), "do not rise", "put them in order, each once")
+        raise error((*place, names[0]), "do not rise", "sort them, without duplicates")

@@ -1,8 +1,8 @@
-"""A plan that goes to and fro between us and a page, in plain values: what did not change is not read or written again.
+"""Fast exchange of plans with a page: parts that did not change since the last edit are not read or written again.
 
-A page sends the whole plan after each edit, and an hour's has ten thousand blocks. `PlanExchange` remembers the parts
-of the last plan that it read and of the last that it wrote. A part is known again by its text, in which 1, 1.0 and true
-differ as they do in JSON.
+A page sends the whole plan after each edit, and the plan of an hour has ten thousand blocks. `PlanExchange` remembers
+the parts of the last plan that it read and of the last one that it wrote. It recognises a part by its `repr`, which
+distinguishes 1, 1.0 and true as JSON does.
 """
 
 from __future__ import annotations
@@ -21,22 +21,21 @@ _BLOCKS = "blocks"
 
 
 class PlanExchange:
-    """Reads and writes the plans of one page; memory is that of two plans. Not for several threads at once."""
+    """Reads and writes the plans of one page. Memory is that of two plans. Not thread-safe."""
 
     def __init__(self) -> None:
-        self._read: dict[str, tuple[str, Any]] = {}  # member -> its text, what it was read as
+        self._read: dict[str, tuple[str, Any]] = {}  # member -> (its text, its value in the plan)
         self._blocks: dict[str, Block] = {}  # text of a block -> the block
-        self._written: dict[int, tuple[Any, str]] = {}  # identity of a part -> the part, its JSON
+        self._written: dict[int, tuple[Any, str]] = {}  # id of a part -> (the part, its JSON)
 
     def read(self, plain: dict[str, Any], source: str = "plan") -> GesturePlan:
-        """The plan of plain values, as `parse_plan` gives it; `InputError` with the line that a value would have in
-        the JSON of the plan with an indent of 1. Parts that are equal to those of the last plan are the same objects.
-        """
+        """The plan of plain values, as from `parse_plan`. Parts that are equal to those of the last plan are the same
+        objects. `InputError` with the line that the value has in the plan's JSON with an indent of 1."""
         lined = upgraded(with_lines(plain, source))
         plain = lined.value
         names, needed = part_names(GesturePlan)
         if not set(needed) <= set(plain) <= set(names) or not isinstance(plain[_BLOCKS], list):
-            read_as(GesturePlan, lined)  # which says what is wrong
+            read_as(GesturePlan, lined)  # raises the error
         parts: dict[str, tuple[str, Any]] = {}
         try:
             for name in names:
@@ -63,15 +62,15 @@ class PlanExchange:
         return tuple(blocks), texts
 
     def plain(self, plan: GesturePlan) -> dict[str, Any]:
-        """`GesturePlan.to_dict`, in values that belong to the caller alone."""
+        """`GesturePlan.to_dict`, in new objects that the caller may modify."""
         known, written, texts = self._written, {}, []
         parts = [(name, value) for name, value in written_parts(plan) if name != _BLOCKS]
-        # Blocks are parts of their number: an edit changes one of them.
+        # Each block is a part of its own, since an edit changes only a few of them.
         for value in (*(value for _, value in parts), *plan.blocks):
-            place = id(value)
-            again = place in known and not isinstance(value, dict)  # a dict may have changed since
-            written[place] = known[place] if again else (value, json.dumps(to_plain(value)))
-            texts.append(written[place][1])
+            key = id(value)
+            unchanged = key in known and not isinstance(value, dict)  # a dict may have been modified
+            written[key] = known[key] if unchanged else (value, json.dumps(to_plain(value)))
+            texts.append(written[key][1])
         self._written = written
         members = [f'"{name}": {text}' for (name, _), text in zip(parts, texts, strict=False)]
         plain = json.loads("{" + ", ".join([*members, f'"{_BLOCKS}": [' + ", ".join(texts[len(parts):]) + "]"]) + "}")

@@ -1,10 +1,10 @@
-"""The gesture plan: what was decided for a recording, as a file that people and pages read, edit and render again.
+"""The gesture plan: the decisions for one recording, in a file that people and programs read, edit and render again.
 
-A plan holds the sound's name and hash, the seed, the words, what can be chosen (`lexicon`, `gestures`), what was
-decided (`drawn`), and `blocks`, in which all that may be edited stands. What differs between `blocks` and `drawn` is
-the edit: those stretches are drawn anew, all others are replayed (`gesticulator.directions`).
+A plan holds the sound's name and hash, the seed, the words, the possible choices (`lexicon`, `gestures`), the decisions
+of the first generation (`drawn`), and the blocks to play (`blocks`), which can be edited. Blocks that differ from
+`drawn` are generated again, all others are replayed (`gesticulator.directing.editing`).
 
-Plain data: nothing here imports numpy or a model. `docs/schema/plan.schema.json` is made of these classes.
+Plain data: nothing here imports numpy or a model. `docs/schema/plan.schema.json` is generated from these classes.
 """
 
 from __future__ import annotations
@@ -27,36 +27,35 @@ __all__ = ["GESTURES", "Block", "BlockDraw", "GestureCue", "GesturePlan", "Gestu
 FORMAT, VERSION = "gesticulator-plan", 2
 
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
-"""Energy -> what intensity and activity are multiplied by: calm is smaller gestures in six tenths of the phrases."""
+"""Energy -> factors on intensity and activity. Calm: smaller gestures, in six tenths of the phrases."""
 
 HANDS = ("left", "right", "both")
-"""What handedness may prefer."""
+"""Values of handedness, and hands of a gesture unit."""
 
 FLAGS = ("boundary", "onset", "loud_pseudo", "even_pseudo", "edited")
-"""Why a block ends where it ends: the names of `BeatFlag`, and a beat that a user moved or made."""
+"""Kinds of beats at which a block ends: the names of `BeatFlag`, and a beat that a user moved or added."""
 GESTURES = {
-    "wave": "the right hand goes up beside the head, palm ahead, and waves (made by formula)",
-    "point left": "the left arm points to her left (made by formula)",
-    "point right": "the right arm points to her right (made by formula)",
-    "point ahead": "the right arm points ahead, at the listener (made by formula)",
-    "me": "the right hand comes to the chest (made by formula)",
-    "stop": "the right hand goes up in front, palm ahead (made by formula)",
-    "shrug": "both shoulders rise, the forearms open, palms up, the head tilts (made by formula)",
-    "open palms": "both hands come forward and open, palms up (made by formula)",
-    "nod": "the head nods twice (made by formula)",
-    "shake head": "the head turns to both sides, twice (made by formula)",
+    "wave": "the right hand goes up beside the head, palm forward, and waves (procedural)",
+    "point left": "the left arm points to the character's left (procedural)",
+    "point right": "the right arm points to the character's right (procedural)",
+    "point ahead": "the right arm points forward, at the listener (procedural)",
+    "me": "the right hand comes to the chest (procedural)",
+    "stop": "the right hand goes up in front, palm forward (procedural)",
+    "shrug": "both shoulders rise, the forearms open, palms up, the head tilts (procedural)",
+    "open palms": "both hands come forward and open, palms up (procedural)",
+    "nod": "the head nods twice (procedural)",
+    "shake head": "the head turns to both sides, twice (procedural)",
 }
-"""The gestures that can be asked for by name, beside the names of the lexicon. The lexicon knows movements and no
-meanings, so these are small movements of our own that are laid over what was drawn."""
+"""Gestures that cues can name, besides the lexemes. The lexicon has movements without meanings, so these are procedural
+and blended over the generated motion."""
 
 SETTLES = 0.42
-"""Seconds before a range of stillness in which the hands come to rest, the longest that a stop takes."""
+"""Seconds before a range of stillness in which the hands come to rest: the longest duration of a stop."""
 
 PHASES = ("preparation", "pre-stroke hold", "stroke", "post-stroke hold", "retraction")
-"""Phases of a gesture unit (Kendon; Kita et al.), in the order in which they come."""
-UNIT_HANDS = ("left", "right", "both")
+"""Phases of a gesture unit (Kendon; Kita et al.), in their order."""
 CURVES = ("intensity", "activity", "height", "speed", "radius")
-"""What a curve may vary: two knobs, and the three hand controls in their units (metres, metres per second, metres)."""
+"""Knobs that a curve can vary: intensity, activity, and the three hand controls (metres, metres per second, metres)."""
 
 Seconds = Annotated[float, SettingRange(0.0)]
 Intensity = Annotated[float, SettingRange(0.0, 2.0)]
@@ -68,24 +67,24 @@ Index = Annotated[int, SettingRange(0, 10**7)]
 
 @dataclass(frozen=True)
 class PlanSound:
-    """The recording that the plan is of."""
+    """The recording of the plan."""
 
     name: str
-    """Its file's name, to be found by; what counts is the hash."""
+    """The name of its file, for information; the sound is identified by its hash."""
     duration: Annotated[float, SettingRange(0.0, above=True)]
     """Seconds."""
     sample_rate: Annotated[int, SettingRange(1, 10**6)]
-    """Hertz, at which the hash was taken."""
+    """Hertz, of the samples that were hashed."""
     sha256: str
-    """Of the samples as they were heard: mono float32, little-endian, at this rate, amplified as asked."""
+    """SHA-256 of the samples: mono float32, little-endian, at this rate, after amplification."""
 
 
 @dataclass(frozen=True)
 class PlanWord:
-    """A word as spoken."""
+    """A spoken word."""
 
     text: str
-    """As it is written."""
+    """The word as written."""
     start: Seconds
     """Seconds."""
     end: Seconds
@@ -99,19 +98,19 @@ class LexemeName:
     lexeme: Lexeme
     """Its number in the lexicon."""
     name: str
-    """What its movement looks like, unique in the lexicon."""
+    """A description of its movement, unique in the lexicon."""
     silent: bool
-    """Whether it counts as stillness."""
+    """True if it counts as stillness."""
 
 
 @dataclass(frozen=True)
 class GestureName:
-    """A gesture that a cue can ask for by name."""
+    """A gesture that a cue can name."""
 
     name: str
-    """What a cue calls it."""
+    """Its name in cues."""
     about: str
-    """What it does, and what it is made of."""
+    """A description of its movement."""
 
 
 @dataclass(frozen=True)
@@ -123,23 +122,23 @@ class LexemeChoice:
     name: str
     """Its name in `lexicon`."""
     score: float
-    """What the interpreter thought of it; `score_is` says in what."""
+    """Its score by the interpreter; `score_is` names the kind."""
     prior: float | None = None
-    """Of the interpreter "advantage": how likely the behaviour policy makes it."""
+    """Of the interpreter "advantage": its probability under the behaviour policy."""
     advantage: float | None = None
-    """Of the interpreter "advantage": what the reward expects of it beyond the mean, in standard deviations."""
+    """Of the interpreter "advantage": its expected reward above the mean, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class BlockDraw:
-    """What a block's noise is drawn from: the same three numbers give the same block."""
+    """The keys of a block's random numbers: the same three numbers give the same block."""
 
     seed: Seed
     """The seed."""
     variation: Variation
-    """Another number draws the same lexeme in another manner."""
+    """Another number gives another motion for the same lexeme."""
     block: Index
-    """The block that it was, when the recording was first cut; any number will do."""
+    """The number of the block when the recording was first cut; any number is allowed."""
 
 
 @dataclass(frozen=True)
@@ -147,105 +146,107 @@ class Block:
     """A block: from one beat to the next, with one lexeme."""
 
     start: Seconds
-    """Seconds; where the block before ends."""
+    """Seconds; the end of the block before."""
     end: Seconds
-    """Seconds: its beat. Move it together with the start of the next block; delete a beat by joining two blocks."""
+    """Seconds; its beat. Move it together with the start of the next block; delete a beat by joining two blocks."""
     lexeme: Lexeme | None
-    """What is gestured, a number of `lexicon`. Another one draws the block anew; null lets the interpreter choose."""
+    """The number of its lexeme in `lexicon`. With another number the block is generated again; null lets the
+    interpreter choose."""
     silent: bool
     """True brings the hands to rest in the block."""
     draw: BlockDraw
-    """What its noise is drawn from. Another variation draws the block anew."""
+    """The keys of its random numbers. With another variation the block is generated again."""
     flag: Annotated[str, SettingChoice(FLAGS)] = "edited"
-    """Why there is a beat at its end."""
+    """The kind of beat at its end."""
     name: str | None = None
-    """The name of its lexeme, to read; `lexeme` counts."""
+    """The name of its lexeme, for information; `lexeme` determines the motion."""
     locked: bool = False
-    """True keeps the block as it was drawn, whatever knobs are turned."""
+    """True protects the block from changes of the knobs."""
     intensity: Intensity = 1.0
-    """How large its gesture is: at 0 the hands hang, 1 is as drawn, 2 largest; times that of `knobs`."""
+    """Size of its gesture: at 0 the hands hang, 1 is as generated, 2 is largest; multiplied by that of `knobs`."""
     mirror: bool = False
-    """True exchanges left and right in it."""
+    """True exchanges left and right in the block."""
     gate: float | None = None
-    """How likely the gate thought a gesture, where it was asked."""
+    """The gate's probability of a gesture; null without a gate."""
     alternatives: tuple[LexemeChoice, ...] = ()
-    """The best lexemes, best first, to choose among."""
+    """The best lexemes, best first, to choose from."""
     chosen: dict[str, float] | None = None
-    """Of the interpreter "advantage": what the lexeme that was played is worth (prior, advantage)."""
+    """Of the interpreter "advantage": prior and advantage of the lexeme that was played."""
     runner_up: dict[str, float] | None = None
-    """Of the interpreter "advantage": the best other lexeme (id), and what it would have been worth more."""
+    """Of the interpreter "advantage": the best other lexeme (id), and by how much its advantage is higher
+    (worth_more)."""
 
 
 @dataclass(frozen=True)
 class DrawnBlocks:
-    """What was decided when the recording was first drawn; not to be edited. N blocks."""
+    """The decisions of the first generation, for N blocks; do not edit."""
 
     edges: tuple[Seconds, ...]
-    """[N + 1] seconds: the beats."""
+    """[N + 1] beats, seconds."""
     flags: Annotated[tuple[str, ...], SettingChoice(FLAGS)]
-    """[N] why there is a beat at each block's end."""
+    """[N] the kind of beat at the end of each block."""
     silent: tuple[bool, ...]
-    """[N] whether the block is a silence of the voice."""
+    """[N] true for a block in a pause of the speech."""
     lexemes: Annotated[tuple[int, ...], SettingRange(0, 2**16)]
-    """[N] the lexeme of each."""
+    """[N] the lexeme of each block."""
     knobs: PlanKnobs
-    """The knobs that it was drawn with."""
+    """The knobs of the first generation."""
 
 
 @dataclass(frozen=True)
 class PlanKnobs:
-    """How the whole is performed."""
+    """Knobs of the whole performance."""
 
     intensity: Intensity = 1.0
-    """How large gestures are: at 0 the hands hang, 1 is as drawn, 2 largest."""
+    """Size of the gestures: at 0 the hands hang, 1 is as generated, 2 is largest."""
     mirror: bool = False
-    """True exchanges left and right of everything."""
+    """True exchanges left and right."""
     energy: Annotated[str, SettingChoice(tuple(ENERGIES))] = "neutral"
-    """A named combination of intensity and activity, on top of them."""
+    """A named pair of factors on intensity and activity."""
     activity: Annotated[float, SettingRange(0.0, 1.0)] = 1.0
-    """How much of the time of speech is gestured in."""
+    """Share of the speaking time with gestures."""
     handedness: Annotated[str, SettingChoice(HANDS)] | None = None
-    """Which hand's lexemes are preferred; null prefers none."""
+    """The hand whose lexemes are preferred; null for no preference."""
     hold_still: tuple[tuple[Seconds, Seconds], ...] = ()
-    """Ranges of seconds, each from and to, in which the hands rest."""
-
+    """Ranges (from, to) in which the hands rest, seconds."""
 
     @property
     def size(self) -> float:
-        """Intensity with what the energy makes of it, 0 to 2."""
+        """Intensity with the factor of the energy, 0 to 2."""
         return min(self.intensity * ENERGIES[self.energy][0], 2.0)
 
     @property
     def share(self) -> float:
-        """Activity with what the energy makes of it, 0 to 1."""
+        """Activity with the factor of the energy, 0 to 1."""
         return self.activity * ENERGIES[self.energy][1]
 
     def draws_as(self, other: PlanKnobs) -> bool:
-        """Whether blocks are drawn alike: intensity and mirror are applied afterwards, and stillness is a block's."""
+        """Whether blocks are generated alike with both. Intensity and mirroring are applied afterwards, and stillness
+        concerns single blocks (`still_at`)."""
         return self.share == other.share and self.handedness == other.handedness
 
     def still_at(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
-        """The parts of the range from start to end in which the hands are to rest, or on their way there."""
-        ways = ((max(begin - SETTLES, start), min(stop, end)) for begin, stop in self.hold_still)
-        return tuple((begin, stop) for begin, stop in ways if begin < stop)
+        """The parts of the range from start to end in which the hands should rest or go to rest."""
+        ranges = ((max(begin - SETTLES, start), min(stop, end)) for begin, stop in self.hold_still)
+        return tuple((begin, stop) for begin, stop in ranges if begin < stop)
 
 
 @dataclass(frozen=True)
 class GestureCue:
-    """A gesture asked for at a word or at a time."""
+    """A gesture at a word or at a time."""
 
     gesture: str
-    """A name of `gestures` (laid over the motion), or of `lexicon` (played in the block at that time)."""
+    """A name of `gestures` (blended over the motion) or of `lexicon` (played in the block at that time)."""
     word: str | None = None
-    """The word at which it is made; or give `time`."""
+    """The word at which the gesture is made; alternative to `time`."""
     occurrence: Annotated[int, SettingRange(1, 10**6)] = 1
-    """Which of several such words, from 1."""
+    """The number of the word among equal ones, from 1."""
     time: Seconds | None = None
-    """Seconds at which its stroke arrives; or give `word`."""
+    """Time of its stroke, seconds; alternative to `word`."""
     intensity: Intensity = 1.0
-    """How large it is."""
+    """Size of the gesture, as the intensity of a block."""
     mirror: bool = False
-    """True makes it with the other hand."""
+    """True makes the gesture with the other hand."""
 
 
 @dataclass(frozen=True)
@@ -253,7 +254,7 @@ class GesturePhase:
     """A phase of a gesture unit."""
 
     kind: Annotated[str, SettingChoice(PHASES)]
-    """Which phase it is."""
+    """The kind of phase."""
     start: Seconds
     """Seconds."""
     end: Seconds
@@ -262,7 +263,7 @@ class GesturePhase:
 
 @dataclass(frozen=True)
 class GestureUnit:
-    """From where the hands leave rest to where they are at rest again; it spans several blocks."""
+    """A gesture unit: from the moment the hands leave rest until they are at rest again, over several blocks."""
 
     start: Seconds
     """Seconds."""
@@ -270,31 +271,31 @@ class GestureUnit:
     """Seconds."""
     phases: tuple[GesturePhase, ...] = ()
     """Its phases, in order and without overlap; there may be gaps, and several strokes."""
-    hand: Annotated[str, SettingChoice(UNIT_HANDS)] | None = None
-    """Which hand makes it; null where that is open."""
+    hand: Annotated[str, SettingChoice(HANDS)] | None = None
+    """The hand that makes it; null if undecided."""
     size: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
-    """How large it is, as the intensity of a block."""
+    """Size of its gestures, as the intensity of a block."""
 
 
 @dataclass(frozen=True)
 class PlanMeaning:
-    """What a stretch of the speech means, as far as a gesture can show it."""
+    """The meaning of a stretch of speech, as far as a gesture can express it."""
 
     start: Seconds
     """Seconds."""
     end: Seconds
     """Seconds."""
     kind: str
-    """What kind of meaning it is, such as "negation", "pointing" or "size"."""
+    """The kind of meaning, such as "negation", "pointing" or "size"."""
     about: str = ""
-    """What is meant, in words."""
+    """The meaning in words."""
     certainty: Annotated[float, SettingRange(0.0, 1.0)] | None = None
-    """How certain the finding is."""
+    """Probability that the meaning is right."""
 
 
 @dataclass(frozen=True)
 class PosePin:
-    """A joint that is to be in one place, or turned in one way, at one time. Give a rotation, a position or both."""
+    """A fixed rotation, position or both of a joint at one time."""
 
     time: Seconds
     """Seconds."""
@@ -303,17 +304,17 @@ class PosePin:
     rotation: tuple[float, float, float, float] | None = None
     """Its local rotation, a unit quaternion, w first."""
     position: tuple[float, float, float] | None = None
-    """Its place in metres: Y up, facing +Z, the floor at 0."""
+    """Its position, metres: Y up, facing +Z, the floor at 0."""
     hold: Seconds = 0.0
-    """Seconds that it stays so."""
+    """Seconds for which the pin holds."""
 
 
 @dataclass(frozen=True)
 class KnobCurve:
-    """A knob that changes over time, on straight lines between its points, and constant before and after them."""
+    """A knob that changes over time: linear between its points, constant before and after them."""
 
     knob: Annotated[str, SettingChoice(CURVES)]
-    """Which knob."""
+    """The name of the knob."""
     times: tuple[Seconds, ...]
     """[M] seconds, rising."""
     values: tuple[float, ...]
@@ -322,91 +323,91 @@ class KnobCurve:
 
 @dataclass(frozen=True)
 class SoundAlignment:
-    """How the plan maps onto another export of its sound, in which pauses or tempo were changed."""
+    """The map of the plan onto another export of its sound, with other pauses or another tempo."""
 
     sha256: str
-    """Of the samples of the other sound, taken as that of `sound`."""
+    """SHA-256 of the samples of the other sound, as for `sound`."""
     duration: Annotated[float, SettingRange(0.0, above=True)]
     """Seconds of the other sound."""
     times: tuple[Seconds, ...]
     """[M] seconds of this plan, rising."""
     there: tuple[Seconds, ...]
-    """[M] the same moments in seconds of the other sound, rising; straight lines between them."""
+    """[M] the same moments in the other sound, seconds, rising; linear between them."""
 
 
 @dataclass(frozen=True)
 class GesturePlan:
-    """What was decided for one recording, and what is to be changed."""
+    """The decisions for one recording, and their edits."""
 
     format: Annotated[str, SettingChoice((FORMAT,))]
-    """What kind of file this is."""
+    """The name of the file format."""
     version: Annotated[int, SettingChoice((VERSION,))]
-    """Of the format."""
+    """The version of the format."""
     made_by: dict[str, Any]
-    """What made it: `gesticulator` (its version), `bundle` (preset, lexicon: a hash) and `settings`, which are
-    replayed; not to be edited."""
+    """The origin of the plan: `gesticulator` (its version), `bundle` (preset, hash of the lexicon) and `settings`,
+    which are replayed; do not edit."""
     sound: PlanSound
     """The recording."""
     seed: Seed
-    """What it was drawn from; with a plan, --seed does not matter."""
+    """The seed of the first generation; --seed has no effect on a plan."""
     variation: Variation
-    """Which variation of it."""
+    """The variation of the first generation."""
     speaker: str
-    """Whose habits of moving."""
+    """The performer whose gesture style is used."""
     interpreter: str
-    """What chose the lexemes."""
+    """The name of the model that chose the lexemes."""
     drawn: DrawnBlocks
-    """What was decided first."""
+    """The decisions of the first generation."""
     blocks: tuple[Block, ...]
-    """What is to be played; edit these."""
+    """The blocks to play; edit these."""
     knobs: PlanKnobs = PlanKnobs()
-    """How the whole is performed; edit these."""
+    """Knobs of the whole performance; edit these."""
     cues: tuple[GestureCue, ...] = ()
-    """Gestures asked for; edit these."""
+    """Gestures at words or times; edit these."""
     words: tuple[PlanWord, ...] = ()
-    """What is said, where it is known."""
+    """The spoken words, if known."""
     lexicon: tuple[LexemeName, ...] = ()
-    """The lexemes that can be chosen, to read."""
+    """The lexemes that blocks and cues can use, for information."""
     gestures: tuple[GestureName, ...] = ()
-    """The gestures that cues can ask for, to read."""
+    """The gestures that cues can name, for information."""
     score_is: str = "log-probability"
-    """What the scores of alternatives are."""
+    """The kind of the scores of alternatives."""
     notes: tuple[str, ...] = ()
-    """What the user should know."""
+    """Remarks for the user."""
     units: tuple[GestureUnit, ...] = ()
-    """Gesture units, where they are planned."""
+    """Gesture units, if planned."""
     meanings: tuple[PlanMeaning, ...] = ()
-    """What stretches of the speech mean, where that is known."""
+    """Meanings of stretches of the speech, if known."""
     pins: tuple[PosePin, ...] = ()
-    """Joints that are to be in a place at a time."""
+    """Fixed poses of joints at times."""
     curves: tuple[KnobCurve, ...] = ()
-    """Knobs that change over time; one curve for a knob at most."""
+    """Knobs that change over time; at most one curve per knob."""
     alignment: SoundAlignment | None = None
-    """How the plan maps onto another export of its sound."""
+    """The map of the plan onto another export of its sound."""
     source: Any = field(default=None, metadata=PRIVATE, compare=False, repr=False)
-    """The `LinedJson` that it was read from, for messages; None for a plan that was not read."""
+    """The `LinedJson` that the plan was read from, for error messages; None if it was not read."""
 
     @property
     def duration(self) -> float:
-        """Seconds that the blocks tile."""
+        """Seconds covered by the blocks."""
         return self.drawn.edges[-1]
 
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
-        """An error about a part of the plan, with its line where it was read from a file."""
+        """An error about a part of the plan, with the line if the plan was read from a file."""
         from gesticulator.plan.json_lines import LinedJson
 
         error: InputError = (self.source or LinedJson("plan", None, {})).error(place, wrong, advice)
         return error
 
     def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Plain values, ready for JSON."""
         from gesticulator.plan.schema import to_plain
 
         plain: dict[str, Any] = to_plain(self)
         return plain
 
     def to_json(self) -> str:
-        """As it is written: a line for a block, a word, a lexeme; the same plan gives the same text."""
+        """The text of the file: one line per block, word and lexeme; the same plan gives the same text."""
         from gesticulator.plan.json_lines import in_lines
 
         return in_lines(self.to_dict()) + "\n"
@@ -418,17 +419,17 @@ def sound_hash(speech: Speech) -> str:
 
 
 def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
-    """For each block whether it must be drawn anew; the others are replayed.
+    """Whether each block must be generated again; the others are replayed.
 
-    A block is as it was drawn when its beats, lexeme, silence and draw are, and no knob that changes drawing was turned
-    since; a lock keeps knobs away.
+    A block is replayed if its beats, lexeme, silence and random keys are those of the first generation, and the knobs
+    that influence its generation are too, unless it is locked.
     """
     drawn, knobs = plan.drawn, plan.knobs
     places = {pair: at for at, pair in enumerate(zip(drawn.edges, drawn.edges[1:], strict=False))}
     alike, as_still = knobs.draws_as(drawn.knobs), knobs.hold_still == drawn.knobs.hold_still
     out = []
     for block in plan.blocks:
-        # An edit runs through this for every block of the recording: nothing is called that need not be.
+        # This loop runs over all blocks at every edit, so it avoids function calls.
         place, draw = (block.start, block.end), block.draw
         same = False
         if place in places:
@@ -442,7 +443,7 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
 
 
 def shapes(plan: GesturePlan) -> bool:
-    """Whether drawn poses are changed by what the plan says of its blocks, or may be."""
+    """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
     knobs = plan.knobs
     if knobs.size != 1.0 or knobs.handedness is not None:
         return True

@@ -1,7 +1,7 @@
-"""The file of a gesture plan: read, upgraded from earlier versions, written, and described as a JSON Schema.
+"""Files of gesture plans: reading, upgrades from earlier versions, writing, JSON Schema.
 
-A plan that was saved once can always be opened: each entry of `UPGRADES` takes the plain object of one version to the
-next. Version 2 added units, meanings, pins, curves and alignment, all of which may be left out.
+Plans of all earlier versions can be read: each entry of `UPGRADES` converts the plain object of one version to the
+next. Version 2 added units, meanings, pins, curves and alignment, all of which are optional.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gesticulator.plan.schema import read_as, schema_of
 __all__ = ["parse_plan", "read_plan", "schema", "write_plan_file"]
 
 _MOST_BYTES = 32 << 20
-"""Largest plan file that is read, bytes; the plan of an hour has 10 million."""
+"""Size limit of a plan file, bytes (32 MiB); the plan of an hour has 10 million bytes."""
 Plain = dict[str, Any]
 
 
@@ -31,14 +31,14 @@ def _to_version_2(plan: Plain) -> Plain:
 
 
 UPGRADES: Mapping[int, Callable[[Plain], Plain]] = {1: _to_version_2}
-"""Version -> what makes the next version of it."""
+"""Version -> conversion to the next version."""
 
 
 def upgraded(lined: LinedJson) -> LinedJson:
-    """The plan's object in this version; lines are those of the file. `InputError` for another format or version."""
+    """The plan's object in this version, with the lines of the file; `InputError` for another format or version."""
     plan = lined.value
     if not isinstance(plan, dict):
-        return lined  # which is told where it is read
+        return lined  # `read_as` reports this error
     if plan.get("format") != FORMAT:
         raise lined.error(("format",), f"is {shown(plan.get('format'))}",
                           f'give a plan that --plan-out wrote ("format": "{FORMAT}")')
@@ -53,12 +53,12 @@ def upgraded(lined: LinedJson) -> LinedJson:
 
 
 def read_plan(path: str | os.PathLike[str]) -> GesturePlan:
-    """A plan from a file; `InputError` with the line and what is allowed where it cannot be used."""
+    """Read a plan from a JSON file; `InputError` with the line and the allowed values if it is invalid."""
     return parse_plan(read_text(path, "give the file that --plan-out wrote", _MOST_BYTES), str(path))
 
 
 def parse_plan(text: str, source: str = "plan") -> GesturePlan:
-    """A plan from its text; `InputError` with the line and what is allowed. source: what messages call it."""
+    """Parse the JSON of a plan; errors as `read_plan`. source: its name in error messages."""
     lined = upgraded(parse(text, source))
     plan = replace(read_as(GesturePlan, lined), source=lined)
     check_plan(plan)
@@ -66,7 +66,7 @@ def parse_plan(text: str, source: str = "plan") -> GesturePlan:
 
 
 def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:
-    """Write a plan, whole or not at all. Returns the path."""
+    """Write a plan atomically. Returns the path."""
     target = Path(path)
     write_text(target, plan.to_json())
     return target

@@ -1,6 +1,6 @@
-"""From dataclasses to JSON and back, and to a JSON Schema: one description, in the types of the fields.
+"""Conversion of dataclasses to JSON and back, and their JSON Schema, all derived from the types of the fields.
 
-A field's type carries its range (`data_module.settings`); a field with a default may be left out.
+A field's type carries its range (`data_module.settings`); a field with a default is optional.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from typing import Any, TypeVar, cast
 
 from data_module.errors import shown
 from data_module.settings import PRIVATE_MARK, SettingChoice, SettingRange, limits_of
-from gesticulator.plan.json_lines import LinedJson, Path, check_plain, half_character
+from gesticulator.plan.json_lines import LinedJson, Path, check_plain, check_text
 
 T = TypeVar("T")
 
 _PLAIN: dict[Any, tuple[str, str]] = {bool: ("boolean", "true or false"), int: ("integer", "a whole number"),
                                       float: ("number", "a number"), str: ("string", "a text in quotes")}
 _MOST_WHOLE = 2**64
-"""Whole numbers in JSON may be written as 3.0 or 1e300: from here on they are none of ours."""
+"""Limit of whole numbers, which JSON may write as 3.0 or 1e300; no field allows larger ones."""
 
 
 @functools.cache
@@ -36,7 +36,7 @@ def _hints(cls: Any) -> dict[str, Any]:
 
 
 def _fields(cls: Any) -> list[dataclasses.Field[Any]]:
-    """Those that stand in the file."""
+    """The fields that are written to the file."""
     return [field for field in dataclasses.fields(cls) if not field.metadata.get(PRIVATE_MARK)]
 
 
@@ -45,34 +45,30 @@ def _required(field: dataclasses.Field[Any]) -> bool:
 
 
 def _split(hint: Any) -> tuple[Any, bool, SettingRange | SettingChoice | None]:
-    """The plain type of a field, whether null may stand there, and its range."""
+    """The plain type of a field, whether it can be null, and its range."""
     limits = limits_of(hint)
     plain = typing.get_args(hint)[0] if limits is not None else hint
     if typing.get_origin(plain) in (typing.Union, types.UnionType):
-        inner = [one for one in typing.get_args(plain) if one is not type(None)]
-        own, _, within = _split(inner[0])
-        return own, True, limits or within
+        inner = [part for part in typing.get_args(plain) if part is not type(None)]
+        inner_type, _, inner_limits = _split(inner[0])
+        return inner_type, True, limits or inner_limits
     return plain, False, limits
 
 
 # ------------------------------------------------------------------------------------------------------- reading
 
 def read_as(cls: type[T], source: LinedJson, path: Path = ()) -> T:
-    """The dataclass of what was read; `InputError` with the line for the first member that is unknown, lacking, of
-    another kind or out of its range."""
-    value = _find(source.value, path)
+    """The dataclass of the object at a path; `InputError` with the line of the first member that is unknown, missing,
+    of another type or out of range."""
+    value = source.value
+    for part in path:
+        value = value[part]
     return cast(T, _record(cls, value, source, path))
 
 
 def read_part(cls: Any, name: str, source: LinedJson) -> Any:
-    """The member `name` of a dataclass whose object is the whole of what was read; errors as `read_as`."""
+    """The member `name` of the dataclass of the whole file; errors as `read_as`."""
     return _read(_hints(cls)[name], source.value[name], source, (name,))
-
-
-def _find(value: Any, path: Path) -> Any:
-    for part in path:
-        value = value[part]
-    return value
 
 
 def _record(cls: Any, value: Any, source: LinedJson, path: Path) -> Any:
@@ -82,15 +78,14 @@ def _record(cls: Any, value: Any, source: LinedJson, path: Path) -> Any:
     names = [field.name for field in fields]
     for name in value:
         if name not in names:
-            raise source.error((*path, name), "is unknown", f"known here: {', '.join(names)}")
-    given: dict[str, Any] = {}
+            raise source.error((*path, name), "is unknown", f"allowed here: {', '.join(names)}")
+    members: dict[str, Any] = {}
     for field in fields:
         if field.name in value:
-            given[field.name] = _read(hints[field.name], value[field.name], source, (*path, field.name))
+            members[field.name] = _read(hints[field.name], value[field.name], source, (*path, field.name))
         elif _required(field):
-            raise source.error(path, f"lacks {field.name}", f"needed here: "
-                               f"{', '.join(one.name for one in fields if _required(one))}")
-    return cls(**given)
+            raise source.error(path, f"lacks {field.name}", f"required here: {', '.join(part_names(cls)[1])}")
+    return cls(**members)
 
 
 def _read(hint: Any, value: Any, source: LinedJson, path: Path) -> Any:
@@ -106,7 +101,7 @@ def _read(hint: Any, value: Any, source: LinedJson, path: Path) -> Any:
         if not isinstance(value, dict):
             raise source.error(path, f"is {shown(value)}", "give an object in braces")
         check_plain(value, source, path)
-        return copy.deepcopy(value)  # a plan must not change with the object that it was read from
+        return copy.deepcopy(value)  # the plan must not share mutable objects with the caller
     return _plain(plain, nullable, limits, value, source, path)
 
 
@@ -118,17 +113,17 @@ def _list(plain: Any, limits: Any, value: Any, source: LinedJson, path: Path) ->
         raise source.error(path, f"has {len(value)} entries", f"give {len(inner)}")
     kinds = [inner[0]] * len(value) if inner[-1] is Ellipsis else list(inner)
     out = []
-    for at, (kind, one) in enumerate(zip(kinds, value, strict=True)):
-        read = _read(kind, one, source, (*path, at))
+    for at, (kind, entry) in enumerate(zip(kinds, value, strict=True)):
+        read = _read(kind, entry, source, (*path, at))
         if limits is not None and read not in limits:
-            raise source.error((*path, at), f"is {shown(one)}", f"give {limits}")
+            raise source.error((*path, at), f"is {shown(entry)}", f"give {limits}")
         out.append(read)
     return tuple(out)
 
 
 def _plain(kind: Any, nullable: bool, limits: Any, value: Any, source: LinedJson, path: Path) -> Any:
-    wanted = f"{limits}" if limits is not None else _PLAIN[kind][1]
-    advice = f"give {wanted}{' or null' if nullable else ''}"
+    allowed = f"{limits}" if limits is not None else _PLAIN[kind][1]
+    advice = f"give {allowed}{' or null' if nullable else ''}"
     fits = isinstance(value, bool) == (kind is bool) and isinstance(value, (int, float) if kind in (int, float)
                                                                      else kind)
     if fits and kind is int and isinstance(value, float):
@@ -141,24 +136,24 @@ def _plain(kind: Any, nullable: bool, limits: Any, value: Any, source: LinedJson
         fits = math.isfinite(value)
     if not fits or (limits is not None and value not in limits):
         raise source.error(path, f"is {shown(value)}", advice)
-    if kind is str and half_character(value):
-        raise source.error(path, f"holds half a character in {shown(value)}", "write whole ones")
+    if kind is str:
+        check_text(value, source, path)
     return value
 
 
 @functools.cache
 def part_names(cls: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The members of a dataclass that stand in the file, and those of them that must."""
-    return tuple(field.name for field in _fields(cls)), tuple(one.name for one in _fields(cls) if _required(one))
+    """The members of a dataclass in the file, and the required ones of them."""
+    return tuple(field.name for field in _fields(cls)), tuple(field.name for field in _fields(cls) if _required(field))
 
 
 # ------------------------------------------------------------------------------------------------------- writing
 
 def to_plain(record: Any) -> Any:
-    """The inverse of `read_as`: plain values for JSON. Fields that are left at their default of None, or of an empty
-    list, stay out."""
+    """The inverse of `read_as`: plain values for JSON, without optional fields that are None or empty by default and
+    unchanged."""
     if isinstance(record, tuple | list):
-        return [to_plain(one) for one in record]
+        return [to_plain(entry) for entry in record]
     if not dataclasses.is_dataclass(record):
         return dict(record) if isinstance(record, Mapping) else record
     return {name: to_plain(value) for name, value in written_parts(record)}
@@ -167,24 +162,23 @@ def to_plain(record: Any) -> Any:
 def written_parts(record: Any) -> list[tuple[str, Any]]:
     """The members of a dataclass that are written, in order, with their values."""
     cls: Any = type(record)
-    left_out, values = _left_out(cls), vars(record)
+    omitted, values = _omitted_if_empty(cls), vars(record)
     return [(name, values[name]) for name in part_names(cls)[0]
-            if not (name in left_out and values[name] in (None, ()))]
+            if not (name in omitted and values[name] in (None, ()))]
 
 
 @functools.cache
-def _left_out(cls: Any) -> frozenset[str]:
-    """Members that are not written where they are empty."""
+def _omitted_if_empty(cls: Any) -> frozenset[str]:
     return frozenset(field.name for field in _fields(cls) if not _required(field) and field.default in (None, ()))
 
 
 # -------------------------------------------------------------------------------------------------------- schema
 
 def schema_of(cls: Any) -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of a dataclass; what its fields are is read from the docstrings below them."""
+    """The JSON Schema (draft 2020-12) of a dataclass; descriptions are the docstrings below its fields."""
     definitions: dict[str, Any] = {}
-    whole = _object_schema(cls, definitions)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole, "$defs": definitions}
+    root = _object_schema(cls, definitions)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **root, "$defs": definitions}
 
 
 def _object_schema(cls: Any, definitions: dict[str, Any]) -> dict[str, Any]:
@@ -193,7 +187,7 @@ def _object_schema(cls: Any, definitions: dict[str, Any]) -> dict[str, Any]:
                   for field in _fields(cls)}
     return {"title": cls.__name__, "description": (cls.__doc__ or "").split("\n\n")[0].replace("\n    ", " "),
             "type": "object", "properties": properties, "additionalProperties": False,
-            "required": [field.name for field in _fields(cls) if _required(field)]}
+            "required": list(part_names(cls)[1])}
 
 
 def _field_docs(cls: type) -> dict[str, str]:
@@ -208,8 +202,8 @@ def _field_docs(cls: type) -> dict[str, str]:
 def _type_schema(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     plain, nullable, limits = _split(hint)
     if nullable:
-        own = _type_schema(typing.Annotated[plain, limits] if limits is not None else plain, definitions)
-        return {"anyOf": [own, {"type": "null"}]}
+        not_null = _type_schema(typing.Annotated[plain, limits] if limits is not None else plain, definitions)
+        return {"anyOf": [not_null, {"type": "null"}]}
     if dataclasses.is_dataclass(plain):
         name = cast(type, plain).__name__
         if name not in definitions:
@@ -221,8 +215,8 @@ def _type_schema(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
         inner = typing.get_args(plain)
         if inner[-1] is Ellipsis:
             return {"type": "array", "items": {**_type_schema(inner[0], definitions), **_limited(limits)}}
-        return {"type": "array", "prefixItems": [{**_type_schema(one, definitions), **_limited(limits)}
-                                                 for one in inner], "minItems": len(inner), "maxItems": len(inner)}
+        return {"type": "array", "prefixItems": [{**_type_schema(part, definitions), **_limited(limits)}
+                                                 for part in inner], "minItems": len(inner), "maxItems": len(inner)}
     if origin is not None or plain is dict:
         return {"type": "object"}
     return {"type": _PLAIN[plain][0], **_limited(limits)}
