@@ -161,7 +161,7 @@ def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: P
     ({"interpreter": "oracle"}, "interpreter oracle"), ({"hand_height": "sky"}, "hand_height 'sky'"),
     ({"hand_speed": -1.0}, "hand_speed -1.0"), ({"hand_height": float("nan")}, "hand_height nan"),
     ({"hand_radius": Path("nowhere.csv")}, "nowhere.csv"),
-    ({"hand_height": 0.1, "controls": Controls()}, "one or other"),
+    ({"hand_height": 0.1, "controls": Controls()}, "one or the other"),
 ])
 def test_options_out_of_range_are_input_errors(options: dict[str, typing.Any], said: str, g: Gesticulator) -> None:
     with pytest.raises(InputError, match=said):
