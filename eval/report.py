@@ -276,9 +276,9 @@ def _other_lines(results: Results) -> list[str]:
 def _metric_lines() -> list[str]:
     """What every metric needs and what fools it, and the chapter of each module."""
     columns = {"unit": Column("unit"), "good": Column("good"), "needs": Column("needs"), "fooled": Column("fooled by")}
-    table = Table("", columns, {metric.title: {
-        "unit": metric.unit, "good": metric.good or "no judgement", "needs": ", ".join(metric.needs),
-        "fooled": ", ".join(metric.fooled_by)} for metric in METRICS.values()}, "metric")
+    table = Table("", columns, {metric.about: {
+        "unit": metric.unit, "good": metric.good or "no judgement", "needs": ", ".join(metric.inputs),
+        "fooled": ", ".join(metric.fooled_by)} for metric in METRICS.usable().values()}, "metric")
     lines = [table.markdown(), "The chapters, each from the docstring of its module:", ""]
     for name in CHAPTERS:
         text = (importlib.import_module(f"eval.{name}").__doc__ or "").strip()

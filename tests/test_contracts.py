@@ -1,7 +1,7 @@
 """What every entry of every table of plug-ins keeps.
 
 What a kind does beyond that is tested beside it: writers in `test_export`, interpreters in `test_interpreters`, data
-sets on samples in `test_corpora`, metrics in `test_metrics`, verbs in `test_house`.
+sets on samples in `test_corpora`, metrics in `test_metric_contracts`, verbs in `test_house`.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from data_module.corpora.base import Options
 from data_module.corpora.table import CORPORA, STROKE_SOURCES, open_corpus
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
+from eval.metrics import METRICS
 from eval.pictures import DRAWINGS
 from eval.probes import PROBES
 from gesticulator.characters.reading import READERS, read_character
 from gesticulator.export.writers import WRITERS
 from interpreters import INTERPRETERS
 
-TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA, STROKE_SOURCES)  # type: ignore[assignment]
+TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA, STROKE_SOURCES, METRICS)  # type: ignore[assignment]
 
 
 @pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")

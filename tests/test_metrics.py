@@ -85,12 +85,12 @@ def test_perfect_input_has_the_best_value(name: str, rows: dict[str, Any]) -> No
 
 # What fools a figure of lexemes depends on the lexicon: jitter passes among postures and not among movements.
 @pytest.mark.parametrize("name", [name for name, metric in METRICS.items()
-                                  if metric.good and name not in EYE_METRICS and "bundle" not in metric.needs])
+                                  if metric.good and name not in EYE_METRICS and "bundle" not in metric.inputs])
 def test_it_is_fooled_by_what_it_names(name: str, rows: dict[str, Any]) -> None:
     metric, truth = METRICS[name], rows["truth"][name]
     told = {control: rows[control][name] for control in CONTROLS}
     for control in metric.fooled_by:
-        if metric.good == "low" and "set" not in metric.needs:
+        if metric.good == "low" and "set" not in metric.inputs:
             assert told[control] < told["shuffled"], f"{control} passes for better than real motion"
         elif metric.good == "low":
             assert told[control] <= rows["truth, half against half"][name]
@@ -113,7 +113,7 @@ def test_figures_of_lexemes_know_a_statue_and_a_stranger(rows: dict[str, Any]) -
 
 
 def test_every_figure_that_needs_a_set_is_of_sets() -> None:
-    assert all("set" in metric.needs for metric in SET_METRICS.values())
+    assert all("set" in metric.inputs for metric in SET_METRICS.values())
     assert {metric.good for metric in METRICS.values()} == {"low", "high", "near", ""}
     for name, metric in METRICS.items():
         known = (*CONTROLS, *EYE_CONTROLS) if name in EYE_METRICS else CONTROLS

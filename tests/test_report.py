@@ -104,7 +104,7 @@ def test_the_contents_lead_to_every_heading(results: Path) -> None:
 def test_the_chapters_are_the_docstrings(results: Path) -> None:
     text = report.document(report.gather(results), results.parent / "report")
     for metric in METRICS.values():
-        assert f"| {metric.title} |" in text
+        assert f"| {metric.about} |" in text
     assert {f"metrics.{metric.chapter}" for metric in METRICS.values()} <= set(report.CHAPTERS)
     assert "What fools it" in text.split("## The metrics")[1]
 

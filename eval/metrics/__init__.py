@@ -1,4 +1,4 @@
-"""Metrics: a chapter each, with its theory, its unit, and what fools it; and `METRICS`, which lists them all.
+"""Metrics: a chapter each, with its theory, its unit, and what fools it; and `METRICS`, the table of them all.
 
 Values of one clip come from `eval.metrics.evaluate`; `gesticulator score` makes the tables.
 
@@ -8,48 +8,50 @@ Values of one clip come from `eval.metrics.evaluate`; `gesticulator score` makes
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Literal
 
 from data_module.errors import InputError, complain
 from data_module.registry import PROJECT, Registry, RegistryEntry
 
-if TYPE_CHECKING:
-    from data_module.types import Motion
-
 __all__ = ["METRICS", "Metric"]
 
 
+Direction = Literal["low", "high", "near", ""]
+"""Which values are good: lower, higher, nearer to the speaker's own value; "" for a figure that is no judgement."""
+
+
 @dataclass(frozen=True)
-class Metric:
+class Metric(RegistryEntry):
     """A figure of a clip, or of a set of clips.
 
-    chapter: the module of `eval.metrics` that tells its theory. part: the table it stands in. good: "low", "high",
-    "near" (the speaker's own value), or "" for a figure that is no judgement. needs: "truth" (the speaker's own motion
-    of the clip), "speech", "set" (several clips), "bundle" (a lexicon and a model that judges), "edges" (of the
-    system's own blocks), "reference" (the frozen space of the Frechet distance).
+    about: its title. where: the function that measures it, in the module that tells its theory (its chapter). Of
+    another package: a function of a motion and the speaker's own motion of the same length, which gives a number, NaN
+    where there is none; ours take what `inputs` names, and `eval.metrics.evaluate` calls those of one chapter together.
+    unit: "" for a figure without one. digits: behind the point, in tables. part: the table it stands in. inputs:
+    "truth" (the speaker's own motion of the clip), "speech", "set" (several clips), "bundle" (a lexicon and a model
+    that judges), "edges" (of the system's own blocks), "reference" (the frozen space of the Frechet distance).
     fooled_by: the controls (`eval.baselines`) that it cannot tell from good motion: where less is better, they are
     better than a real person's motion at another moment; else they are as good as the truth, or as near to it. Of the
     figures of lexemes, over a lexicon of postures: among movements jitter does not pass.
-    measure: of a metric of another package: the value of a motion beside the speaker's own of the same length, NaN
-    where it has none; None for ours, which `eval.metrics.evaluate` measures together.
     """
 
-    chapter: str
-    title: str
-    unit: str
-    digits: int
-    part: str
-    good: str
-    needs: tuple[str, ...] = ()
+    unit: str = ""
+    digits: int = 2
+    part: str = "vigour"
+    good: Direction = ""
+    inputs: tuple[str, ...] = ()
     fooled_by: tuple[str, ...] = ()
-    measure: Callable[[Motion, Motion], float] | None = None
+
+    @property
+    def chapter(self) -> str:
+        """The module that tells its theory, within `eval.metrics` for ours."""
+        return self.where.partition(":")[0].removeprefix("eval.metrics.")
 
     @property
     def heading(self) -> str:
         """Title and unit, as a table shows them."""
-        return f"{self.title}, {self.unit}" if self.unit else self.title
+        return f"{self.about}, {self.unit}" if self.unit else self.about
 
 
 _TRUTH, _SPEECH, _BUNDLE = ("truth",), ("speech",), ("speech", "bundle")
@@ -59,43 +61,54 @@ _STILL_TOO = ("mirrored", "still", "reversed", "jitter", "bobbing")
 _SHAPE = ("shuffled", "reversed")
 """Controls that keep how fast real motion is: what looks at vigour alone takes them for the truth."""
 
-METRICS: dict[str, Metric] = {
-    "maje": Metric("joint_error", "MAJE, mean of coordinates", "mm", 1, "joints", "low", _TRUTH, ("still", "jitter")),
-    "maje_length": Metric("joint_error", "MAJE, length", "mm", 1, "joints", "low", _TRUTH, ("still", "jitter")),
-    "mad": Metric("joint_error", "MAD, length", "mm/s^2", 0, "joints", "low", _TRUTH, ("still",)),
-    "mad_per_frame": Metric("joint_error", "MAD, length", "mm/frame^2", 2, "joints", "low", _TRUTH, ("still",)),
-    "mad_coordinate_per_frame": Metric("joint_error", "MAD, coordinates", "mm/frame^2", 2, "joints", "low", _TRUTH,
+_JOINTS, _VIGOUR = "eval.metrics.joint_error:motion_error", "eval.metrics.smoothness:motion_smoothness"
+_PMB, _CONSISTENCY = "eval.metrics.pmb", "eval.metrics.beat_consistency:consistency"
+_DIVERSITY = "eval.metrics.diversity"
+
+_OURS: dict[str, Metric] = {
+    "maje": Metric("MAJE, mean of coordinates", _JOINTS, "mm", 1, "joints", "low", _TRUTH, ("still", "jitter")),
+    "maje_length": Metric("MAJE, length", _JOINTS, "mm", 1, "joints", "low", _TRUTH, ("still", "jitter")),
+    "mad": Metric("MAD, length", _JOINTS, "mm/s^2", 0, "joints", "low", _TRUTH, ("still",)),
+    "mad_per_frame": Metric("MAD, length", _JOINTS, "mm/frame^2", 2, "joints", "low", _TRUTH, ("still",)),
+    "mad_coordinate_per_frame": Metric("MAD, coordinates", _JOINTS, "mm/frame^2", 2, "joints", "low", _TRUTH,
                                        ("still",)),
-    "pmb_A": Metric("pmb", "PMB A, 0.1 s", "%", 1, "beats", "high", _SPEECH),
-    "chance_A": Metric("pmb", "chance of PMB A", "%", 1, "beats", "", _SPEECH),
-    "above_A": Metric("pmb", "PMB A above chance", "%", 1, "beats", "high", _SPEECH),
-    "pmb_A_wide": Metric("pmb", "PMB A, 0.2 s", "%", 1, "beats", "high", _SPEECH),
-    "area_A": Metric("pmb", "area of the delta curve A", "%", 1, "beats", "high", _SPEECH),
-    "pmb_B": Metric("pmb", "PMB B, 0.1 s", "%", 1, "beats", "high", _SPEECH),
-    "chance_B": Metric("pmb", "chance of PMB B", "%", 1, "beats", "", _SPEECH),
-    "above_B": Metric("pmb", "PMB B above chance", "%", 1, "beats", "high", _SPEECH),
-    "consistency": Metric("beat_consistency", "beat consistency", "", 3, "consistency", "high", _SPEECH, ("jitter",)),
-    "consistency_chance": Metric("beat_consistency", "chance of consistency", "", 3, "consistency", "", _SPEECH),
-    "consistency_above": Metric("beat_consistency", "consistency above chance", "", 3, "consistency", "high", _SPEECH),
-    "beats_per_second": Metric("pmb", "motion beats A a second", "", 2, "consistency", "near", (), ("shuffled",)),
-    "speed_hands": Metric("smoothness", "hand speed", "m/s", 3, "vigour", "near", (), _SHAPE),
-    "acceleration_hands": Metric("smoothness", "hand acceleration", "m/s^2", 2, "vigour", "near", (), _SHAPE),
-    "acceleration": Metric("smoothness", "joint acceleration", "m/s^2", 2, "vigour", "near", (), _SHAPE),
-    "jerk_hands": Metric("smoothness", "hand jerk", "m/s^3", 1, "vigour", "near", (), _SHAPE),
-    "jerk": Metric("smoothness", "joint jerk", "m/s^3", 1, "vigour", "near", (), _SHAPE),
-    "reward": Metric("evaluate", "reward of the judging model", "cosine", 3, "lexemes", "high", _BUNDLE, ("still",)),
-    "lexeme_accuracy": Metric("accuracy", "lexemes like the speaker's own", "%", 1, "lexemes", "high",
-                              (*_TRUTH, *_BUNDLE), ("jitter",)),
-    "speed_distance": Metric("smoothness", "distance of hand-speed histograms (Hellinger)", "", 3, "sets", "low",
-                             ("truth", "set"), _SHAPE),
-    "diversity": Metric("diversity", "diversity", "nats", 2, "sets", "near", ("set", *_BUNDLE), _SHAPE),
-    "motion_variance": Metric("diversity", "motion variance", "", 3, "sets", "near", ("set", *_BUNDLE), ("reversed",)),
-    "fgd": Metric("fgd", "FGD", "", 2, "fgd", "low", ("truth", "set"), (*_SHAPE, "jitter")),
+    "pmb_A": Metric("PMB A, 0.1 s", f"{_PMB}:pmb", "%", 1, "beats", "high", _SPEECH),
+    "chance_A": Metric("chance of PMB A", f"{_PMB}:chance", "%", 1, "beats", "", _SPEECH),
+    "above_A": Metric("PMB A above chance", f"{_PMB}:above_chance", "%", 1, "beats", "high", _SPEECH),
+    "pmb_A_wide": Metric("PMB A, 0.2 s", f"{_PMB}:pmb", "%", 1, "beats", "high", _SPEECH),
+    "area_A": Metric("area of the delta curve A", f"{_PMB}:delta_curve", "%", 1, "beats", "high", _SPEECH),
+    "pmb_B": Metric("PMB B, 0.1 s", f"{_PMB}:pmb", "%", 1, "beats", "high", _SPEECH),
+    "chance_B": Metric("chance of PMB B", f"{_PMB}:chance", "%", 1, "beats", "", _SPEECH),
+    "above_B": Metric("PMB B above chance", f"{_PMB}:above_chance", "%", 1, "beats", "high", _SPEECH),
+    "consistency": Metric("beat consistency", _CONSISTENCY, "", 3, "consistency", "high", _SPEECH, ("jitter",)),
+    "consistency_chance": Metric("chance of consistency", _CONSISTENCY, "", 3, "consistency", "", _SPEECH),
+    "consistency_above": Metric("consistency above chance", _CONSISTENCY, "", 3, "consistency", "high", _SPEECH),
+    "beats_per_second": Metric("motion beats A a second", f"{_PMB}:beat_rate", "", 2, "consistency", "near", (),
+                               ("shuffled",)),
+    "speed_hands": Metric("hand speed", _VIGOUR, "m/s", 3, "vigour", "near", (), _SHAPE),
+    "acceleration_hands": Metric("hand acceleration", _VIGOUR, "m/s^2", 2, "vigour", "near", (), _SHAPE),
+    "acceleration": Metric("joint acceleration", _VIGOUR, "m/s^2", 2, "vigour", "near", (), _SHAPE),
+    "jerk_hands": Metric("hand jerk", _VIGOUR, "m/s^3", 1, "vigour", "near", (), _SHAPE),
+    "jerk": Metric("joint jerk", _VIGOUR, "m/s^3", 1, "vigour", "near", (), _SHAPE),
+    "reward": Metric("reward of the judging model", "eval.metrics.evaluate:lexeme_values", "cosine", 3, "lexemes",
+                     "high", _BUNDLE, ("still",)),
+    "lexeme_accuracy": Metric("lexemes like the speaker's own", "eval.metrics.accuracy:lexeme_accuracy", "%", 1,
+                              "lexemes", "high", (*_TRUTH, *_BUNDLE), ("jitter",)),
+    "speed_distance": Metric("distance of hand-speed histograms (Hellinger)", "eval.metrics.smoothness:hellinger", "",
+                             3, "sets", "low", ("truth", "set"), _SHAPE),
+    "diversity": Metric("diversity", f"{_DIVERSITY}:diversity", "nats", 2, "sets", "near", ("set", *_BUNDLE), _SHAPE),
+    "motion_variance": Metric("motion variance", f"{_DIVERSITY}:motion_variance", "", 3, "sets", "near",
+                              ("set", *_BUNDLE), ("reversed",)),
+    "fgd": Metric("FGD", "eval.metrics.fgd:fgd", "", 2, "fgd", "low", ("truth", "set"), (*_SHAPE, "jitter")),
 }
-"""Every metric; those for the eye follow. FGD has a column for each network, and each network has its own unit."""
-def _eye(chapter: str, title: str, unit: str, digits: int, good: str, fooled_by: tuple[str, ...], *,
-         needs: tuple[str, ...] = ()) -> Metric:
-    return Metric(f"eye.{chapter}", title, unit, digits, f"eye {chapter}", good, needs, fooled_by)
+"""Without those for the eye. FGD has a column for each network, and each network has its own unit."""
+
+
+def _eye(chapter: str, about: str, unit: str, digits: int, good: Direction, fooled_by: tuple[str, ...], *,
+         inputs: tuple[str, ...] = ()) -> Metric:
+    measure = "frechet" if chapter == "frechet" else "figures"
+    return Metric(about, f"eval.metrics.eye.{chapter}:{measure}", unit, digits, f"eye {chapter}", good, inputs,
+                  fooled_by)
 
 
 _MIRROR_OR_NOISE = (*_SEEN_BACKWARDS, "jitter")
@@ -132,46 +145,43 @@ EYE_METRICS: dict[str, Metric] = {
                        ("mirrored", "jitter")),
     "eye_rising": _eye("strokes", "hands speeding up, of the time", "%", 1, "near", ("mirrored",)),
     "eye_seam": _eye("strokes", "acceleration at seams over elsewhere", "", 2, "low", (*_MIRROR_OR_NOISE, "bobbing"),
-                     needs=_EDGES),
+                     inputs=_EDGES),
     "eye_repetition": _eye("strokes", "nearest other 2 s window over spread", "", 2, "near", ("reversed", "jitter")),
-    "eye_speech_speed": _eye("voice", "hand speed in speech", "m/s", 2, "near", _BOBS, needs=_SPEECH),
-    "eye_silence_speed": _eye("voice", "hand speed in silence", "m/s", 2, "near", _BOBS, needs=_SPEECH),
+    "eye_speech_speed": _eye("voice", "hand speed in speech", "m/s", 2, "near", _BOBS, inputs=_SPEECH),
+    "eye_silence_speed": _eye("voice", "hand speed in silence", "m/s", 2, "near", _BOBS, inputs=_SPEECH),
     "eye_speech_over_silence": _eye("voice", "speech over silence, speed", "", 2, "near",
-                                    (*_MIRROR_OR_NOISE, "bobbing"), needs=_SPEECH),
+                                    (*_MIRROR_OR_NOISE, "bobbing"), inputs=_SPEECH),
     "eye_loudness": _eye("voice", "loudness and hand speed, signed r2", "", 2, "near", (*_MIRROR_OR_NOISE, "bobbing"),
-                         needs=_SPEECH),
-    "eye_above_1": _eye("voice", "PMB above chance, 0.1 s, first detector", "%", 0, "high", _BOBS, needs=_SPEECH),
+                         inputs=_SPEECH),
+    "eye_above_1": _eye("voice", "PMB above chance, 0.1 s, first detector", "%", 0, "high", _BOBS, inputs=_SPEECH),
     "eye_above_2": _eye("voice", "PMB above chance, 0.1 s, second", "%", 0, "high", (*_MIRROR_OR_NOISE, "bobbing"),
-                        needs=_SPEECH),
+                        inputs=_SPEECH),
     "eye_frechet": _eye("frechet", "window Frechet distance to real, mean of clips", "", 1, "low", _SEEN_BACKWARDS,
-                        needs=("reference",)),
+                        inputs=("reference",)),
 }
 """The figures for the eye (`eval.metrics.eye`), of one clip each. fooled_by: the controls, made of a real take, that
 lie in the range of real people (`eval.metrics.eye.RANGES`) by this figure."""
-METRICS |= EYE_METRICS
 
-OTHER_METRICS: Registry[RegistryEntry] = Registry(
-    "metrics", "an eval.metrics.Metric with a `measure`", {}, RegistryEntry,
-    fits=lambda found: isinstance(found, Metric) and found.measure is not None)
-"""Metrics of other packages."""
+METRICS: Registry[Metric] = Registry("metrics", "an eval.metrics.Metric, or a function of two motions",
+                                     {**_OURS, **EYE_METRICS}, Metric)
+"""Every metric by name, then those of other packages."""
 
 
-def _add_others() -> None:
-    """Add the metrics of other packages whose names are free; of one that cannot be loaded a line is printed."""
-    for name in OTHER_METRICS:
-        if name in METRICS:
-            complain(f"{PROJECT}: warning: {name} of metrics is ours; {OTHER_METRICS[name].where} is not used")
-            continue
+def _usable() -> dict[str, Metric]:
+    """The metrics without those of other packages that cannot be loaded; of each of these a line is printed."""
+    entries = METRICS.usable()
+    for name in [name for name in METRICS.points() if name in entries]:
         try:
-            METRICS[name] = OTHER_METRICS.load(name)
+            METRICS.load(name)
         except InputError as error:
             complain(f"{PROJECT}: {error}")
+            del entries[name]
+    return entries
 
 
-_add_others()
-
-CLIP_METRICS = {name: one for name, one in METRICS.items()
+_USABLE = _usable()
+CLIP_METRICS = {name: one for name, one in _USABLE.items()
                 if one.part not in ("sets", "fgd") and name not in EYE_METRICS}
 """Those that have a value for each clip, without the eye's."""
-SET_METRICS = {name: one for name, one in METRICS.items() if one.part == "sets"}
+SET_METRICS = {name: one for name, one in _USABLE.items() if one.part == "sets"}
 """Those of a set of clips, but for FGD."""

@@ -29,7 +29,7 @@ import numpy as np
 from data_module.motion.motion_beats import MODES, motion_beats
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Motion, Speech
-from eval.metrics import CLIP_METRICS, EYE_METRICS, eye, pmb
+from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, eye, pmb
 from eval.metrics.beat_consistency import consistency, mean_score, motion_joint_beats
 from eval.metrics.encode import EncodedMotion
 from eval.metrics.joint_error import motion_error
@@ -46,10 +46,10 @@ NO_SPACE = f"{eye.frechet.REFERENCE} is not in GESTICULATOR_DATA"
 LEXEME_METRICS = tuple(name for name, metric in CLIP_METRICS.items() if metric.part == "lexemes")
 MOTION_METRICS = tuple(name for name in CLIP_METRICS if name not in LEXEME_METRICS)
 """Those that take no bundle."""
-_OTHERS = {name: measure for name in MOTION_METRICS if (measure := CLIP_METRICS[name].measure) is not None}
+_OTHERS = {name: METRICS.load(name) for name in METRICS.points() if name in MOTION_METRICS}
 _PAIR = tuple(name for name in MOTION_METRICS if CLIP_METRICS[name].part == "joints" and name not in _OTHERS)
 _VIGOUR = tuple(name for name in MOTION_METRICS if CLIP_METRICS[name].part == "vigour" and name not in _OTHERS)
-_SOUND = tuple(name for name in MOTION_METRICS if "speech" in CLIP_METRICS[name].needs)
+_SOUND = tuple(name for name in MOTION_METRICS if "speech" in CLIP_METRICS[name].inputs)
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def clip_values(motion: Motion, truth: Motion, beats: MotionBeats, track: OnsetT
             out.put(name, getattr(measured, name), measured.reason)
     for name, measure in _OTHERS.items():
         out.put(name, measure(motion, truth), "")
-    out.put("beats_per_second", len(beats.modes["A"]) / motion.duration, "")
+    out.put("beats_per_second", pmb.beat_rate(beats.modes["A"], motion.duration), "")
     if track is None:
         for name in _SOUND:
             out.put(name, float("nan"), NO_SPEECH)
@@ -122,7 +122,7 @@ def eye_values(motion: Motion, voice: eye.VoiceActivity | None, edges: Array | N
     lacking = {"speech": None if voice else NO_SPEECH, "edges": None if edges is not None else NO_EDGES,
                "reference": None if space else NO_SPACE}
     for name, number in eye.figures(motion, voice, edges, space).items():
-        why = next((reason for need in EYE_METRICS[name].needs if (reason := lacking[need])), "")
+        why = next((reason for need in EYE_METRICS[name].inputs if (reason := lacking[need])), "")
         out.put(name, number, why or "the clip is too short for it, or holds none of what it counts")
     return out
 

@@ -117,6 +117,11 @@ def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = D
     return Chance(float(values.mean()), (1 + as_good) / (1 + shifts))
 
 
+def beat_rate(motion_beats: Array, duration: float) -> float:
+    """Motion beats a second, of a motion that lasts `duration` seconds; 0 for one that never brakes."""
+    return len(motion_beats) / duration
+
+
 def above_chance(value: float, by_chance: float, best: float = 100.0) -> float:
     """(value - chance) / (best - chance): 0 is chance, 1 is the best; NaN where chance leaves no room."""
     if not by_chance < best:

@@ -349,7 +349,7 @@ def score(clips: ClipSet, networks: Mapping[str, Features], bundle: Any = None, 
     figures = {name: pair[0] for name, pair in both.items()}
     distances = {name: pair[1] for name, pair in both.items()}
     metrics = {**CLIP_METRICS, **EYE_METRICS, **SET_METRICS,
-               **{key: replace(METRICS["fgd"], title=f"FGD, {key}") for key in networks}}
+               **{key: replace(METRICS["fgd"], about=f"FGD, {key}") for key in networks}}
     systems = [row for row in rows.values() if row.kind == "system"]
     return Scores(
         clips.names, round(clips.seconds, 2), clips.fps, metrics,

@@ -77,7 +77,7 @@ def tables(scores: Scores) -> list[Table]:
         metrics = {name: metric for name, metric in scores.metrics.items() if metric.part == part}
         rows = {name: row for name, row in scores.figures.items() if part in ("sets", "fgd") or name != FLOOR}
         if metrics:
-            columns = {name: Column(f"{metric.title}{' (!)' if name in flagged else ''}",
+            columns = {name: Column(f"{metric.about}{' (!)' if name in flagged else ''}",
                                     f"{metric.unit}{', ' if metric.unit else ''}{_GOOD[metric.good]}", metric.digits,
                                     metric.good) for name, metric in metrics.items()}
             out.append(Table(title, columns, {name: {key: row[key] for key in columns if key in row}
@@ -110,7 +110,7 @@ def _mismatch_table(scores: Scores) -> Table:
         for metric, test in tests.items():
             digits = scores.metrics[metric].digits + 1
             cells: dict[str, Cell] = {"right": test.right, "wrong": test.wrong, "difference": test.difference}
-            rows[f"{name}, {scores.metrics[metric].title}"] = {
+            rows[f"{name}, {scores.metrics[metric].about}"] = {
                 **{key: shown_cell(cell, digits) for key, cell in cells.items()},
                 "p": test.reason or f"{test.p_value:.3g}"}
     clips = len(scores.clips)
