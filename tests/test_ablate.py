@@ -20,10 +20,12 @@ from eval.metrics.gesture_features import RawFeatures
 from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, rg
 from eval.rows.cells import CellStore, summaries
 from eval.rows.row import COLUMNS
-from eval.runner import ablate, row_context
+from eval.runner import ablate, racer
 from eval.runner import figures as paper
-from eval.runner import row as runner
-from eval.runner.row_context import AblationContext
+from eval.runner import rg as rg_rows
+from eval.runner.context import EvalContext
+from eval.runner.rg import RgRows
+from eval.runner.row import Ablation
 from eval.stats import Interval
 from eval.table import load, loads
 from generator import losses
@@ -42,16 +44,16 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def context(tiny_store: Path, work: Path) -> AblationContext:
+def ablation(tiny_store: Path, work: Path) -> Ablation:
     """The tiny preset, shorter still."""
-    config = configs.with_settings(rg.tiny(), SHORT)
-    return AblationContext(Run(config, Store.open(tiny_store), work, progress=False), [RawFeatures(34, count=1)],
-                           work / "nowhere", limit=1)
+    run = Run(configs.with_settings(rg.tiny(), SHORT), Store.open(tiny_store), work, progress=False)
+    context = EvalContext(run, networks={"raw": RawFeatures(34, count=1)}, limit=1)
+    return Ablation(RgRows(context), CellStore(work / "nowhere"))
 
 
-def into(context: AblationContext, out: Path, **changes: Any) -> AblationContext:
+def into(ablation: Ablation, out: Path) -> Ablation:
     """The same with another folder of cells."""
-    return dataclasses.replace(context, out=out, **changes)
+    return dataclasses.replace(ablation, cells=CellStore(out))
 
 
 def mean(facts: dict[str, Any], row: str, column: str) -> float:
@@ -78,20 +80,20 @@ def test_random_codes_are_normal_and_repeat() -> None:
     assert abs(sampled(1).mean()) < 0.05 and abs(sampled(1).std() - 1) < 0.05
 
 
-def test_the_command_goes_on_where_it_was_stopped(context: AblationContext, work: Path, tmp_path: Path,
+def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, work: Path, tmp_path: Path,
                                                   monkeypatch: pytest.MonkeyPatch) -> None:
     names = ["ours", "no-audio-no-style", "no-lexemes", "random-style", "style-editing"]
     drawn = {"figure-2": "svg", "figure-6": "png", "figure-9-ours": "png", "figure-9-performer": "png",
              "figure-10": "png", "figure-11": "svg", "figure-14": "svg", "figure-17": "png"}
-    own = into(context, tmp_path / "ablation")
+    own = into(ablation, tmp_path / "ablation")
     facts = ablate.ablate(own, only=[*names, *drawn, "figure-16"], seeds=1)
     assert set(names) <= set(facts["rows"]) and "performer" in facts["rows"]
     assert facts["refused"] == {"figure-16": "not run: range-0.5-1.0, range-0.2-1.0"}
-    assert read_bvh(work / "played" / "ours-1" / f"{own.names('test')[0]}.bvh").fps > 10
+    assert read_bvh(work / "played" / "ours-1" / f"{own.rg.names('test')[0]}.bvh").fps > 10
     for name, kind in drawn.items():
-        figure = loads((own.out / f"{name}.json").read_text())
+        figure = loads((own.cells.folder / f"{name}.json").read_text())
         assert figure["figure"].startswith("RG Fig.") and figure["caption"]
-        assert (own.out / f"{name}.{kind}").stat().st_size > 1000
+        assert (own.cells.folder / f"{name}.{kind}").stat().st_size > 1000
     cells = own.cells.read()
     one, random = cells["ours"][1], cells["random-style"][1]
     assert len(one["clips"]) == 1 and set(COLUMNS) <= set(one["clips"][0])
@@ -102,26 +104,27 @@ def test_the_command_goes_on_where_it_was_stopped(context: AblationContext, work
     assert alone["diversity"] >= 0, "its motion is read by the lexicon of ours"
     performer = cells["performer"][0]["clips"][0]
     assert performer["maje"] == 0 and performer["fgd"] == pytest.approx(0, abs=1e-9)
-    titles = [table.title for table in load(own.out / "table.json")]
+    titles = [table.title for table in load(own.cells.folder / "table.json")]
     assert "RG Table 1 (test)" in titles and load(tmp_path / "claims.json")[0].facts["count"]["undecided"] > 50
 
     def nothing(*given: object) -> None:
         raise AssertionError("finished rows are reused")
 
-    picture, stored = (own.out / "figure-17.png").stat().st_mtime_ns, own.cells.file.read_text()
+    picture, stored = (own.cells.folder / "figure-17.png").stat().st_mtime_ns, own.cells.file.read_text()
     with monkeypatch.context() as patched:
-        patched.setattr(row_context, "assemble", nothing)
+        patched.setattr(rg_rows, "assemble", nothing)
         ablate.ablate(own, only=["ours", "figure-17"], seeds=1)
     assert own.cells.file.read_text() == stored
-    assert (own.out / "figure-17.png").stat().st_mtime_ns == picture, "a figure of the same rows stands"
+    assert (own.cells.folder / "figure-17.png").stat().st_mtime_ns == picture, "a figure of the same rows stands"
     own.cells.file.write_text("".join(line for line in stored.splitlines(True) if '"row": "ours"' not in line)
                               + stored[:60])  # a commit of before, and a line that was cut short
     ablate.ablate(own, only=["ours"], seeds=1)
     assert own.cells.read()["ours"][1]["clips"] == one["clips"], "the same figures, measured again"
 
 
-def test_controls_and_references_stand_beside_the_rows(context: AblationContext, tmp_path: Path) -> None:
-    facts = ablate.ablate(into(context, tmp_path / "a", limit=None, _real={}), only=["ours"], seeds=1)
+def test_controls_and_references_stand_beside_the_rows(ablation: Ablation, tmp_path: Path) -> None:
+    facts = ablate.ablate(Ablation(RgRows(dataclasses.replace(
+        ablation.context, limit=None)), CellStore(tmp_path / "a")), only=["ours"], seeds=1)
     rows = facts["rows"]
     figures = {name: {key: mean(facts, name, key) for key in COLUMNS} for name in (*REFERENCES, *CONTROLS)
                if name in rows}
@@ -136,10 +139,10 @@ def test_controls_and_references_stand_beside_the_rows(context: AblationContext,
     assert table.columns["maje"].title == "MAJE (!)" and "jitter (" in "".join(table.notes)
 
 
-def test_the_row_without_hint_and_mask_plays_other_lexemes_in_silence(context: AblationContext) -> None:
+def test_the_row_without_hint_and_mask_plays_other_lexemes_in_silence(ablation: Ablation) -> None:
     """With the mask on the row would play silent lexemes in silence, as `ours` does: it would test nothing."""
-    bundles = {name: context.trained(name, 1)[0] for name in (OURS, "no-hint")}
-    recording = context.loaded(context.recordings("test")[0])
+    bundles = {name: ablation.rg.trained(name, 1)[0] for name in (OURS, "no-hint")}
+    recording = ablation.rg.shown
     own = {}
     for name, bundle in bundles.items():
         # A level prior over all lexemes: what is chosen in silence shows what may be chosen.
@@ -149,23 +152,23 @@ def test_the_row_without_hint_and_mask_plays_other_lexemes_in_silence(context: A
         assert len(silent) >= 5
         own[name] = float(np.isin(silent, bundle.silent).mean())
     assert own[OURS] == 1.0 > own["no-hint"]
-    hinted = [context.runs(name, 1)[1].get(LABELS).hinted for name in (OURS, "no-hint")]
+    hinted = [ablation.rg.runs(name, 1)[1].get(LABELS).hinted for name in (OURS, "no-hint")]
     assert not np.array_equal(hinted[0], hinted[1])
 
 
-def test_beats_and_sizes_are_drawn_from_what_was_kept(context: AblationContext, monkeypatch: pytest.MonkeyPatch
+def test_beats_and_sizes_are_drawn_from_what_was_kept(ablation: Ablation, monkeypatch: pytest.MonkeyPatch
                                                       ) -> None:
     beats, onsets, edges = np.arange(0.5, 20, 0.5), np.arange(0.55, 20, 0.5), np.arange(0, 20, 0.4)
-    monkeypatch.setattr(paper.FigureSource, "clips", lambda self, name: [
+    monkeypatch.setattr(RgRows, "clips", lambda self, name: [
         {"beats": beats if name == OURS else beats + 0.25, "onsets": onsets, "edges": edges}])
-    _, caption, numbers = paper.FIGURES["figure-16"].draw(paper.FigureSource(context, {}))
+    _, caption, numbers = paper.FIGURES["figure-16"].draw(ablation.rg, {})
     assert "chance" in caption and numbers[OURS] == 100.0 and numbers["range-0.2-1.0"] < 100
     rows = {f"size-{size}": {"figures": {key: Interval(size / 7, 0.0, 99.0, 3) for key in COLUMNS}}
             for size in rg.SIZES[:3]}
-    _, _, numbers = paper.FIGURES["figure-18"].draw(paper.FigureSource(context, rows))
+    _, _, numbers = paper.FIGURES["figure-18"].draw(ablation.rg, rows)
     assert numbers["25 lexemes, FGD"] == pytest.approx(25 / 7)
     with pytest.raises(InputError, match="needs two sizes"):
-        paper.FIGURES["figure-18"].draw(paper.FigureSource(context, {}))
+        paper.FIGURES["figure-18"].draw(ablation.rg, {})
 
 
 def test_the_listed_figures_are_those_that_are_drawn() -> None:
@@ -174,10 +177,10 @@ def test_the_listed_figures_are_those_that_are_drawn() -> None:
         assert set(figure.rows) <= {*ROWS, *REFERENCES}
 
 
-def test_movements_and_their_head_are_a_row_judged_as_all_others_are(context: AblationContext, tmp_path: Path) -> None:
-    bundle, _ = context.trained("flow", 1)
+def test_movements_and_their_head_are_a_row_judged_as_all_others_are(ablation: Ablation, tmp_path: Path) -> None:
+    bundle, _ = ablation.rg.trained("flow", 1)
     assert isinstance(bundle.lexicon, MovementLexicon) and bundle.style is None
-    facts = ablate.ablate(into(context, tmp_path / "a"), only=["flow"], seeds=1)
+    facts = ablate.ablate(into(ablation, tmp_path / "a"), only=["flow"], seeds=1)
     figures = facts["rows"]["flow"]["figures"]
     assert math.isnan(figures["accuracy"].mean), "its lexemes are not those that all are judged by"
     assert all(np.isfinite(figures[key].mean) for key in ("maje", "fgd", "diversity", "variance", "silence_speed"))
@@ -185,9 +188,9 @@ def test_movements_and_their_head_are_a_row_judged_as_all_others_are(context: Ab
     assert [name.split(" (undecided")[0] for name in table.rows][2] == "movements, flow"
 
 
-def test_another_systems_motion_is_a_row(context: AblationContext, tmp_path: Path) -> None:
-    recording, folder = context.loaded(context.recordings("test")[0]), tmp_path / "theirs"
-    own = into(context, tmp_path / "out" / "ablation")
+def test_another_systems_motion_is_a_row(ablation: Ablation, tmp_path: Path) -> None:
+    recording, folder = ablation.rg.shown, tmp_path / "theirs"
+    own = into(ablation, tmp_path / "out" / "ablation")
     folder.mkdir()
     write_bvh(folder / "nobody.bvh", recording.motion)
     with pytest.raises(InputError, match="no motion for a test recording"):
@@ -196,29 +199,29 @@ def test_another_systems_motion_is_a_row(context: AblationContext, tmp_path: Pat
     facts = ablate.ablate(own, only=["figure-5"], seeds=1, systems={"SG": folder})
     assert mean(facts, "SG", "maje") == pytest.approx(0, abs=0.1), "the performer's own motion, through a file"
     assert mean(facts, "SG", "pmb") == pytest.approx(mean(facts, "performer", "pmb"), abs=3)
-    tables = {table.title: table for table in load(own.out / "table.json")}
+    tables = {table.title: table for table in load(own.cells.folder / "table.json")}
     assert tables["RG Table 1 (test)"].rows["SG"]["maje, paper"] == "97.29 / -" and facts["rows"]["SG"]["decided"]
     assert "SG" in tables["RG Table 5 (test)"].rows
-    figure = loads((own.out / "figure-5.json").read_text())
+    figure = loads((own.cells.folder / "figure-5.json").read_text())
     assert figure["figure"] == "RG Fig. 5 and 8a" and 0 < figure["numbers"]["share_within_bounds"] <= 1
 
 
-def test_racers_rows_stand_on_what_is_trained_here(context: AblationContext, tmp_path: Path,
+def test_racers_rows_stand_on_what_is_trained_here(ablation: Ablation, tmp_path: Path,
                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     short = ("schedules.reward.steps=4", "schedules.cql.steps=4", "cql.width=16", "cql.heads=2", "cql.layers=1")
     monkeypatch.setitem(ROWS, "q-network", dataclasses.replace(ROWS["q-network"], settings=short))
-    own = into(context, tmp_path / "ablation")
+    own = into(ablation, tmp_path / "ablation")
     facts = ablate.ablate(own, only=["racer-supervised", "racer-alpha=0.1"], seeds=1)
     assert set(facts["rows"]) == {"racer-supervised", "racer-cql", "racer-alpha=0.1"}
     assert facts["rows"]["racer-alpha=0.1"]["run_as"] == "racer-cql"
     assert mean(facts, "racer-alpha=0.1", "return") == mean(facts, "racer-cql", "return")
-    cell = CellStore(own.out).read()["racer-cql"][1]
+    cell = CellStore(own.cells.folder).read()["racer-cql"][1]
     assert cell["clips"][0]["silent"] == 100.0 and cell["clips"][0]["pmb_narrow"] <= 100
     assert len(cell["sets"]["fgd"]) == 1 and set(summaries({"racer-cql": {1: cell}})) == {"racer-cql"}
-    titles = [table.title for table in load(own.out / "table.json")]
+    titles = [table.title for table in load(own.cells.folder / "table.json")]
     assert "RACER Table 2, training reward (test)" in titles
     before = own.cells.file.read_bytes()
-    monkeypatch.setattr(runner.policy_training, "measured", None)
+    monkeypatch.setattr(racer.RacerRows, "measured", None)
     ablate.ablate(own, only=["racer-alpha=0.1"], seeds=1)
     assert own.cells.file.read_bytes() == before, "finished rows are reused"
 

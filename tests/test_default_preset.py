@@ -134,7 +134,7 @@ def test_a_bundle_that_was_saved_again_plays_the_same_bytes(system: Gesticulator
 @pytest.fixture(scope="module")
 def context(tiny_store: Path, tiny_movement_bundle: Path) -> EvalContext:
     work = tiny_movement_bundle.with_name(tiny_movement_bundle.name + ".work")  # what the training cut and heard
-    return EvalContext(Store.open(tiny_store), bundles.load(tiny_movement_bundle), work, progress=False)
+    return EvalContext.over(Store.open(tiny_store), bundles.load(tiny_movement_bundle), work, progress=False)
 
 
 def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:

@@ -17,13 +17,16 @@ from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import write_flac
 from data_module.store import StoreWriter
 from data_module.types import Speech
+from eval.acceptance.motion.seen import sample_of
 from eval.baselines import controls as baselines
+from eval.clip.foreign import edges_of_plan
 from eval.commands import PROBE
 from eval.metrics import EYE_METRICS
 from eval.metrics.eye import ReferenceSpace, figures, frechet, hear
 from eval.metrics.eye import sample as eye_table
 from eval.metrics.eye.sample import CONTROLS, EyeSample, controls, eye_tables, heading
 from eval.probes import eye as probe
+from eval.runner.renderings import TAKE, AcceptanceVoice
 from eval.table import Table, load
 from gesticulator.bundle.features import SpeechFeatures
 
@@ -170,23 +173,23 @@ def test_wrong_input_is_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.
     ({"edges": [0.0, 0.4, 0.4]}, None), ({"blocks": []}, None), ({"edges": "wide"}, None), ([1, 2], None)])
 def test_edges_come_from_a_plan(plan: object, told: list[float] | None, tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    assert probe.edges_of_plan(file) is None
+    assert edges_of_plan(file) is None
     file.write_text(json.dumps(plan))
     if told is None:
         with pytest.raises(InputError, match=r"plan\.json"):
-            probe.edges_of_plan(file)
+            edges_of_plan(file)
     else:
-        np.testing.assert_array_equal(probe.edges_of_plan(file), told)
+        np.testing.assert_array_equal(edges_of_plan(file), told)
 
 
 def test_a_system_without_a_sound_s_motion_is_refused(tmp_path: Path) -> None:
     one = recording("one", 0, 6.0)
     write_bvh(tmp_path / "other.bvh", one.motion)
-    sound = probe.SpeechClip("voice", one.speech, hear(one.speech))
+    voice = AcceptanceVoice("voice", one.speech, TAKE)
     with pytest.raises(InputError, match="no motion for voice"):
-        probe._read("a", tmp_path, [sound], None)
+        probe._read("a", tmp_path, [voice])
     write_bvh(tmp_path / "voice.3.bvh", one.motion)
-    found = probe._read("a", tmp_path, [sound], None)
-    own = figures(one.motion, sound.heard)
+    found = sample_of(probe._read("a", tmp_path, [voice]), None)
+    own = figures(one.motion, voice.heard)
     assert len(found.windows) == 1
     assert found.values["eye_speed_95"][0] == pytest.approx(own["eye_speed_95"], rel=1e-3)

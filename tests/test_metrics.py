@@ -18,6 +18,7 @@ from eval.clip.clip_set import common_clips
 from eval.clip.foreign import Clip
 from eval.metrics import EYE_METRICS, METRICS, SET_METRICS
 from eval.metrics.gesture_features import RawFeatures
+from eval.runner.context import EvalContext
 from eval.score import command as score
 from gesticulator.bundle import bundle as bundles
 from interpreters.reward import RewardEnsemble
@@ -62,8 +63,8 @@ def with_a_judge(bundle: bundles.Bundle) -> bundles.Bundle:
 def rows() -> dict[str, Any]:
     """metric -> figure, by row: the truth, the same again, and every control."""
     truth = {f"clip{seed}": clip(seed) for seed in range(6)}
-    figures = score.score(common_clips({"truth": truth, "same": truth}), {NETWORK: RawFeatures(12)},
-                          with_a_judge(bundles.load(bundles.SHIPPED))).figures
+    context = EvalContext(models=with_a_judge(bundles.load(bundles.SHIPPED)), networks={NETWORK: RawFeatures(12)})
+    figures = score.score(context, common_clips({"truth": truth, "same": truth})).figures
     return {row: {("fgd" if key == NETWORK else key): score.mean_of(figures, row, key) for key in cells}
             for row, cells in figures.items()}
 

@@ -47,7 +47,7 @@ def test_another_reward_is_brought_to_the_scale_of_the_data() -> None:
 @pytest.fixture(scope="module")
 def context(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> RacerRows:
     work, store = tmp_path_factory.mktemp("racer"), Store.open(tiny_store)
-    return RacerRows.of(EvalContext(store, with_policies(store, work), work, 2, progress=False), PRESET)
+    return RacerRows.of(EvalContext.over(store, with_policies(store, work), work, 2, progress=False), PRESET)
 
 
 def weights(module: torch.nn.Module) -> Tensor:
@@ -118,7 +118,7 @@ def test_the_actor_begins_as_the_supervised_network(context: RacerRows) -> None:
 
 @pytest.mark.parametrize("name", ["racer-cql", "racer-dqn", "racer-actor-critic"])
 def test_training_repeats_and_is_kept(context: RacerRows, name: str) -> None:
-    file = context.run.work / f"{name}-{context.key(name, 1)}" / "weights.safetensors"
+    file = context.context.work / f"{name}-{context.key(name, 1)}" / "weights.safetensors"
     first = weights(training.trained(context, name, 1)[0])
     stored = file.read_bytes()
     assert torch.equal(first, weights(training.trained(context, name, 1)[0])), "as it was read"
@@ -129,11 +129,11 @@ def test_training_repeats_and_is_kept(context: RacerRows, name: str) -> None:
 
 
 def test_a_key_tells_what_shapes_a_row(context: RacerRows) -> None:
-    rows = set(twins(context.run.config).values())
+    rows = set(twins(context.settings).values())
     keys = {context.key(name, seed) for name in rows for seed in (1, 2)}
     assert len(keys) == 2 * sum(not ROWS[name].matched for name in rows), "a row and its twin share a network"
-    longer = dataclasses.replace(context.run, config=with_settings(context.run.config, ["schedules.cql.steps=5"]))
-    assert dataclasses.replace(context, run=longer).key("racer-cql", 1) not in keys
+    longer = with_settings(context.settings, ["schedules.cql.steps=5"])
+    assert dataclasses.replace(context, settings=longer).key("racer-cql", 1) not in keys
 
 
 def test_scaled_rewards_are_learned_and_judged_at_one_scale(context: RacerRows) -> None:
@@ -157,12 +157,12 @@ def test_a_matched_row_is_the_same_network_sampled(context: RacerRows) -> None:
 
 def test_only_values_are_calibrated(context: RacerRows) -> None:
     assert context.valued("racer-supervised") is None is context.valued("racer-actor-critic")
-    assert context.valued("racer-cql") is context.valued("racer-dqn") is context.taught(context.run.config)
+    assert context.valued("racer-cql") is context.valued("racer-dqn") is context.taught(context.settings)
     assert context.valued("racer-literal") is context.tables[""], "the paper's own reward is not centred"
     assert isinstance(context.valued("racer-distance"), training.TabledReward)
 
 
 def test_a_bundle_without_a_judge_is_refused(context: RacerRows, tiny_store: Path, tmp_path: Path) -> None:
-    without = EvalContext(Store.open(tiny_store), context.bundle.with_parts(reward_judge=None), tmp_path)
+    without = EvalContext.over(Store.open(tiny_store), context.bundle.with_parts(reward_judge=None), tmp_path)
     with pytest.raises(InputError, match="reward models"):
         RacerRows.of(without, PRESET)

@@ -21,7 +21,7 @@ from gesticulator.pipeline import Gesticulator
 
 def test_successors_are_the_most_frequent_next_lexemes(tiny_store: Path, tiny_bundle: Path) -> None:
     work = tiny_bundle.with_name(tiny_bundle.name + ".work")
-    corpus = EvalContext(Store.open(tiny_store), bundles.load(tiny_bundle), work, progress=False).corpus
+    corpus = EvalContext.over(Store.open(tiny_store), bundles.load(tiny_bundle), work, progress=False).corpus
     bigram = Bigram.fitted(corpus, np.arange(len(corpus.silent)) % 3, 3)  # 0 1 2 0 1 2 ... within a recording
     for previous, expected in ((0, 1), (1, 2), (2, 0)):
         assert int(bigram.step(0, None, previous)[0].argmax()) == expected  # type: ignore[arg-type]

@@ -266,7 +266,7 @@ def test_random_motion_repeats_and_differs_between_recordings(bundle: bundles.Bu
 
 @pytest.fixture(scope="module")
 def context(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> EvalContext:
-    return EvalContext(Store.open(tiny_store), bundle, work, progress=False)
+    return EvalContext.over(Store.open(tiny_store), bundle, work, progress=False)
 
 
 def test_the_tables_of_random_models(context: EvalContext) -> None:
@@ -297,4 +297,4 @@ def test_the_command(tiny_store: Path, bundle: bundles.Bundle, work: Path, tmp_p
 def test_a_bundle_without_both_models_is_refused(context: EvalContext, lacking: str) -> None:
     without: dict[str, Any] = {lacking: None}
     with pytest.raises(InputError, match="reward models"):
-        rewards.rewards(dataclasses.replace(context, bundle=context.bundle.with_parts(**without)))
+        rewards.rewards(dataclasses.replace(context, models=context.bundle.with_parts(**without)))

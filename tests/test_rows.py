@@ -21,7 +21,8 @@ from eval.rows.cells import Cell, Cells, CellStore, summaries
 from eval.rows.claims import BOUNDS, CLAIMS, PaperClaim
 from eval.rows.row import COLUMNS, DECISIONS
 from eval.runner.ablate import FIGURES
-from eval.runner.row_context import AblationContext, configured
+from eval.runner.context import EvalContext
+from eval.runner.rg import RgRows, configured
 from eval.stats import Interval
 from eval.table import NO_BUNDLE, NOT_RECORDED, Column, Provenance, Table, dumps, load, loads, save
 from gesticulator.bundle import config as configs
@@ -132,10 +133,10 @@ def test_all_tables_and_figures_of_both_papers_are_there(capsys: pytest.CaptureF
 
 # ---------------------------------------------------------------------------------------------- what a row trains
 
-def context_of(config: configs.Config) -> AblationContext:
+def context_of(config: configs.Config) -> RgRows:
     """Keys alone: nothing is opened."""
     store = SimpleNamespace(fingerprint="0" * 64, recordings=[])
-    return AblationContext(Run(config, store, Path()), [], Path())  # type: ignore[arg-type]
+    return RgRows(EvalContext(Run(config, store, Path())))  # type: ignore[arg-type]
 
 
 def test_the_preset_is_the_papers_system_made_short_and_hears_what_the_shipped_one_hears() -> None:

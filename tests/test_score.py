@@ -34,7 +34,7 @@ from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_va
 from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.gesture_features import RawFeatures
 from eval.metrics.reward_model import RewardProbe
-from eval.runner.judges import with_judges
+from eval.runner.context import EvalContext, with_judges
 from eval.score import command as score
 from eval.score.command import flags, mean_of
 from eval.score.played_rows import PlayedBundle
@@ -77,7 +77,7 @@ def truth() -> dict[str, Clip]:
 @pytest.fixture(scope="module")
 def result(truth: dict[str, Clip]) -> Scores:
     still = {name: Clip(name, mean_pose([own.motion])[0], None) for name, own in truth.items()}
-    return score.score(common_clips({TRUTH: truth, "same": truth, "held": still}), NETWORKS)
+    return score.score(EvalContext(networks=NETWORKS), common_clips({TRUTH: truth, "same": truth, "held": still}))
 
 
 def door(arguments: list[str]) -> int:
@@ -434,7 +434,7 @@ def test_advice_fits_the_command(truth: dict[str, Clip], tmp_path: Path) -> None
 @pytest.mark.parametrize("frames", [1, 2, 3, 10])
 def test_the_shortest_clips_are_scored_or_say_why_not(truth: dict[str, Clip], frames: int) -> None:
     short = {"a": replace(truth["clip0"], motion=truth["clip0"].motion.crop(0, frames))}
-    result = score.score(common_clips({TRUTH: short, "ours": short}), NETWORKS)
+    result = score.score(EvalContext(networks=NETWORKS), common_clips({TRUTH: short, "ours": short}))
     assert mean_of(result.figures, "ours", "maje") == 0.0
     assert np.isnan(mean_of(result.figures, "ours", "raw, 20 frames"))
     verdict = result.distances["ours"]["raw, 20 frames"].verdict
@@ -464,7 +464,7 @@ def test_a_system_that_equals_a_control_is_told_of(truth: dict[str, Clip]) -> No
         made, _ = score.control_rows(common_clips({TRUTH: truth}), 0)
         ours = {name: Clip(name, motion, None) for name, motion in zip(truth, made[control], strict=True)}
         networks = {"raw, 12 frames": NETWORKS["raw, 12 frames"]}
-        flagged = score.score(common_clips({TRUTH: truth, "ours": ours}), networks).flags
+        flagged = score.score(EvalContext(networks=networks), common_clips({TRUTH: truth, "ours": ours})).flags
         assert any(flag.metric == metric and flag.control == control and "is as good as ours" in flag.says
                    for flag in flagged), control
 
@@ -525,10 +525,10 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     clips, _ = foreign.read_folder(tiny_store, split="all")
     some = dict(list(clips.items())[:3])
     common = common_clips({TRUTH: some, "same": some})
-    figures = score.score(common, {}, bundle).figures
+    figures = score.score(EvalContext(models=bundle), common).figures
     assert mean_of(figures, TRUTH, "lexeme_accuracy") == 100.0 > mean_of(figures, "shuffled", "lexeme_accuracy")
     assert -1.0 <= mean_of(figures, TRUTH, "reward") == mean_of(figures, "same", "reward") <= 1.0
-    deaf = score.score(common, {}, bundle.with_parts(reward_judge=None), with_controls=False).figures
+    deaf = score.score(EvalContext(models=bundle.with_parts(reward_judge=None)), common, with_controls=False).figures
     assert "no judging reward model of the bundle's training was found" in deaf["same"]["reward"].reason
     assert mean_of(deaf, "same", "lexeme_accuracy") == 100.0
     # By another way: the corpus as the stages train on it.

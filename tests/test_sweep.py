@@ -23,8 +23,11 @@ from eval.commands import ABLATE
 from eval.metrics.gesture_features import RawFeatures
 from eval.rows import rg
 from eval.rows.cells import PARTS, Cell, CellStore
-from eval.runner import ablate, row_context, sweep
-from eval.runner.row_context import AblationContext
+from eval.runner import ablate, sweep
+from eval.runner import rg as rg_rows
+from eval.runner.context import EvalContext
+from eval.runner.rg import RgRows
+from eval.runner.row import Ablation
 from gesticulator.batch.run import TaskOutcome, done_here
 from gesticulator.bundle import config as configs
 from gesticulator.training.stages import Run
@@ -53,23 +56,28 @@ def test_cells_of_several_writers_are_gathered_once(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def context(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> AblationContext:
+def ablation(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Ablation:
     """The tiny preset, shorter still, in a work folder of its own."""
     work = tmp_path_factory.mktemp("sweep")
     first = Run(configs.with_settings(rg.tiny(), SHORT), Store.open(tiny_store), work, progress=False)
-    return AblationContext(first, [RawFeatures(34, count=1)], work / "out", limit=1)
+    return ablation_over(first, work / "out")
+
+
+def ablation_over(first: Run, out: Path) -> Ablation:
+    context = EvalContext(first, networks={"raw": RawFeatures(34, count=1)}, limit=1)
+    return Ablation(RgRows(context), CellStore(out))
 
 
 @pytest.fixture(scope="module")
-def plain(context: AblationContext) -> dict[tuple[str, int], Any]:
+def plain(ablation: Ablation) -> dict[tuple[str, int], Any]:
     """What is measured of each row at each seed, one after the other."""
-    ablate.run_rows(context, NAMES, 2)
-    return figures(context)
+    ablate.run_rows(ablation, NAMES, 2)
+    return figures(ablation)
 
 
-def figures(context: AblationContext) -> dict[tuple[str, int], Any]:
+def figures(ablation: Ablation) -> dict[tuple[str, int], Any]:
     """Of each cell what does not tell of time."""
-    return cells_of(context.out)
+    return cells_of(ablation.cells.folder)
 
 
 def cells_of(folder: Path) -> dict[tuple[str, int], Any]:
@@ -77,12 +85,12 @@ def cells_of(folder: Path) -> dict[tuple[str, int], Any]:
             for cell in CellStore(folder).lines() if cell["kind"] == "row"}
 
 
-def test_rows_at_once_are_those_one_after_the_other(context: AblationContext, plain: dict[tuple[str, int], Any],
+def test_rows_at_once_are_those_one_after_the_other(ablation: Ablation, plain: dict[tuple[str, int], Any],
                                                     tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A worker of its own work folder trains everything anew, in another order."""
     work = tmp_path / "work"
-    first = dataclasses.replace(context.first, work=work, _values={}, _keys={}, figures={})
-    own = AblationContext(first, context.by, tmp_path / "out", limit=1)
+    first = dataclasses.replace(ablation.rg.first, work=work, _values={}, _keys={}, figures={})
+    own = ablation_over(first, tmp_path / "out")
     tasks = ablate.row_seeds(NAMES, 2)
     asked: list[list[int]] = []
 
@@ -94,7 +102,7 @@ def test_rows_at_once_are_those_one_after_the_other(context: AblationContext, pl
     assert figures(own) == plain and asked == [[0, 1, 2, 3]]
     own.cells.file.write_text("".join(line + "\n" for line in own.cells.file.read_text().splitlines()
                                       if '"row": "ours"' not in line or '"seed": 2' not in line))
-    monkeypatch.setattr(row_context, "assemble", lambda *given: (_ for _ in ()).throw(InputError("disk", "is gone")))
+    monkeypatch.setattr(rg_rows, "assemble", lambda *given: (_ for _ in ()).throw(InputError("disk", "is gone")))
     assert sweep.rows_at_once(own, tasks, lambda: own, backwards) == {"ours, seed 2": "disk: is gone"}
     assert asked[1:] == [[2]], "the one that is missing"
     facts = ablate.ablate(own, only=NAMES, seeds=2, at_once=partial(
@@ -103,10 +111,10 @@ def test_rows_at_once_are_those_one_after_the_other(context: AblationContext, pl
 
 
 @pytest.fixture
-def command(context: AblationContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def command(ablation: Ablation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The command for "ours" at its first seed, whose generator and interpreter are not trained."""
-    work = tmp_path / "work"
-    shutil.copytree(context.first.work, work, ignore=shutil.ignore_patterns("generator-*", "interpreter-*", "*.lock"))
+    work, context = tmp_path / "work", ablation.context
+    shutil.copytree(context.work, work, ignore=shutil.ignore_patterns("generator-*", "interpreter-*", "*.lock"))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))  # of other processes
     return ["--data", str(context.store.path), "--work", str(work), "--out", str(tmp_path / "out"), "--preset", "tiny",
             "--only", "ours", "--seeds", "1", "--limit", "1", "--workers", "1", "--quiet",
@@ -121,7 +129,7 @@ def test_jobs_that_are_processes_of_this_machine_make_the_cell(
     while not list((tmp_path / "work" / "slurm").glob("*/*_0_result.pkl"))[1:] and time.monotonic() < deadline:
         time.sleep(0.2)
     assert not (tmp_path / "out" / "cells.jsonl").exists() and list((tmp_path / "out" / PARTS).iterdir())
-    monkeypatch.setattr(row_context, "assemble", None)  # the cell is there: nothing is trained or played
+    monkeypatch.setattr(rg_rows, "assemble", None)  # the cell is there: nothing is trained or played
     assert ABLATE.main("gesticulator ablate", command) == 0
     assert cells_of(tmp_path / "out") == {("ours", 1): plain["ours", 1]} and (tmp_path / "out" / "table.md").exists()
 
@@ -157,7 +165,7 @@ sys.exit(subprocess.run(command).returncode)
     return tmp_path
 
 
-def _count(folder: Path) -> AblationContext:
+def _count(folder: Path) -> Ablation:
     (folder / "made").touch()
     raise InputError(folder, "is no store")
 

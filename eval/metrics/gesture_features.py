@@ -368,6 +368,17 @@ def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def by_name(found: Sequence[Features]) -> dict[str, Features]:
+    """Networks by a name that tells them apart: with the length of their windows."""
+    table: dict[str, Features] = {}
+    for one in found:
+        length = f"{one.frames} frames"
+        name = one.name if one.name.endswith(length) else f"{one.name}, {length}"
+        # Two networks of our own may differ only in what they were trained on.
+        table[name if name not in table else f"{name} ({one.sha256[:8]})"] = one
+    return table
+
+
 def networks(store: Store, work: Path, progress: bool = True) -> list[Features]:
     """Our own networks, trained on the store's training split once and kept in `work`; the papers' where it is."""
     found: list[Features] = []

@@ -34,7 +34,7 @@ from eval.rows import CONTROLS, REFERENCES, ROWS, TABLES, rg
 
 if TYPE_CHECKING:
     from eval.rows.cells import Cells
-    from eval.runner.row_context import AblationContext
+    from eval.runner.row import Ablation
     from eval.table import Provenance
 
 SEEDS = 3
@@ -77,7 +77,7 @@ def listing() -> str:
 
 # ------------------------------------------------------------------------------------------------------------- running
 
-AtOnce: TypeAlias = "Callable[[AblationContext, Sequence[tuple[str, int]]], dict[str, str]]"
+AtOnce: TypeAlias = "Callable[[Ablation, Sequence[tuple[str, int]]], dict[str, str]]"
 """Does rows and seeds at once; gives what failed, and why."""
 
 
@@ -91,19 +91,17 @@ def row_seeds(names: Sequence[str], seeds: int) -> list[tuple[str, int]]:
     return [(name, seed) for seed in range(1, seeds + 1) for name in names]
 
 
-def run_rows(context: AblationContext, names: Sequence[str], seeds: int) -> None:
+def run_rows(ablation: Ablation, names: Sequence[str], seeds: int) -> None:
     """Run the rows that are not finished, one after the other."""
     from tqdm import tqdm
 
-    from eval.runner.row import cell
-
-    bar = tqdm(row_seeds(names, seeds), desc="rows", disable=not context.first.progress)
+    bar = tqdm(row_seeds(names, seeds), desc="rows", disable=not ablation.context.progress)
     for name, seed in bar:
         bar.set_postfix_str(f"{name}, seed {seed}")
-        cell(context, name, seed)
+        ablation.cell(name, seed)
 
 
-def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = SEEDS,
+def ablate(ablation: Ablation, *, only: Sequence[str] = (), seeds: int = SEEDS,
            systems: Mapping[str, Path] | None = None, at_once: AtOnce | None = None,
            about: Provenance | None = None) -> dict[str, Any]:
     """Run the rows and figures that are asked for (all) and not finished; write the tables of all that is finished.
@@ -112,40 +110,39 @@ def ablate(context: AblationContext, *, only: Sequence[str] = (), seeds: int = S
     failed. about: where the figures come from. Gives the facts of the first table.
     """
     from eval.rows.cells import family, summaries
-    from eval.runner.row import reference, system
     from eval.table import Provenance
 
-    names = chosen_rows(only)
-    context.cells.gather()
-    refused: dict[str, str] = at_once(context, row_seeds(names, seeds)) if at_once is not None else {}
+    names, out = chosen_rows(only), ablation.cells.folder
+    ablation.cells.gather()
+    refused: dict[str, str] = at_once(ablation, row_seeds(names, seeds)) if at_once is not None else {}
     if not refused:  # those that failed are not tried again here
-        run_rows(context, names, seeds)
-    shared = {group: context.shared(group) for group in dict.fromkeys(map(family, names))}
+        run_rows(ablation, names, seeds)
+    shared = {group: ablation.family(group).shared for group in dict.fromkeys(map(family, names))}
     if shared.keys() != {"racer"}:
-        shared["rg"] = context.shared("rg")
+        shared["rg"] = ablation.rg.shared
         for split in dict.fromkeys(["test", *(ROWS[name].split for name in names if name in rg.ROWS)]):
             for name in (*REFERENCES, *CONTROLS):
-                reference(context, name, split)
+                ablation.reference(name, split)
     for name, folder in (systems or {}).items():
-        system(context, name, folder)
-    cells = current(context, context.cells.read(shared))
+        ablation.system(name, folder)
+    cells = current(ablation, ablation.cells.read(shared))
     facts: dict[str, Any] = {
-        "preset": context.first.config.name, "shared": shared, "refused": refused, "rows": summaries(cells),
-        "store": {"name": context.store.corpus, "fingerprint": context.store.fingerprint,
-                  "test_recordings": len(context.names("test"))}}
+        "preset": ablation.rg.first.config.name, "shared": shared, "refused": refused, "rows": summaries(cells),
+        "store": {"name": ablation.context.store.corpus, "fingerprint": ablation.context.store.fingerprint,
+                  "test_recordings": len(ablation.rg.names("test"))}}
     drawn = [name for name in FIGURES if name in (only or FIGURES)]
     if drawn:
         from eval.runner import figures as paper
 
-        refused |= {name: why for name in drawn if (why := paper.draw(context, name, facts["rows"]))}
-    write(cells, facts, context.out, about or Provenance.now("gesticulator ablate"))
+        refused |= {name: why for name in drawn if (why := paper.draw(ablation.rg, name, facts["rows"], out))}
+    write(cells, facts, out, about or Provenance.now("gesticulator ablate"))
     return facts
 
 
-def current(context: AblationContext, cells: Cells) -> Cells:
+def current(ablation: Ablation, cells: Cells) -> Cells:
     """Without the cells of rows whose settings have changed since."""
     fresh = {name: {seed: own for seed, own in by_seed.items()
-                    if name not in rg.ROWS or own["key"] == context.key(name, seed)}
+                    if name not in rg.ROWS or own["key"] == ablation.key(name, seed)}
              for name, by_seed in cells.items()}
     return {name: by_seed for name, by_seed in fresh.items() if by_seed}
 
@@ -240,7 +237,7 @@ def run(arguments: argparse.Namespace) -> int:
     systems = _checked(arguments)
     from eval.table import load
 
-    make = partial(context_of, arguments)
+    make = partial(ablation_of, arguments)
     if arguments.slurm is not None:
         return _submit(arguments, make)
     at_once: AtOnce | None = None
@@ -249,33 +246,29 @@ def run(arguments: argparse.Namespace) -> int:
         from gesticulator.batch.ray_pool import check_ray, done_on_ray
 
         check_ray(arguments.ray)
-        own = partial(context_of, argparse.Namespace(**{**vars(arguments), "quiet": True, "workers": 1}))
+        own = partial(ablation_of, argparse.Namespace(**{**vars(arguments), "quiet": True, "workers": 1}))
         at_once = partial(sweep.rows_at_once, make=own, outcomes=partial(done_on_ray, arguments.ray, doubles=False))
     from eval.runner.context import provenance
 
-    context = make()
-    facts = ablate(context, only=arguments.only, seeds=arguments.seeds, systems=systems, at_once=at_once,
+    ablation = make()
+    facts = ablate(ablation, only=arguments.only, seeds=arguments.seeds, systems=systems, at_once=at_once,
                    about=provenance(arguments))
-    print("\n".join(table.terminal() for table in load(context.out / "table.json")), end="")
+    print("\n".join(table.terminal() for table in load(ablation.cells.folder / "table.json")), end="")
     return 1 if any(", seed " in name for name in facts["refused"]) else 0
 
 
-def context_of(arguments: argparse.Namespace) -> AblationContext:
-    """What rows stand on, as `arguments` ask for it; workers on other machines make it anew."""
-    import torch
-
-    from data_module.store import Store
+def ablation_of(arguments: argparse.Namespace) -> Ablation:
+    """The rows and their cells, as `arguments` ask for it; workers on other machines make it anew."""
     from eval.metrics import gesture_features
-    from eval.runner.row_context import AblationContext
+    from eval.rows.cells import CellStore
+    from eval.runner.context import EvalContext, opened
+    from eval.runner.rg import RgRows
+    from eval.runner.row import Ablation
     from gesticulator.bundle import bundle as bundles
     from gesticulator.bundle import config as configs
     from gesticulator.training.stages import Run
 
-    torch.set_num_threads(1)
-    store, work, out = Store.open(arguments.data), Path(arguments.work), Path(arguments.out)
-    if not any(info.split == "test" for info in store.recordings):
-        raise InputError(store.path, "has no test split", "build the store again")
-    work.mkdir(parents=True, exist_ok=True)
+    store, work = opened(arguments.data, arguments.work)
     base = configs.with_settings(rg.PRESETS[arguments.preset](), arguments.settings)
     first = Run(base, store, work, progress=not arguments.quiet, workers=arguments.workers,
                 speech=tuple(Path(folder) for folder in arguments.speech))
@@ -283,10 +276,11 @@ def context_of(arguments: argparse.Namespace) -> AblationContext:
     by = ([gesture_features.RawFeatures(34, count=1)] if arguments.preset == "tiny"
           else gesture_features.networks(store, work, first.progress))
     bundle = str(bundles.SHIPPED) if arguments.bundle == "shipped" else arguments.bundle
-    return AblationContext(first, by, out, arguments.limit, bundle)
+    context = EvalContext(first, networks=gesture_features.by_name(by), limit=arguments.limit)
+    return Ablation(RgRows(context), CellStore(Path(arguments.out)), bundle)
 
 
-def _submit(arguments: argparse.Namespace, make: Callable[[], AblationContext]) -> int:
+def _submit(arguments: argparse.Namespace, make: Callable[[], Ablation]) -> int:
     """Submit jobs for the rows, and say what to do when they have ended."""
     from eval.runner import sweep
 

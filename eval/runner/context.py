@@ -1,4 +1,8 @@
-"""What a probe stands on: a store, a bundle and a work folder, opened once."""
+"""What every evaluation stands on: recordings, settings, models, networks and a work folder, opened once.
+
+A bundle plays; the reward models that taught its policies and judge them play nothing, so it does not hold them: they
+are found in the work folder of its training, under the hash of all that shapes them.
+"""
 
 from __future__ import annotations
 
@@ -6,46 +10,61 @@ import argparse
 import os
 import shlex
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors.torch import load_file
 
 from data_module.errors import InputError
+from data_module.layers import freeze
 from data_module.store import Recording, Store
-from eval.runner.judges import with_judges
+from eval.metrics.eye import ReferenceSpace
+from eval.metrics.gesture_features import Features
 from eval.table import Provenance
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.parts import JUDGES
 from gesticulator.cli import PROGRAM
 from gesticulator.pipeline import Gesticulator
-from gesticulator.training.stages.corpus import Corpus, prepare
+from gesticulator.training.stages import CORPUS, ENCODER, STAGES, Corpus, Run
+from gesticulator.training.stages.base import WEIGHTS, finished
+from gesticulator.training.stages.caches import weights_hash
+from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.lexicon import token_labels
+from interpreters.reward import RewardEnsemble
 from lexicon.inventory import nearest_silent
 
 Lexemes = NDArray[np.int64]
 
 
-def hinted_labels(bundle: bundles.Bundle, corpus: Corpus) -> Lexemes:
-    """[N] lexemes of all blocks, silent blocks with the silent lexeme nearest to their own (RG 6.4.1)."""
-    labels = token_labels(bundle.block_models.lexicon, corpus)
-    nearest = nearest_silent(bundle.vectors.double().numpy(), bundle.silent)
-    return np.where(corpus.silent, nearest[labels], labels) if bundle.config.silence.hint else labels
-
-
 @dataclass
 class EvalContext:
-    """A bundle on the recordings of a store. work: where blocks are cached; limit: recordings of a split at most."""
+    """data: settings, store and work folder as training has them; None where no store was given. models: the bundle
+    that is measured; None where what is measured is trained first. networks: what FGD is measured in, by name, the
+    first of which tables show. limit: recordings of a split at most. seed: of renderings, draws and intervals. What is
+    costly is made at its first use."""
 
-    store: Store
-    bundle: bundles.Bundle
-    work: Path
+    data: Run | None = None
+    models: Bundle | None = None
+    networks: Mapping[str, Features] = field(default_factory=dict)
     limit: int | None = None
-    progress: bool = True
+    seed: int = 0
+
+    @classmethod
+    def over(cls, store: Store, bundle: Bundle, work: Path, limit: int | None = None, progress: bool = True
+             ) -> EvalContext:
+        """A bundle on the recordings of a store."""
+        run = Run(bundle.config, store, work, progress=progress, workers=os.cpu_count() or 1)
+        run.provide(ENCODER, bundle.encoder, weights_hash(bundle.encoder) if bundle.encoder else "")
+        return cls(run, bundle, limit=limit)
 
     @staticmethod
     def arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,46 +80,124 @@ class EvalContext:
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> EvalContext:
         """Opened; InputError for what cannot be, and for a store without a test split."""
-        torch.set_num_threads(1)
         if arguments.limit is not None and arguments.limit < 1:
             raise InputError(f"--limit {arguments.limit}", "leaves no recording", "choose 1 or more")
-        store = Store.open(arguments.data)
-        if not any(info.split == "test" for info in store.recordings):
-            raise InputError(store.path, "has no test split", "build the store again")
-        work = Path(arguments.work) if arguments.work else Path(f"{store.path}.work")
-        work.mkdir(parents=True, exist_ok=True)
+        store, work = opened(arguments.data, arguments.work)
         bundle = with_judges(bundles.load(arguments.bundle or bundles.SHIPPED), work)
-        return cls(store, bundle, work, arguments.limit, not arguments.quiet)
+        return cls.over(store, bundle, work, arguments.limit, not arguments.quiet)
+
+    @property
+    def run(self) -> Run:
+        """The data with its settings; InputError where no store was given."""
+        if self.data is None:
+            raise InputError("--data", "is missing", "give a store built by `gesticulator build`")
+        return self.data
+
+    @property
+    def store(self) -> Store:
+        """The recordings."""
+        return self.run.store
+
+    @property
+    def work(self) -> Path:
+        """Where blocks, networks and renderings are kept."""
+        return self.run.work
+
+    @property
+    def progress(self) -> bool:
+        """Whether progress bars are printed."""
+        return self.run.progress
+
+    @property
+    def bundle(self) -> Bundle:
+        """The bundle that is measured."""
+        assert self.models is not None
+        return self.models
 
     @cached_property
     def corpus(self) -> Corpus:
-        """The store's blocks as the bundle cuts and hears them."""
-        return prepare(self.store, self.bundle.config, self.work, self.bundle.encoder, workers=os.cpu_count() or 1,
-                       progress=self.progress)
+        """The store's blocks as the settings cut and hear them."""
+        if self.models is None:
+            return self.run.get(CORPUS)
+        # A bundle that reads words is also measured on recordings without any, which training refuses.
+        run = self.run
+        return prepare(run.store, run.config, run.work, self.models.encoder, workers=run.workers,
+                       progress=run.progress)
 
     @cached_property
     def labels(self) -> Lexemes:
-        """[N] the performer's lexemes, with the silent hint."""
-        return hinted_labels(self.bundle, self.corpus)
+        """[N] lexemes of all blocks by the bundle, silent blocks with the silent lexeme nearest to their own (RG
+        6.4.1)."""
+        bundle = self.bundle
+        labels = token_labels(bundle.block_models.lexicon, self.corpus)
+        nearest = nearest_silent(bundle.vectors.double().numpy(), bundle.silent)
+        return np.where(self.corpus.silent, nearest[labels], labels) if bundle.config.silence.hint else labels
 
     @cached_property
     def system(self) -> Gesticulator:
-        """What plays the bundle."""
+        """The pipeline that plays the bundle."""
         return Gesticulator(self.bundle)
+
+    @cached_property
+    def space(self) -> ReferenceSpace | None:
+        """What Frechet distances to real people are measured in; None where it is not at hand."""
+        return ReferenceSpace.found()
 
     def numbers(self, split: str = "test", with_text: bool = False) -> list[int]:
         """Recordings of a split by their number in the corpus, `limit` at most; with_text: those that have words."""
         return self.corpus.recordings(split, with_text)[:self.limit]
 
+    def loaded(self, number: int) -> Recording:
+        """A recording with its sound and motion."""
+        return self.store.load(self.corpus.names[number], self.run.config.motion.joints)
+
     def recordings(self, split: str = "test") -> list[Recording]:
-        """The same with sound and motion."""
-        joints = self.bundle.config.motion.joints
-        return [self.store.load(self.corpus.names[number], joints) for number in self.numbers(split)]
+        """Those of a split, `limit` at most."""
+        return [self.loaded(number) for number in self.numbers(split)]
 
     def described(self) -> dict[str, Any]:
-        """What figures are of, for the facts of a table."""
+        """The data, for the facts of a table."""
         return {"store": {"name": self.store.corpus, "fingerprint": self.store.fingerprint,
                           "test_recordings": len(self.numbers())}}
+
+
+def opened(data: str, work: str | None) -> tuple[Store, Path]:
+    """A store with a test split, and its work folder (default: STORE.work), made where it is not there."""
+    torch.set_num_threads(1)
+    store = Store.open(data)
+    if not any(info.split == "test" for info in store.recordings):
+        raise InputError(store.path, "has no test split", "build the store again")
+    folder = Path(work) if work else Path(f"{store.path}.work")
+    folder.mkdir(parents=True, exist_ok=True)
+    return store, folder
+
+
+# ------------------------------------------------------------------------------------------------------ reward models
+
+def folder_of(bundle: Bundle, work: Path, name: str) -> Path:
+    """Where a work folder holds a reward model of the bundle's own training, if it does."""
+    data = SimpleNamespace(fingerprint=str(bundle.provenance.get("fingerprint", "")))  # all that the name needs
+    return Run(bundle.config, cast(Store, data), work).folder(STAGES[name])
+
+
+def with_judges(bundle: Bundle, work: Path | None) -> Bundle:
+    """The bundle with the reward models that the work folder holds of its training; those that it has already stay."""
+    if work is None:
+        return bundle
+    there = {name: folder_of(bundle, work, name) for name in JUDGES if name not in bundle.parts}
+    found = {name: _reward_model(bundle, folder, name) for name, folder in there.items() if finished(folder)}
+    return bundle.with_parts(**found) if found else bundle
+
+
+def _reward_model(bundle: Bundle, folder: Path, name: str) -> RewardEnsemble:
+    weights = load_file(folder / WEIGHTS)
+    frames, motion = bundle.frames, len(bundle.statistics.deviation)
+    audio = weights["members.0.read_audio.weight"].shape[1] // frames
+    with torch.random.fork_rng():
+        model = RewardEnsemble(bundle.config.reward if name == "reward" else bundle.config.judge, frames, motion, audio)
+    model.load_state_dict(weights)
+    freeze(model)
+    return model
 
 
 def provenance(arguments: argparse.Namespace) -> Provenance:

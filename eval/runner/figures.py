@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +19,9 @@ from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.files import write_text
-from data_module.motion.bvh import read_bvh
 from data_module.motion.motion_beats import acting_positions, acting_speed
 from data_module.speech.beats import find_beats
 from data_module.store import Recording
-from data_module.types import Motion
 from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.diversity import nearest_lexemes
@@ -37,7 +34,7 @@ from eval.rows import OURS, PERFORMER, REAL_TAKE, TABLES
 from eval.rows.rg import SIZES
 from eval.rows.row import COLUMNS, PAPERS_DELTA
 from eval.runner import style_editing
-from eval.runner.row_context import SHOWN_SEED, AblationContext
+from eval.runner.rg import SHOWN_SEED, RgRows
 from eval.table import dumps, loads
 from gesticulator.bundle import config as configs
 from gesticulator.pipeline import Gesticulator
@@ -58,53 +55,33 @@ STRETCH = 8.0
 """Seconds of a clip that are shown."""
 Drawn = tuple["Picture", str, dict[str, Any]]
 """The picture, its caption, its numbers."""
+Summaries = Mapping[str, Any]
+"""`eval.rows.cells.summaries`."""
+Draw = Callable[[RgRows, Summaries], Drawn]
 
 
-@dataclass
-class FigureSource:
-    """What figures are drawn from: what rows stand on, and their summaries (`eval.rows.cells.summaries`)."""
-
-    context: AblationContext
-    rows: Mapping[str, Any]
-
-    def clips(self, name: str) -> list[dict[str, Any]]:
-        """What was kept of a row's motion, clip by clip."""
-        return self.context.played(name).read()
-
-    @cached_property
-    def first(self) -> Recording:
-        """The first test recording."""
-        return self.context.loaded(self.context.recordings("test")[0])
-
-    def motion(self, name: str) -> Motion:
-        """A row's motion for it."""
-        if name == PERFORMER:
-            return self.first.motion
-        return read_bvh(self.context.played(name).folder / f"{self.first.info.name}.bvh")
-
-    @property
-    def start(self) -> float:
-        """Where the stretch that is shown begins: a third into the recording, or earlier in a short one."""
-        return max(0.0, min(self.first.speech.duration / 3, self.first.speech.duration - STRETCH))
+def start_of(recording: Recording) -> float:
+    """Where the stretch that is shown begins, seconds: a third into the recording, or earlier in a short one."""
+    return max(0.0, min(recording.speech.duration / 3, recording.speech.duration - STRETCH))
 
 
 # -------------------------------------------------------------------------------------------------------- the pictures
 
-def onset_intervals(source: FigureSource) -> Drawn:
+def onset_intervals(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 5 and 8a."""
-    store = source.context.store
+    store = rg.context.store
     infos = evenly(store, "train", COUNTED)
     counted = sum((intervals.measure(store.load(info.name).speech)[1] for info in infos), intervals.Intervals())
-    bounds = source.context.first.config.rhythm.beats
+    bounds = rg.first.config.rhythm.beats
     share = counted.share(bounds.d_min, bounds.d_max)
     return intervals.drawn(counted, f"{store.corpus}, {len(infos)} recordings"), (
         f"Intervals between onsets of the speech, and between beats; {share:.0%} of the former lie between "
         f"{bounds.d_min:g} and {bounds.d_max:g} s."), {"recordings": len(infos), "share_within_bounds": share}
 
 
-def lexicon(source: FigureSource) -> Drawn:
+def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 6 and 8b."""
-    judge, labelled, corpus = source.context.judge.lexicon, source.context.first.get(LABELS), source.context.corpus
+    judge, labelled, corpus = rg.judge.lexicon, rg.first.get(LABELS), rg.context.corpus
     few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
     rows = torch.as_tensor(few)
     latents = latents_of(judge, corpus.motion[rows], corpus.pasts[rows]).double().numpy()
@@ -118,23 +95,23 @@ def lexicon(source: FigureSource) -> Drawn:
         "neighbours_in_latents": true}
 
 
-def pipeline(source: FigureSource) -> Drawn:
+def pipeline(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 2, on a stretch of real data."""
-    recording, clip, motion = source.first, source.clips(OURS)[0], source.motion(OURS)
-    rhythm = source.context.first.config.rhythm
+    recording, clip, motion = rg.shown, rg.clips(OURS)[0], rg.motion(OURS)
+    rhythm = rg.first.config.rhythm
     shown = Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
                      cut(recording.speech, rhythm).edges, clip["lexemes"],
                      acting_speed(acting_positions(motion), motion.fps), motion.fps, clip["beats"],
-                     recording.speech.words or (), source.context.first.get(LABELS).silent.tolist())
-    return (overview(shown, source.start, STRETCH),
+                     recording.speech.words or (), rg.first.get(LABELS).silent.tolist())
+    return (overview(shown, start_of(rg.shown), STRETCH),
             "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.", {})
 
 
-def strip(name: str) -> Callable[[FigureSource], Drawn]:
+def strip(name: str) -> Draw:
     """RG Fig. 9, of a row or of the performer."""
-    def drawn(source: FigureSource) -> Drawn:
-        recording, motion = source.first, source.motion(name)
-        times = frame_times(motion, source.start, STRETCH / 2, 9)
+    def drawn(rg: RgRows, rows: Summaries) -> Drawn:
+        recording, motion = rg.shown, rg.motion(name)
+        times = frame_times(motion, start_of(rg.shown), STRETCH / 2, 9)
         return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
                          layout=replace(STRIP, views=("front",))), (
             f"{name}: {STRETCH / 2:g} s of {recording.info.name}."), {}
@@ -142,13 +119,13 @@ def strip(name: str) -> Callable[[FigureSource], Drawn]:
     return drawn
 
 
-def edited(source: FigureSource) -> Drawn:
+def edited(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 10."""
-    bundle, _ = source.context.trained("style-editing", SHOWN_SEED)
+    bundle, _ = rg.trained("style-editing", SHOWN_SEED)
     if bundle.levels is None:
         raise InputError("style-editing", "hears no controls", "leave generator.use_control as the row sets it")
     found = style_editing.figures(style_editing.played_by(Gesticulator(bundle)),
-                                  style_editing.excerpts(source.context.store, 4), bundle.levels)
+                                  style_editing.excerpts(rg.context.store, 4), bundle.levels)
     numbers = {f"{feature}, asked {level}": row.mean for feature in style_editing.FEATURES
                for level in style_editing.LEVELS
                for row in [found["rows"][style_editing.row_name(feature, level)][feature]]}
@@ -156,32 +133,32 @@ def edited(source: FigureSource) -> Drawn:
         "Motion for the same speech when low, middle and high values of each feature are asked for."), numbers
 
 
-def curves(source: FigureSource) -> Drawn:
+def curves(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 11."""
-    names = [line.row for line in TABLES["RG Table 1"].lines if line.row in source.rows]
-    beside = [name for name in (REAL_TAKE, "shuffled") if name in source.rows]
-    shown = {name: source.rows[name]["pmb_curve"] for name in (*names, *beside)}
+    names = [line.row for line in TABLES["RG Table 1"].lines if line.row in rows]
+    beside = [name for name in (REAL_TAKE, "shuffled") if name in rows]
+    shown = {name: rows[name]["pmb_curve"] for name in (*names, *beside)}
     return delta_curves(shown, pmb.DELTAS, dashed=(PERFORMER, *beside)), (
         "PMB over the distance delta at which a motion beat counts as matched; shuffled motion shows how much of it is "
         "chance."), {name: dict(zip(map(str, pmb.DELTAS), curve, strict=True)) for name, curve in shown.items()}
 
 
-def clusters(source: FigureSource) -> Drawn:
+def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 14."""
-    context, corpus, frames = source.context, source.context.corpus, source.context.first.config.rhythm.frames
-    groups = np.unique(context.groups("test"), return_inverse=True)[1]
-    blocks = [corpus.blocks_of(number) for number in context.recordings("test")]
+    corpus, frames = rg.context.corpus, rg.first.config.rhythm.frames
+    groups = np.unique(rg.groups("test"), return_inverse=True)[1]
+    blocks = [corpus.blocks_of(corpus.names.index(name)) for name in rg.names("test")]
     spoken = [~np.asarray(corpus.silent)[own].astype(bool) for own in blocks]
     every = np.concatenate([own[heard] for own, heard in zip(blocks, spoken, strict=True)])
     place = np.repeat(np.arange(len(blocks)), [int(heard.sum()) for heard in spoken])
     levels = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}
-    vectors = context.judge.lexicon.vectors.double().numpy()
+    vectors = rg.judge.lexicon.vectors.double().numpy()
     found = {}
     for name in (PERFORMER, OURS):
         lexemes = [nearest_lexemes(clip["latents"], vectors)[heard]
-                   for clip, heard in zip(source.clips(name), spoken, strict=True)]
+                   for clip, heard in zip(rg.clips(name), spoken, strict=True)]
         found[name] = audio_clusters.association(levels, np.concatenate(lexemes), place, groups[place])
     return cluster_bars(found), (
         "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
@@ -191,13 +168,13 @@ def clusters(source: FigureSource) -> Drawn:
             *((f"{pair}, difference of gains", one.mean) for pair, one in own["gain_differences"].items()))}
 
 
-def panels(title: str, *names: str) -> Callable[[FigureSource], Drawn]:
+def panels(title: str, *names: str) -> Draw:
     """RG Figs 15 and 17: the latents of rows in one embedding."""
-    def drawn(source: FigureSource) -> Drawn:
-        clips = {name: source.clips(name) for name in names}
+    def drawn(rg: RgRows, rows: Summaries) -> Drawn:
+        clips = {name: rg.clips(name) for name in names}
         latents = {name: np.concatenate([clip["latents"] for clip in own]) for name, own in clips.items()}
         labels = {name: np.concatenate([clip["lexemes"] for clip in own]) for name, own in clips.items()}
-        silent, size = source.context.first.get(LABELS).silent.tolist(), len(source.context.judge.lexicon.vectors)
+        silent, size = rg.first.get(LABELS).silent.tolist(), len(rg.judge.lexicon.vectors)
         shown = {name: (points, labels[name][chosen])
                  for name, (points, chosen) in joint_embedding(latents, EACH).items()}
         return embedding_panels(shown, size, silent), title, {
@@ -206,27 +183,27 @@ def panels(title: str, *names: str) -> Callable[[FigureSource], Drawn]:
     return drawn
 
 
-def strips_of_beats(source: FigureSource) -> Drawn:
+def strips_of_beats(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 16."""
     names = [line.row for line in TABLES["RG Table 4"].lines]
-    first = {name: source.clips(name)[0] for name in (*names, PERFORMER)}
+    first = {name: rg.clips(name)[0] for name in (*names, PERFORMER)}
     shown = {name: (own["beats"], own["onsets"], own["edges"]) for name, own in first.items()}
-    return beat_strips(shown, source.start, STRETCH, PAPERS_DELTA), (
+    return beat_strips(shown, start_of(rg.shown), STRETCH, PAPERS_DELTA), (
         f"Onsets of the speech above, beats of the motion below, pairs within {PAPERS_DELTA} s joined. No chance level "
         "is drawn: at this delta most beats find an onset in any motion (Fig. 11)."), {
         name: pmb.pmb(own["beats"], own["onsets"], PAPERS_DELTA) for name, own in first.items()}
 
 
-def sizes(source: FigureSource) -> Drawn:
+def sizes(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 18."""
-    there = [size for size in SIZES if f"size-{size}" in source.rows]
+    there = [size for size in SIZES if f"size-{size}" in rows]
     if len(there) < 2:
         raise InputError("figure-18", "needs two sizes", "run the rows size-N")
     keys = {COLUMNS[key].heading: key for key in ("fgd", "pmb_above_chance")}
-    figures = {title: [source.rows[f"size-{size}"]["figures"][key] for size in there] for title, key in keys.items()}
-    beside = source.rows.get(f"{PERFORMER}-val")
+    figures = {title: [rows[f"size-{size}"]["figures"][key] for size in there] for title, key in keys.items()}
+    beside = rows.get(f"{PERFORMER}-val")
     reference = {title: beside["figures"][key].mean for title, key in keys.items()} if beside else {}
-    chosen = source.context.first.config.lexicon.size
+    chosen = rg.first.config.lexicon.size
     return size_sweep(there, {title: [(one.mean, one.low, one.high) for one in own] for title, own in figures.items()},
                       reference, chosen=chosen), (
         "Lexicons of different sizes on the validation split; the performer dashed."), {
@@ -241,7 +218,7 @@ class PaperFigure:
 
     paper: str
     title: str
-    draw: Callable[[FigureSource], Drawn]
+    draw: Draw
     rows: tuple[str, ...] = ()
     dots: bool = False
 
@@ -269,29 +246,29 @@ FIGURES: dict[str, PaperFigure] = {
 }
 
 
-def figure_key(context: AblationContext, name: str, rows: Mapping[str, Any]) -> str:
+def figure_key(rg: RgRows, name: str, rows: Summaries) -> str:
     """Hash of what a figure is drawn from: the rows whose motion it shows, or else all figures of the tables."""
     shown = FIGURES[name].rows
-    stands = ([context.played(row).key for row in shown] if shown else
-              [context.shared("rg"), {row: {key: value.to_dict() for key, value in own["figures"].items()}
+    stands = ([rg.place(row).key for row in shown] if shown else
+              [rg.shared, {row: {key: value.to_dict() for key, value in own["figures"].items()}
                                       for row, own in rows.items()}])
     return configs.digest(VERSION, name, stands)
 
 
-def draw(context: AblationContext, name: str, rows: Mapping[str, Any]) -> str:
-    """Write a figure unless it stands there; why it cannot be drawn, or ""."""
-    figure, place = FIGURES[name], context.out / f"{name}.json"
+def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
+    """Write a figure to a folder unless it stands there; why it cannot be drawn, or ""."""
+    figure, place = FIGURES[name], out / f"{name}.json"
     lacking = [row for row in figure.rows if row not in rows]
     if lacking:
         return f"not run: {', '.join(lacking)}"
-    key = figure_key(context, name, rows)
+    key = figure_key(rg, name, rows)
     if _key_of(place) == key:
         return ""
     try:
-        picture, caption, numbers = figure.draw(FigureSource(context, rows))
+        picture, caption, numbers = figure.draw(rg, rows)
     except InputError as error:
         return str(error)
-    save_strip(picture, context.out / f"{name}.{'png' if figure.dots else 'svg'}")
+    save_strip(picture, out / f"{name}.{'png' if figure.dots else 'svg'}")
     write_text(place, dumps({"figure": figure.paper, "title": figure.title, "caption": caption, "numbers": numbers,
                              "key": key}))
     return ""

@@ -8,8 +8,11 @@ and small sets are freed of the greater part of their bias.
 
 from __future__ import annotations
 
+import io
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +20,8 @@ import torch
 from numpy.typing import NDArray
 
 from data_module.blocks import BlockSettings, cut
+from data_module.errors import InputError
+from data_module.files import write_bytes
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Blocks, Motion, Speech
 from eval import stats
@@ -173,3 +178,51 @@ def set_distances(by: Sequence[gesture_features.Features], features: Sequence[Se
     """FGD of the whole set in every network, with all that it depends on."""
     return [fgd.measure([clip[w] for clip in features], [clip[w] for clip in real], network, paired=paired).to_dict()
             for w, network in enumerate(by)]
+
+
+def identity(by: Sequence[gesture_features.Features]) -> list[list[Any]]:
+    """What tells networks apart, for the hash of figures in them."""
+    return [[one.sha256, one.name, one.frames] for one in by]
+
+
+# ---------------------------------------------------------------------------------------------------- what is kept
+
+PLAYED_ARRAYS = ("latents", "lexemes", "beats", "onsets", "edges")
+"""Of each clip, for the figures."""
+
+
+@dataclass(frozen=True)
+class PlayedStore:
+    """Where the motion of a cell is kept in the work folder, with the key of the cell."""
+
+    folder: Path
+    key: str
+
+    @property
+    def file(self) -> Path:
+        """What was measured of the motion; beside the folder, in which all files are motion."""
+        return self.folder.with_name(f"{self.folder.name}.npz")
+
+    def begin(self) -> None:
+        """An empty folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir(parents=True)
+
+    def write(self, clips: Sequence[JudgedClip]) -> None:
+        """The plain arrays of what was measured."""
+        memory, arrays = io.BytesIO(), dict[str, Any]()
+        for k, clip in enumerate(clips):
+            arrays |= {f"{what}_{k}": np.asarray(getattr(clip, what)) for what in PLAYED_ARRAYS}
+        np.savez_compressed(memory, key=np.array(self.key), names=np.array([clip.name for clip in clips]), **arrays)
+        write_bytes(self.file, memory.getvalue())
+
+    def read(self) -> list[dict[str, NDArray[Any]]]:
+        """What was measured of each clip, by name; InputError when it is not there, or of other settings."""
+        try:
+            with np.load(self.file, allow_pickle=False) as held:
+                if str(held["key"]) == self.key:
+                    return [{"name": name, **{what: held[f"{what}_{k}"] for what in PLAYED_ARRAYS}}
+                            for k, name in enumerate(held["names"])]
+        except FileNotFoundError:
+            pass
+        raise InputError(self.folder, "does not hold the motion of this row", "remove its cell and run the row again")

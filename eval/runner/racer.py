@@ -6,7 +6,6 @@ under a hash of all that shapes it.
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from collections.abc import Sequence
@@ -24,19 +23,17 @@ from data_module.errors import InputError
 from data_module.files import lock
 from data_module.layers import freeze
 from eval.clip.measure import measure, motion_values
-from eval.metrics import gesture_features, pmb
-from eval.rows.racer import ROWS, SUPERVISED
-from eval.runner.context import EvalContext, Lexemes, hinted_labels
-from eval.runner.judge import distances, set_distances
+from eval.metrics import pmb
+from eval.rows.racer import ROWS, SUPERVISED, twins
+from eval.runner.context import EvalContext, Lexemes, with_judges
+from eval.runner.judge import distances, identity, set_distances
 from eval.runner.judge import features_of as features_of_motion
-from eval.runner.judges import with_judges
 from eval.runner.policy import Decisions, Policy, PolicyJudge, Rewards, entropy_of, matched_temperature, perform, walk
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
-from gesticulator.pipeline import Gesticulator
 from gesticulator.training import fit as fitting
-from gesticulator.training.stages import CORPUS, ENCODER, Corpus, Run
+from gesticulator.training.stages import Corpus
 from gesticulator.training.stages import base as stages
 from gesticulator.training.stages.caches import weights_hash
 from gesticulator.training.stages.interpreter import teacher_logits
@@ -66,12 +63,12 @@ MOTION = 4
 
 @dataclass(frozen=True)
 class RacerRows:
-    """What RACER's rows share. context: a store and a bundle with both reward models; run: settings, store and
-    corpus as in training; takes: the training split; judge: decisions on the test split with the reward tables, ""
-    the one that policies are taught and "judge_" the other; shapes: hash of the data and of the bundle's parts."""
+    """What RACER's rows share. context: a store and a bundle with both reward models; settings: those that the rows
+    change; takes: the training split; judge: decisions on the test split with the reward tables, "" the one that
+    policies are taught and "judge_" the other; shapes: hash of the data and of the bundle's parts."""
 
     context: EvalContext
-    run: Run
+    settings: Config
     takes: list[Demonstration]
     silent: SilentLexemes
     judge: PolicyJudge
@@ -82,17 +79,14 @@ class RacerRows:
     @classmethod
     def of(cls, context: EvalContext, preset: Sequence[str]) -> RacerRows:
         """From a bundle over a lexicon with both reward models; InputError for another, and without test speech."""
-        context = replace(context, bundle=with_judges(context.bundle, context.work))
+        context = replace(context, models=with_judges(context.bundle, context.work))
         bundle, store = context.bundle, context.store
         if bundle.reward is None or bundle.reward_judge is None:
             raise InputError(context.work, "lacks one of the two reward models of the bundle's training",
                              "give the work folder of its training, with schedules.reward.steps")
         parts = bundle.block_models
         config = configs.with_settings(bundle.config, preset)
-        run = Run(config, store, context.work, progress=context.progress, workers=os.cpu_count() or 1)
-        run.provide(ENCODER, bundle.encoder, weights_hash(bundle.encoder) if bundle.encoder else "")
-        corpus = run.get(CORPUS)
-        labels = hinted_labels(bundle, corpus)
+        corpus, labels = context.corpus, context.labels
         decisions = Decisions.of(bundle, corpus, labels, context.limit)
         if not decisions.takes:
             raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
@@ -104,7 +98,7 @@ class RacerRows:
         tables = {"": reward_table(bundle.reward, parts.lexicon, corpus),
                   "judge_": reward_table(bundle.reward_judge, parts.lexicon, corpus)}
         judge = PolicyJudge(decisions, tables, parts.interpreter, [take.lexemes for take in takes])
-        return cls(context, run, takes, silent, judge, tables, shapes)
+        return cls(context, config, takes, silent, judge, tables, shapes)
 
     @property
     def bundle(self) -> bundles.Bundle:
@@ -114,7 +108,7 @@ class RacerRows:
     @property
     def corpus(self) -> Corpus:
         """The store's blocks."""
-        return self.run.get(CORPUS)
+        return self.context.corpus
 
     def taught(self, config: Config) -> EnsembleReward | Centred:
         """The training reward as policies are taught it under the settings."""
@@ -125,7 +119,7 @@ class RacerRows:
 
     def config(self, name: str) -> Config:
         """The settings of a row."""
-        return configs.with_settings(self.run.config, ROWS[name].settings)
+        return configs.with_settings(self.settings, ROWS[name].settings)
 
     def key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes the network of a row."""
@@ -133,6 +127,41 @@ class RacerRows:
         how = {"online": [ACT_EVERY, MEMORY, GREEDY_AT, LEAST_EPSILON], "offline": [],
                "actor-critic": [ActorCriticConfig(), self.config(SUPERVISED)]}[row.training]
         return configs.digest(self.shapes, self.config(name), row.training, row.scale, how, seed)
+
+    @cached_property
+    def shared(self) -> str:
+        """Hash of what the rows share."""
+        parts = self.bundle.block_models
+        style = weights_hash(parts.style) if parts.style else ""
+        return configs.digest(VERSION, self.shapes, weights_hash(parts.generator), style,
+                              identity(list(self.context.networks.values())), self.context.limit, MOTION)
+
+    def original(self, name: str) -> str:
+        """Of rows that are one network, the first."""
+        return twins(self.settings)[name]
+
+    def cell_key(self, name: str, seed: int) -> str:
+        """Hash of everything that shapes a row's cell."""
+        names = [self.corpus.names[take.recording] for take in self.judge.decisions.takes]
+        return configs.digest(self.shared, self.key(name, seed), names)
+
+    def measured(self, name: str, seed: int) -> dict[str, Any]:
+        """"clips", "sets" and "seconds" of a row's cell: all test recordings judged, the first `MOTION` played."""
+        policy, seconds = trained(self, name, seed)
+        chosen, clips = judged(self, name, policy)
+        store, progress, by = self.context.store, self.context.progress, list(self.context.networks.values())
+        recordings = [store.load(clip["name"]) for clip in clips[:MOTION]]
+        motions = perform(self.context.system, recordings, chosen[:MOTION], name, progress)
+        for place, (motion, recording) in enumerate(zip(motions, recordings, strict=True)):
+            clip = measure(motion, recording.speech)
+            clips[place] |= {"pmb_narrow": pmb.pmb(clip.beats, clip.onsets),
+                             **motion_values(clip, motion, recording.motion, seed=place)}
+        ours, real = ([features_of_motion(motion, by) for motion in own]
+                      for own in (motions, [recording.motion for recording in recordings]))
+        for place, value in enumerate(distances(by, ours, real)):
+            clips[place]["fgd"] = float(value)
+        return {"clips": clips, "sets": {"fgd": set_distances(by, ours, real)},
+                "seconds": {"training": round(seconds, 1)}}
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
@@ -158,7 +187,7 @@ class RacerRows:
     def held(self) -> list[Demonstration]:
         """The recordings on which temperatures are matched: the validation split, or training where there is none."""
         corpus = self.corpus
-        takes = takes_of(corpus, hinted_labels(self.bundle, corpus), "val" if corpus.recordings("val") else "train")
+        takes = takes_of(corpus, self.context.labels, "val" if corpus.recordings("val") else "train")
         return [take for take in takes if len(take.blocks) > 1][:4]
 
     def temperature(self, name: str, policy: QNetwork | ActorCritic) -> float:
@@ -219,29 +248,29 @@ def rescaled(table: Tensor, episodes: Episodes) -> Tensor:
     return (table - float(ours.mean())) * float(scale) + float(theirs.mean())
 
 
-def rewarded(context: RacerRows, config: Config) -> tuple[Episodes, Rewards]:
+def rewarded(racer: RacerRows, config: Config) -> tuple[Episodes, Rewards]:
     """The offline data set with the reward of the settings, and that reward."""
-    episodes = _episodes(context, config)
+    episodes = _episodes(racer, config)
     if config.episodes.reward == "contrastive":
-        return episodes, context.taught(config)
-    lexicon = context.bundle.block_models.lexicon
-    table = rescaled(distance_rewards(lexicon.shown(), context.corpus.motion), episodes)
+        return episodes, racer.taught(config)
+    lexicon = racer.bundle.block_models.lexicon
+    table = rescaled(distance_rewards(lexicon.shown(), racer.corpus.motion), episodes)
     with_distance = [replace(e, reward=table.numpy()[e.blocks, e.actions].astype(np.float32))
                      for e in episodes.episodes]
     return Episodes(with_distance, cloned=episodes.cloned, stretch=episodes.stretch), TabledReward(table)
 
 
-def _episodes(context: RacerRows, config: Config) -> Episodes:
+def _episodes(racer: RacerRows, config: Config) -> Episodes:
     """The offline data set with the contrastive reward, kept in the work folder; every seed learns from the same."""
     plain = replace(config.episodes, reward="contrastive")
-    file = context.run.work / f"racer-{configs.digest(context.shapes, plain, config.statistical, config.seed)}.npz"
+    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.statistical, config.seed)}.npz"
     with lock(file, "a row that makes its data", beside=True, wait=True):
         if not file.exists():
             interpreters: dict[str, LexemeInterpreter] = {
-                "sampled": context.bundle.block_models.interpreter, "statistical": context.bundle.statistical()}
-            build(context.takes, plain, context.taught(config).sequence, silent=context.silent,
-                  vectors=context.bundle.vectors.numpy(), seed=config.seed,
-                  policies=BehaviourPolicies(interpreters, features_of(context.corpus))).save(file)
+                "sampled": racer.bundle.block_models.interpreter, "statistical": racer.bundle.statistical()}
+            build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
+                  vectors=racer.bundle.vectors.numpy(), seed=config.seed,
+                  policies=BehaviourPolicies(interpreters, features_of(racer.corpus))).save(file)
     return Episodes.load(file)
 
 
@@ -284,20 +313,20 @@ def epsilon_at(step: int, steps: int) -> float:
     return max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * step / max(1.0, GREEDY_AT * steps))
 
 
-def offline(context: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
+def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
-    episodes, _ = rewarded(context, config)
-    return ConservativeQ(network), lambda rng: q_batch(context.corpus, episodes.windows(
+    episodes, _ = rewarded(racer, config)
+    return ConservativeQ(network), lambda rng: q_batch(racer.corpus, episodes.windows(
         rng, config.schedules.cql.batch, config.cql.decisions), config.cql.lookahead)
 
 
 class Acting(ConservativeQ):
     """A Q-network that acts in the recorded speech every `ACT_EVERY` steps and remembers a batch of episodes (DQN)."""
 
-    def __init__(self, context: RacerRows, config: Config, network: QNetwork, seed: int) -> None:
+    def __init__(self, racer: RacerRows, config: Config, network: QNetwork, seed: int) -> None:
         super().__init__(network)
-        self._context, self._config, self._seed, self._memory = context, config, seed, Replay(MEMORY)
-        self._simulator = Simulator(context.takes, context.taught(config).rewards, context.tables[""].window)
+        self._racer, self._config, self._seed, self._memory = racer, config, seed, Replay(MEMORY)
+        self._simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
 
     def before_step(self, step: int) -> None:
         """The target network, and what it does now and then."""
@@ -307,30 +336,30 @@ class Acting(ConservativeQ):
             epsilon = epsilon_at(step, self._config.schedules.cql.steps)
             with without_dropout(self.online):
                 self._memory.add(collect(self._simulator, epsilon_greedy(
-                    self.online, self._context.corpus, epsilon, rng), rng, self._config.schedules.cql.batch,
+                    self.online, self._racer.corpus, epsilon, rng), rng, self._config.schedules.cql.batch,
                     self._config.cql.decisions))
 
     def batch(self, rng: np.random.Generator) -> fitting.Batch:
         """Windows of what it remembers."""
-        return q_batch(self._context.corpus, self._memory.windows(rng, self._config.schedules.cql.batch),
+        return q_batch(self._racer.corpus, self._memory.windows(rng, self._config.schedules.cql.batch),
                        self._config.cql.lookahead)
 
 
-def online(context: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
+def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """DQN."""
-    model = Acting(context, config, network, seed)
+    model = Acting(racer, config, network, seed)
     return model, model.batch
 
 
-def actor_critic(context: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
+def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Policy gradients on what the policy has just done, beginning as the supervised network of the seed."""
-    supervised = trained(context, SUPERVISED, seed)[0]
+    supervised = trained(racer, SUPERVISED, seed)[0]
     model = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
     assert isinstance(supervised, QNetwork)
     model.begin_as(supervised)
-    simulator = Simulator(context.takes, context.taught(config).rewards, context.tables[""].window)
-    return model, lambda rng: q_batch(context.corpus, collect(
-        simulator, sampled(model, context.corpus, rng), rng, config.schedules.cql.batch, config.cql.decisions),
+    simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
+    return model, lambda rng: q_batch(racer.corpus, collect(
+        simulator, sampled(model, racer.corpus, rng), rng, config.schedules.cql.batch, config.cql.decisions),
         config.cql.lookahead)
 
 
@@ -346,28 +375,28 @@ def scaled(make_batch: fitting.MakeBatch, factor: float) -> fitting.MakeBatch:
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 
 
-def trained(context: RacerRows, name: str, seed: int) -> tuple[QNetwork | ActorCritic, float]:
+def trained(racer: RacerRows, name: str, seed: int) -> tuple[QNetwork | ActorCritic, float]:
     """The network of a row, trained now or read from the work folder, and how many seconds that took.
 
     A training that is stopped begins anew: what was remembered of roll-outs is not kept. One that another process is at
     is waited for.
     """
     name = ROWS[name].matched or name
-    folder = context.run.work / f"{name}-{context.key(name, seed)}"
+    folder = racer.context.work / f"{name}-{racer.key(name, seed)}"
     with lock(folder, "a row", beside=True, wait=True):
-        return _trained(context, name, seed, folder)
+        return _trained(racer, name, seed, folder)
 
 
-def _trained(context: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNetwork | ActorCritic, float]:
-    row, config, began = ROWS[name], context.config(name), time.monotonic()
-    network = context.untrained(name, seed)
+def _trained(racer: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNetwork | ActorCritic, float]:
+    row, config, began = ROWS[name], racer.config(name), time.monotonic()
+    network = racer.untrained(name, seed)
     if stages.finished(folder):
         policy: QNetwork | ActorCritic = network
         if row.training == "actor-critic":
             policy = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
         policy.load_state_dict(load_file(folder / stages.WEIGHTS))
     else:
-        model, make_batch = TRAININGS[row.training](context, config, network, seed)
+        model, make_batch = TRAININGS[row.training](racer, config, network, seed)
         if row.scale != 1:
             make_batch = scaled(make_batch, row.scale)
         began = time.monotonic()  # without the data set, or the network that it begins as
@@ -375,39 +404,22 @@ def _trained(context: RacerRows, name: str, seed: int, folder: Path) -> tuple[QN
         with tempfile.TemporaryDirectory() as scratch:
             fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
                 make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
-                fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=context.run.progress))
+                fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=racer.context.progress))
         policy = model.online if isinstance(model, ConservativeQ) else model
         stages.keep(folder, policy, {})
     freeze(policy)
     return policy, time.monotonic() - began
 
 
-def judged(context: RacerRows, name: str, policy: QNetwork | ActorCritic
+def judged(racer: RacerRows, name: str, policy: QNetwork | ActorCritic
            ) -> tuple[list[Lexemes], list[dict[str, Any]]]:
     """What a policy did on the test recordings [M], and its figures on each."""
-    decisions, gamma, valued = context.judge.decisions, context.config(name).cql.gamma, context.valued(name)
-    chooser, chosen, rows = Policy(policy, context.temperature(name, policy)), [], []
+    decisions, gamma, valued = racer.judge.decisions, racer.config(name).cql.gamma, racer.valued(name)
+    chooser, chosen, rows = Policy(policy, racer.temperature(name, policy)), [], []
     for take in decisions.takes:
         free, forced = (walk(chooser, decisions, take, teacher)[0] for teacher in (False, True))
         chosen.append(free)
-        rows.append({"name": context.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
-                     **context.judge.lexeme_values(take, free, forced),
-                     **context.judge.score_values(chooser, take, valued, gamma)})
+        rows.append({"name": racer.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
+                     **racer.judge.lexeme_values(take, free, forced),
+                     **racer.judge.score_values(chooser, take, valued, gamma)})
     return chosen, rows
-
-
-def measured(context: RacerRows, name: str, seed: int, by: Sequence[gesture_features.Features]) -> dict[str, Any]:
-    """"clips", "sets" and "seconds" of a row's cell: all test recordings judged, the first `MOTION` of them played."""
-    policy, seconds = trained(context, name, seed)
-    chosen, clips = judged(context, name, policy)
-    recordings = [context.run.store.load(clip["name"]) for clip in clips[:MOTION]]
-    motions = perform(Gesticulator(context.bundle), recordings, chosen[:MOTION], name, context.run.progress)
-    for place, (motion, recording) in enumerate(zip(motions, recordings, strict=True)):
-        clip = measure(motion, recording.speech)
-        clips[place] |= {"pmb_narrow": pmb.pmb(clip.beats, clip.onsets),
-                         **motion_values(clip, motion, recording.motion, seed=place)}
-    ours, real = ([features_of_motion(motion, by) for motion in own]
-                  for own in (motions, [recording.motion for recording in recordings]))
-    for place, value in enumerate(distances(by, ours, real)):
-        clips[place]["fgd"] = float(value)
-    return {"clips": clips, "sets": {"fgd": set_distances(by, ours, real)}, "seconds": {"training": round(seconds, 1)}}

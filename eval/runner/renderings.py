@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.arrays import as_floats
+from data_module.blocks import BlockSettings
 from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.motion import rotation
@@ -78,15 +79,16 @@ class AcceptanceVoice:
         return told.hexdigest()
 
 
-def held_out_voices(store: Store, limit: int | None, joints: int, split: Split = "test") -> list[AcceptanceVoice]:
-    """The middle minute of every recording of a split that lasts long enough, with its performer's motion in so many
-    joints."""
+def held_out_voices(store: Store, limit: int | None, joints: int, split: Split = "test", seconds: float = SECONDS
+                    ) -> list[AcceptanceVoice]:
+    """The middle of every recording of a split that lasts long enough, with its performer's motion in so many
+    joints; InputError where none does."""
     chosen = [info for info in store.of_split(split) if info.seconds >= SHORTEST][:limit]
     if not chosen:
         raise InputError(store.path, f"has no {split} recording of {SHORTEST:g} s or more", "build a larger store")
     out = []
     for info in chosen:
-        piece = excerpt(store.load(info.name, joints), SECONDS)
+        piece = excerpt(store.load(info.name, joints), seconds)
         out.append(AcceptanceVoice(info.name, piece.speech, TEST, piece.motion, info.speaker,
                                    info.group or info.name))
     return out
@@ -191,10 +193,10 @@ class RenderedSystem(Protocol):
 class BundleSystem:
     """A bundle that is played here, at the guidance and temperature that it was frozen with."""
 
-    def __init__(self, name: str, folder: Path, kept: KeptRenderings) -> None:
+    def __init__(self, name: str, folder: Path, kept: KeptRenderings, bundle: bundles.Bundle | None = None) -> None:
+        """bundle: that of the folder, where it was opened before."""
         self.name, self.folder, self._kept = name, folder, kept
-        bundle = bundles.load(folder)
-        self.gesticulator = ListeningGesticulator(bundle)
+        self.gesticulator = ListeningGesticulator(bundle or bundles.load(folder))
         self.key = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
         self._encoded: dict[str, tuple[SpeechFeatures, float]] = {}
 
@@ -220,10 +222,12 @@ class BundleSystem:
         """Its own performer where the bundle knows her, else the bundle's default."""
         return voice.performer if voice.performer in self.gesticulator.speakers else None
 
-    def render(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any) -> Rendering:
-        """A voice with a seed. asked: options beside speaker and seed, in plain values."""
+    def render(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, *, named: Any = None, **asked: Any
+               ) -> Rendering:
+        """A voice with a seed. asked: options beside speaker and seed; named: plain values that stand for them, where
+        they are none."""
         found, file = self._kept.get(("bundle", self.key, program_key(), voice.key, self.speaker(voice), seed, rolled,
-                                      sorted(asked.items())))
+                                      named or sorted(asked.items())))
         if found is not None:
             return found
         made, spent = self.perform(voice, seed, rolled, **asked)
@@ -253,22 +257,25 @@ class BundleSystem:
 class UnitSystem:
     """Unit selection over a store's whole training split."""
 
-    def __init__(self, name: str, store: Store, work: Path | None, kept: KeptRenderings) -> None:
-        self.name, self._store, self._work, self._kept = name, store, work, kept
+    def __init__(self, name: str, store: Store, work: Path | None, kept: KeptRenderings,
+                 rhythm: BlockSettings | None = None) -> None:
+        """rhythm: how speech is cut; None for the default."""
+        self.name, self._store, self._work, self._kept, self._rhythm = name, store, work, kept, rhythm
 
     @cached_property
     def _units(self) -> UnitSelection:
-        return UnitSelection(UnitDatabase.of(self._store, work=self._work))
+        return UnitSelection(UnitDatabase.of(self._store, self._rhythm, self._work))
 
     def _render(self, voice: AcceptanceVoice, seed: int, rolled: bool) -> Rendering:
         source = importlib.util.find_spec("eval.baselines.unit_selection")
         assert source is not None and source.origin is not None
         code = hashlib.sha256(Path(source.origin).read_bytes()).hexdigest()
-        found, file = self._kept.get(("units", self._store.fingerprint, program_key(), code, voice.key, seed, rolled))
+        found, file = self._kept.get(("units", self._store.fingerprint, self._rhythm, program_key(), code, voice.key,
+                                      seed, rolled))
         if found is not None:
             return found
-        begin = time.perf_counter()
-        made = self._units(voice.speech, seed=seed, rolled=baselines.ROLLED if rolled else 0)
+        units, begin = self._units, time.perf_counter()
+        made = units(voice.speech, seed=seed, rolled=baselines.ROLLED if rolled else 0)
         return self._kept.put(Rendering(made.motion, made.blocks.edges, made.blocks.silent,
                                         spent=time.perf_counter() - begin), file)
 
@@ -281,15 +288,16 @@ class FiledSystem:
     """Motion files of another: VOICE.bvh or VOICE.ANYTHING.bvh, with the edges of its blocks in a plan beside it.
     The real take's voice is called "take", those of the test split as their recordings."""
 
-    def __init__(self, name: str, folder: Path) -> None:
-        self.name = name
+    def __init__(self, name: str, folder: Path, fingers: bool = False) -> None:
+        """fingers: whether finger joints are read, too."""
+        self.name, self._fingers = name, fingers
         self._files, _ = find_motions(folder)
 
     def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
         """All of its files for a voice, whatever the seeds; nothing rolled."""
         own = [file for stem, file in self._files.items() if stem == voice.name or stem.startswith(f"{voice.name}.")]
-        return [(Rendering(resample(read_motion(file), HZ), edges_of_plan(file.with_suffix(".json"))), None)
-                for file in own]
+        return [(Rendering(resample(read_motion(file, fingers=self._fingers), HZ),
+                           edges_of_plan(file.with_suffix(".json"))), None) for file in own]
 
 
 def system_at(name: str, place: Path, kept: KeptRenderings) -> RenderedSystem:

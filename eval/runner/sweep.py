@@ -21,9 +21,9 @@ from gesticulator.batch.run import Doing, TaskOutcome
 from gesticulator.cli import PROGRAM
 
 if TYPE_CHECKING:
-    from eval.runner.row_context import AblationContext
+    from eval.runner.row import Ablation
 
-MakeContext: TypeAlias = "Callable[[], AblationContext]"
+MakeContext: TypeAlias = "Callable[[], Ablation]"
 """Opens the store and makes what rows stand on; called once in each worker."""
 RowSeed: TypeAlias = tuple[str, int]
 MINUTES = 24 * 60
@@ -35,32 +35,36 @@ def prepare(make: MakeContext, tasks: Sequence[RowSeed]) -> None:
     job of its own calls it."""
     from eval.rows.cells import family
 
-    context = make()
+    ablation = make()
     for group in dict.fromkeys(family(name) for name, _ in tasks):
-        context.shared(group)
-    context.judge  # noqa: B018 - is made when it is asked for
+        ablation.family(group)
+    ablation.rg.judge  # noqa: B018 - is made at its first use
 
 
 def do_row(make: MakeContext, task: RowSeed) -> float:
     """Make the cell of a row at a seed, if it is not there; its seconds of training. A job of its own calls it."""
-    return _do(replace(make(), alone=False), task)
+    return _do(_beside_others(make), task)
 
 
-def _do(context: AblationContext, task: RowSeed) -> float:
-    from eval.runner.row import cell
+def _beside_others(make: MakeContext) -> Ablation:
+    """An ablation whose cells are files of their own until they are gathered."""
+    ablation = make()
+    return replace(ablation, cells=replace(ablation.cells, alone=False))
 
-    return float(cell(context, *task).get("seconds", {}).get("training", 0.0))
+
+def _do(ablation: Ablation, task: RowSeed) -> float:
+    return float(ablation.cell(*task).get("seconds", {}).get("training", 0.0))
 
 
 def _worker(make: MakeContext, tasks: Sequence[RowSeed]) -> Doing:
     import torch
 
     torch.set_num_threads(1)
-    context = replace(make(), alone=False)
-    return lambda number: _do(context, tasks[number])
+    ablation = _beside_others(make)
+    return lambda number: _do(ablation, tasks[number])
 
 
-def rows_at_once(context: AblationContext, tasks: Sequence[RowSeed], make: MakeContext,
+def rows_at_once(ablation: Ablation, tasks: Sequence[RowSeed], make: MakeContext,
                  outcomes: Callable[[Any, Sequence[int]], Iterator[TaskOutcome]]) -> dict[str, str]:
     """Do what is not finished of rows and seeds; what failed, as "ROW, seed SEED" -> a line.
 
@@ -68,23 +72,21 @@ def rows_at_once(context: AblationContext, tasks: Sequence[RowSeed], make: MakeC
     """
     from tqdm import tqdm
 
-    from eval.runner.row import original
-
-    context.cells.gather()
-    context.judge  # noqa: B018 - what all rows share is made before them
+    ablation.cells.gather()
+    ablation.rg.judge  # noqa: B018 - what all rows share is made before them
     # Rows that are the same network as another stand on its cell.
-    tasks = list(dict.fromkeys((original(context, name), seed) for name, seed in tasks))
+    tasks = list(dict.fromkeys((ablation.original(name), seed) for name, seed in tasks))
     waiting = [number for number, (name, seed) in enumerate(tasks)
-               if context.cells.finished(name, seed, context.key(name, seed)) is None]
+               if ablation.cells.finished(name, seed, ablation.key(name, seed)) is None]
     failed = {}
-    with tqdm(total=len(waiting), desc="rows", disable=not context.first.progress) as bar:
+    with tqdm(total=len(waiting), desc="rows", disable=not ablation.context.progress) as bar:
         for one in outcomes(partial(_worker, make, tasks), waiting) if waiting else ():
             name, seed = tasks[one.number]
             bar.update()
             if one.error:
                 failed[f"{name}, seed {seed}"] = one.error
                 complain(f"{PROGRAM}: {name}, seed {seed}: {one.error}")
-            context.cells.gather()
+            ablation.cells.gather()
     return failed
 
 

@@ -28,8 +28,8 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -56,11 +56,20 @@ from eval.metrics.evaluate import (
     lexeme_values,
     synchrony,
 )
-from eval.metrics.gesture_features import FPS, Features, RawFeatures, as_features, load, networks, pooled, published
+from eval.metrics.gesture_features import (
+    FPS,
+    Features,
+    RawFeatures,
+    as_features,
+    by_name,
+    load,
+    networks,
+    pooled,
+    published,
+)
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
-from eval.runner.context import provenance
-from eval.runner.judges import with_judges
+from eval.runner.context import EvalContext, provenance, with_judges
 from eval.score.played_rows import PlayedBundle, unit_selection_row
 from eval.score.tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
 from eval.stats import Indices, Interval
@@ -95,33 +104,34 @@ class ScoreRow:
 
 
 @dataclass(frozen=True)
-class ScoreContext:
-    """What all rows are measured with. speeches: the blocks of each clip's speech as the bundle cuts it, None without
-    the one or the other; truth: the speakers' own motion in them."""
+class ScoredClips:
+    """The clips that all rows share, heard once. context: networks, seed and the bundle whose lexicon reads motion,
+    if any; speeches: the blocks of each clip's speech as the bundle cuts it, None without the one or the other; truth:
+    the speakers' own motion in them."""
 
+    context: EvalContext
     clips: ClipSet
     tracks: list[OnsetTrack | None]
-    networks: Mapping[str, Features]
-    bundle: Any
-    seed: int
     voices: list[eye.VoiceActivity | None]
-    space: eye.ReferenceSpace | None
     speeches: list[SpeechBlocks | None]
-    truth: list[EncodedMotion | None] = field(default_factory=list)
 
     @classmethod
-    def of(cls, clips: ClipSet, networks: Mapping[str, Features], bundle: Any, seed: int) -> ScoreContext:
+    def of(cls, context: EvalContext, clips: ClipSet) -> ScoredClips:
         """Each speech is heard, cut and encoded once for all rows."""
-        speeches = [None if speech is None or bundle is None else SpeechBlocks.of(bundle, speech)
-                    for speech in clips.speeches]
-        made = cls(clips, [None if speech is None else OnsetTrack.of(speech) for speech in clips.speeches], networks,
-                   bundle, seed, [None if speech is None else eye.hear(speech) for speech in clips.speeches],
-                   eye.ReferenceSpace.found(), speeches)
-        return replace(made, truth=made.encoded(clips.motions[TRUTH]))
+        bundle = context.models
+        return cls(context, clips, *(list(each) for each in zip(*((
+            None if speech is None else OnsetTrack.of(speech), None if speech is None else eye.hear(speech),
+            None if speech is None or bundle is None else SpeechBlocks.of(bundle, speech))
+            for speech in clips.speeches), strict=True)))
+
+    @cached_property
+    def truth(self) -> list[EncodedMotion | None]:
+        """The speakers' own motion as the bundle reads it."""
+        return self.encoded(self.clips.motions[TRUTH])
 
     def encoded(self, motions: Sequence[Motion]) -> list[EncodedMotion | None]:
         """Motions of all clips as the bundle reads them; None where nothing is said."""
-        return [None if speech is None else encode_motion(self.bundle, motion, speech.blocks, speech.speaker)
+        return [None if speech is None else encode_motion(self.context.bundle, motion, speech.blocks, speech.speaker)
                 for motion, speech in zip(motions, self.speeches, strict=True)]
 
     def row(self, name: str, kind: str, motions: list[Motion]) -> ScoreRow:
@@ -130,12 +140,12 @@ class ScoreContext:
         own = self.clips.motions[TRUTH]
         truth = baselines.to_common_length(motions, own)[1]
         _put(row, MOTION_METRICS, [
-            clip_values(motion, theirs, beats, track, self.seed + k) for k, (motion, theirs, beats, track)
+            clip_values(motion, theirs, beats, track, self.context.seed + k) for k, (motion, theirs, beats, track)
             in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
         _put(row, tuple(EYE_METRICS), [
-            eye_values(motion, voice, None if speech is None else speech.blocks.edges, self.space)
+            eye_values(motion, voice, None if speech is None else speech.blocks.edges, self.context.space)
             for motion, voice, speech in zip(motions, self.voices, self.speeches, strict=True)])
-        row.features = {key: pooled(motions, network) for key, network in self.networks.items()}
+        row.features = {key: pooled(motions, network) for key, network in self.context.networks.items()}
         ours, theirs = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
                         for clips in (motions, own))
         row.sets["speed_distance"] = lambda chosen: hellinger(ours[chosen].sum(0), theirs[chosen].sum(0))
@@ -145,18 +155,19 @@ class ScoreContext:
     def _lexemes(self, row: ScoreRow) -> None:
         """What the lexemes nearest to a row's blocks say, where there is a lexicon."""
         of_sets = ("diversity", "motion_variance")
-        if self.bundle is None:
+        bundle = self.context.models
+        if bundle is None:
             row.values |= {metric: np.full(len(row.motions), np.nan) for metric in LEXEME_METRICS}
             row.reasons |= dict.fromkeys((*of_sets, *LEXEME_METRICS), "no lexicon was given (--bundle)")
             return
-        encoded, judged = self.encoded(row.motions), self.bundle.reward_judge is not None
+        encoded, judged = self.encoded(row.motions), bundle.reward_judge is not None
         _put(row, LEXEME_METRICS, [lexeme_values(
-            motion, truth, math.nan if motion is None or speech is None else judged_reward(self.bundle, motion, speech),
+            motion, truth, math.nan if motion is None or speech is None else judged_reward(bundle, motion, speech),
             judged) for motion, truth, speech in zip(encoded, self.truth, self.speeches, strict=True)])
         if not any(encoded):
             row.reasons |= dict.fromkeys(of_sets, "no speech is known")
             return
-        vectors = self.bundle.lexicon.vectors.double().numpy()
+        vectors = bundle.lexicon.vectors.double().numpy()
         moments = lexeme_moments([None if one is None else (one.latents.double().numpy(), one.labels)
                                   for one in encoded], vectors)
         row.sets["diversity"] = lambda chosen: entropy(moments[0][chosen].sum(axis=0))
@@ -199,7 +210,7 @@ def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.VoiceActivity |
 
 # --------------------------------------------------------------------------------------------------------- figures
 
-def row_figures(row: ScoreRow, truth: ScoreRow, context: ScoreContext
+def row_figures(row: ScoreRow, truth: ScoreRow, context: EvalContext
                 ) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
     """Every metric of a row, and the distances by network."""
     out: dict[str, Interval] = {name: stats.mean_interval(values, seed=context.seed)
@@ -225,11 +236,12 @@ def fgd_cell(figure: fgd.Figure, sure: bool = False) -> Marked:
     return Marked(replace(figure.interval, mean=figure.distance), "(?)" if doubt else "", figure.reason)
 
 
-def floor_figures(truth: ScoreRow, context: ScoreContext) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
+def floor_figures(truth: ScoreRow, shared: ScoredClips) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
     """Distances between two halves of the truth; what is no distance between sets has none."""
+    context = shared.context
     out = {name: Marked(Interval.undefined(), reason=NO_FLOOR) for name in (*CLIP_METRICS, *EYE_METRICS, *SET_METRICS)}
     place = {id(motion): k for k, motion in enumerate(truth.motions)}
-    groups = context.clips.groups if len(set(context.clips.groups)) > 1 else None
+    groups = shared.clips.groups if len(set(shared.clips.groups)) > 1 else None
     try:
         both = baselines.split_halves(truth.motions, context.seed, groups)
     except ValueError as error:
@@ -245,7 +257,7 @@ def floor_figures(truth: ScoreRow, context: ScoreContext) -> tuple[dict[str, Mar
     return out | {key: fgd_cell(figure) for key, figure in distances.items()}, distances
 
 
-def differences(first: ScoreRow, second: ScoreRow, truth: ScoreRow, context: ScoreContext) -> dict[str, Marked]:
+def differences(first: ScoreRow, second: ScoreRow, truth: ScoreRow, context: EvalContext) -> dict[str, Marked]:
     """First less second, paired over clips, with intervals."""
     out = {name: stats.paired(first.values[name], second.values[name], seed=context.seed)
            for name in (*CLIP_METRICS, *EYE_METRICS)}
@@ -262,16 +274,16 @@ def _less(first: Callable[[Indices], float], second: Callable[[Indices], float])
     return lambda chosen: first(chosen) - second(chosen)
 
 
-def mismatches(rows: Sequence[ScoreRow], context: ScoreContext) -> dict[str, dict[str, Mismatch]]:
+def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[str, Mismatch]]:
     """The mismatch test of each row by each metric of synchrony."""
-    known = [k for k, track in enumerate(context.tracks) if track is not None]
+    known = [k for k, track in enumerate(shared.tracks) if track is not None]
     few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
-    tracks = [track for k in few if (track := context.tracks[k]) is not None]
+    tracks = [track for k in few if (track := shared.tracks[k]) is not None]
 
     def tried(name: str, beats: Sequence[MotionBeats]) -> Array:
         return matrix(lambda i, j: synchrony(name, beats[i], tracks[j]), len(beats))
 
-    return {row.name: {name: mismatch(tried(name, [row.beats[k] for k in few]), seed=context.seed)
+    return {row.name: {name: mismatch(tried(name, [row.beats[k] for k in few]), seed=shared.context.seed)
                        for name in SYNCHRONY} for row in rows}
 
 
@@ -335,28 +347,27 @@ def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow
     return [f"is not told from the truth ({own:.3g}, {theirs:.3g})"] if near or own == theirs else []
 
 
-def score(clips: ClipSet, networks: Mapping[str, Features], bundle: Any = None, *, with_controls: bool = True,
-          seed: int = 0) -> Scores:
+def score(context: EvalContext, clips: ClipSet, *, with_controls: bool = True) -> Scores:
     """Measure all rows on the same clips."""
-    context = ScoreContext.of(clips, networks, bundle, seed)
-    made, notes = control_rows(clips, seed, context.voices) if with_controls else ({}, [])
-    rows = {name: context.row(name, TRUTH if name == TRUTH else "system", motions)
+    shared, seed = ScoredClips.of(context, clips), context.seed
+    made, notes = control_rows(clips, seed, shared.voices) if with_controls else ({}, [])
+    rows = {name: shared.row(name, TRUTH if name == TRUTH else "system", motions)
             for name, motions in clips.motions.items()}
-    rows |= {name: context.row(name, "control", motions) for name, motions in made.items()}
+    rows |= {name: shared.row(name, "control", motions) for name, motions in made.items()}
     both = {name: row_figures(row, rows[TRUTH], context) for name, row in rows.items()}
     if with_controls:
-        both[FLOOR] = floor_figures(rows[TRUTH], context)
+        both[FLOOR] = floor_figures(rows[TRUTH], shared)
     figures = {name: pair[0] for name, pair in both.items()}
     distances = {name: pair[1] for name, pair in both.items()}
     metrics = {**CLIP_METRICS, **EYE_METRICS, **SET_METRICS,
-               **{key: replace(METRICS["fgd"], about=f"FGD, {key}") for key in networks}}
+               **{key: replace(METRICS["fgd"], about=f"FGD, {key}") for key in context.networks}}
     systems = [row for row in rows.values() if row.kind == "system"]
     return Scores(
         clips.names, round(clips.seconds, 2), clips.fps, metrics,
         {name: rows[name].kind if name in rows else "floor" for name in both}, figures,
         {f"{a.name} - {b.name}": differences(a, b, rows[TRUTH], context)
          for a, b in itertools.combinations(systems, 2)},
-        distances, mismatches(list(rows.values()), context),
+        distances, mismatches(list(rows.values()), shared),
         flags(rows, figures, metrics, seed), [*clips.notes, *notes])
 
 
@@ -375,13 +386,7 @@ def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict
         lengths = {round(one.frames / one.fps, 6) for one in found}
         if len(lengths) < 2 and round(frames / FPS, 6) not in lengths:
             found.append(RawFeatures(frames))
-    table: dict[str, Features] = {}
-    for one in found:
-        length = f"{one.frames} frames"
-        name = one.name if one.name.endswith(length) else f"{one.name}, {length}"
-        # Two networks of our own may differ only in what they were trained on.
-        table[name if name not in table else f"{name} ({one.sha256[:8]})"] = one
-    return table
+    return by_name(found)
 
 
 def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]], list[str]]:
@@ -467,7 +472,8 @@ def scored(arguments: argparse.Namespace) -> Scores:
     networks = networks_of(arguments.fgd, arguments.work, arguments.truth)
     clips = common_clips(folders, rate, piece)
     clips.notes[:0] = left_out
-    return score(clips, networks, bundle, with_controls=not arguments.no_controls, seed=arguments.seed)
+    context = EvalContext(models=bundle, networks=networks, seed=arguments.seed)
+    return score(context, clips, with_controls=not arguments.no_controls)
 
 
 def run(arguments: argparse.Namespace) -> int:

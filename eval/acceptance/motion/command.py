@@ -22,7 +22,7 @@ import argparse
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +38,10 @@ from eval.baselines.unit_selection import NAME as UNITS
 from eval.claim import Verdict, count, summary, verdict_table
 from eval.clip.foreign import named
 from eval.clip.measure import real_take
-from eval.metrics.eye import ReferenceSpace
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
 from eval.metrics.eye.sample import CORPUS
+from eval.runner.context import EvalContext
 from eval.runner.renderings import (
     PROGRAM,
     TAKE,
@@ -65,14 +65,18 @@ TITLES = {"motion": "Perceptual figures", "lexicon": "Lexemes: consistency and o
 
 @dataclass
 class Acceptance:
-    """What is judged, and on what. voices: the real take's first, where it is at hand."""
+    """Who is judged, and on which voices: the real take's first, where it is at hand."""
 
+    context: EvalContext
     ours: BundleSystem
     others: list[RenderedSystem]
-    store: Store | None
     voices: list[AcceptanceVoice]
     renderings: int
-    space: ReferenceSpace | None = field(default_factory=ReferenceSpace.found)
+
+    @property
+    def store(self) -> Store | None:
+        """The corpus, where one was given."""
+        return None if self.context.data is None else self.context.store
 
     def held_out(self) -> list[AcceptanceVoice]:
         """Those of the test split."""
@@ -80,7 +84,7 @@ class Acceptance:
 
 
 def _motion(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
-    return seen.run([own.ours, *own.others], own.voices, own.renderings, own.space)
+    return seen.run([own.ours, *own.others], own.voices, own.renderings, own.context.space)
 
 
 def _lexicon(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
@@ -165,7 +169,9 @@ def _opened(arguments: argparse.Namespace) -> tuple[Acceptance, Path | None]:
     others = [system_at(name, Path(place), kept) for name, place in places.items()]
     if store is not None:
         others.append(UnitSystem(UNITS, store, work, kept))
-    return Acceptance(ours, others, store, voices, arguments.renderings), work
+    context = EvalContext(models=ours.bundle) if store is None or work is None else EvalContext.over(
+        store, ours.bundle, work, arguments.limit)
+    return Acceptance(context, ours, others, voices, arguments.renderings), work
 
 
 def _key(own: Acceptance) -> str:
@@ -186,7 +192,7 @@ def _whole(own: Acceptance, groups: Mapping[str, Sequence[Mapping[str, Any]]]) -
              "Sampling settings of the bundle: "
              f"{', '.join(f'{name} {value}' for name, value in frozen.items())}.",
              "Intervals are bootstrap 95 % over recordings; for one voice rendered several times, over seeds."]
-    if own.space is None:
+    if own.context.space is None:
         notes.append(f"No Frechet distance: {REFERENCE} is not in GESTICULATOR_DATA.")
     facts = {"clauses": entries, "selection": frozen, "renderings": own.renderings,
              "store": None if own.store is None else own.store.fingerprint, "bundle": own.ours.key,

@@ -1,7 +1,7 @@
 """Does RACER pay? Every clause of its acceptance, with figure, interval, bound, verdict and reason.
 
     gesticulator probe racer --data STORE [--bundle DIR] --work DIR [--renderings 1] [--limit 12] [--seconds 40]
-                             [--split val] [--control-steps 300] [--exchange] [--json FILE]
+                             [--split val] [--control-steps 300] [--json FILE]
 
 Groups: the gate of the reward; the judge on motion as it is played; aliveness; timing; the mismatch test; whether the
 values are honest; the knob; what it costs. A clause that does not hold is kept, with what is known of why. `--work` is
@@ -25,7 +25,7 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.files import write_text
 from eval import stats
-from eval.acceptance.racer import exchange, gate, values
+from eval.acceptance.racer import gate, values
 from eval.acceptance.racer.playing import (
     CQL,
     CQL_MATCHED,
@@ -34,19 +34,19 @@ from eval.acceptance.racer.playing import (
     MATCHED,
     PERFORMER,
     RANDOM,
+    JudgedVoice,
     PlayedFigures,
     PlayedPolicy,
-    PolicyStage,
     advantage_row,
     figures,
     policies,
-    voices_of,
 )
 from eval.claim import HIGH, POSITIVE, Bound, Verdict, at_least, at_most, judged, verdict_table
 from eval.metrics import fgd, gesture_features
 from eval.metrics.diversity import distinct_2, diversity, longest_run
 from eval.runner.context import EvalContext
 from eval.runner.policy import Decisions, PolicyJudge
+from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 from gesticulator.bundle import bundle as bundles
@@ -78,9 +78,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--split", default="test", choices=("val", "test"), help="split to use; val to choose beta")
     add("--control-steps", type=int, default=300, metavar="N",
         help="training steps of the two reward models with correct and shifted audio (default 300; 0 for none)")
-    add("--exchange", action="store_true",
-        help="also train critics on the judge and evaluate them with the training reward (minutes; stored in the work "
-        "folder and reused)")
     add("--json", type=Path, metavar="FILE",
         help="output file for the list of criteria, such as docs/results/racer_acceptance.json")
 
@@ -163,15 +160,16 @@ def accepted(context: EvalContext, folder: Path, arguments: argparse.Namespace) 
                         [context.labels[corpus.blocks_of(r)] for r in corpus.recordings("train")])
     beta = bundle.config.selection.beta
     rows, _ = policies(context, BETAS, beta)
-    stage = PolicyStage(context, folder, voices_of(context, arguments.seconds, arguments.split))
-    played = {PERFORMER: figures(stage, None, 1),
-              **{name: figures(stage, row, arguments.renderings) for name, row in rows.items()}}
+    ours = BundleSystem("ours", folder, KeptRenderings(context.work / "racer"), bundle)
+    voices = [JudgedVoice.of(ours, voice) for voice in held_out_voices(
+        context.store, context.limit, bundle.config.motion.joints, arguments.split, arguments.seconds)]
+    played = {PERFORMER: figures(ours, voices, None, 1),
+              **{name: figures(ours, voices, row, arguments.renderings) for name, row in rows.items()}}
     measures = RacerMeasures(played, values.chosen_lexemes(context, judge, rows), BETAS, beta)
     by = gesture_features.networks(context.store, context.work, context.progress)
     clauses = [*gate.clauses(context, [tables[""], tables["judge_"]], takes),
                *gate.control_clauses(context, arguments.control_steps),
-               *won(measures, rows), *exchange.clauses(context, tables, decisions, rows, arguments.exchange),
-               *alive(measures, by, [voice.own for voice in stage.voices], arguments.renderings),
+               *won(measures, rows), *alive(measures, by, [one.voice.own for one in voices], arguments.renderings),
                *timed(measures), *values.honesty_clauses(values.honesty(context, decisions, tables)),
                *knob(measures), *values.cost_clauses(context, list(read_index(folder)["files"]))]
     return clauses, [row_table("Rendered motion", _SHOWN, {n: row.values for n, row in played.items()}),

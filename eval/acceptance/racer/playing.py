@@ -11,11 +11,8 @@ of other recordings, seeds and sizes than the reward that taught.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,27 +20,14 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from data_module.errors import InputError
-from data_module.store import Split
 from data_module.types import Array
 from eval.baselines.controls import Majority, Random
-from eval.clip.excerpts import excerpt
 from eval.clip.measure import measure
 from eval.metrics import eye
 from eval.metrics.encode import SpeechBlocks, encode_motion
 from eval.runner.context import EvalContext
 from eval.runner.policy import entropy_of, matched_temperature
-from eval.runner.renderings import (
-    PROGRAM,
-    SHORTEST,
-    TEST,
-    AcceptanceVoice,
-    KeptRenderings,
-    ListeningGesticulator,
-    Rendering,
-    program_key,
-)
-from gesticulator.bundle.files import INDEX
+from eval.runner.renderings import AcceptanceVoice, BundleSystem, Rendering
 from gesticulator.training.stages.interpreter import teacher_logits
 from interpreters.base import LexemeInterpreter
 from interpreters.reward import RewardEnsemble
@@ -139,65 +123,31 @@ def policies(context: EvalContext, betas: Sequence[float], chosen: float) -> tup
 
 # ------------------------------------------------------------------------------------------------------- playing
 
-def voices_of(context: EvalContext, seconds: float, split: Split) -> list[AcceptanceVoice]:
-    """The middle of every recording of the split that lasts long enough; InputError where none does."""
-    chosen = [info for info in context.store.of_split(split) if info.seconds >= SHORTEST][:context.limit]
-    if not chosen:
-        raise InputError(context.store.path, f"has no recording of {SHORTEST:g} s in its {split} split",
-                         "build a larger store")
-    out = []
-    for info in chosen:
-        piece = excerpt(context.store.load(info.name, context.bundle.config.motion.joints), seconds)
-        out.append(AcceptanceVoice(info.name, piece.speech, TEST, piece.motion, info.speaker, info.group or info.name))
-    return out
+@dataclass(frozen=True)
+class JudgedVoice:
+    """A voice, in blocks as the judge hears it."""
 
+    voice: AcceptanceVoice
+    heard: SpeechBlocks
 
-@dataclass
-class PolicyStage:
-    """Plays policies on voices, and keeps what was played in the work folder. folder: of the bundle."""
+    @classmethod
+    def of(cls, ours: BundleSystem, voice: AcceptanceVoice) -> JudgedVoice:
+        """With its own performer where the bundle knows one, else the bundle's default."""
+        known = ours.gesticulator.speakers
+        speaker = ours.speaker(voice) or known[ours.gesticulator.speaker_index(None)]
+        return cls(voice, SpeechBlocks.of(ours.bundle, replace(voice.speech, speaker=speaker)))
 
-    context: EvalContext
-    folder: Path
-    voices: Sequence[AcceptanceVoice]
+    def played(self, ours: BundleSystem, policy: PlayedPolicy, seed: int) -> Rendering:
+        """A policy's motion for it, by the sound alone."""
+        wordless = replace(self.voice, speech=replace(self.voice.speech, words=None))
+        return ours.render(wordless, seed, named=policy.key, **policy.options())
 
-    @cached_property
-    def system(self) -> ListeningGesticulator:
-        """The pipeline."""
-        return ListeningGesticulator(self.context.bundle)
-
-    @cached_property
-    def heard(self) -> list[SpeechBlocks]:
-        """Each voice in blocks, as the judge hears it."""
-        return [SpeechBlocks.of(self.context.bundle, replace(voice.speech, speaker=self.speaker(voice)))
-                for voice in self.voices]
-
-    @cached_property
-    def _key(self) -> str:
-        return hashlib.sha256((self.folder / INDEX).read_bytes()).hexdigest()
-
-    def speaker(self, voice: AcceptanceVoice) -> str:
-        """Its own performer where the bundle knows her, else the bundle's default."""
-        known = self.system.speakers
-        return voice.performer if voice.performer in known else known[self.system.speaker_index(None)]
-
-    def play(self, policy: PlayedPolicy, place: int, seed: int) -> Rendering:
-        """One voice, from the work folder where it was played before."""
-        kept, voice = KeptRenderings(self.context.work / "racer"), self.voices[place]
-        found, file = kept.get(["racer", self._key, program_key(PROGRAM), voice.key, self.speaker(voice), seed,
-                                *policy.key])
-        if found is not None:
-            return found
-        made = self.system(replace(voice.speech, words=None), speaker=self.speaker(voice), seed=seed,
-                           **policy.options())
-        return kept.put(Rendering(made.motion, made.blocks.edges, made.blocks.silent, made.lexemes, self.system.drawn),
-                        file)
-
-    def own(self, place: int) -> Rendering:
-        """What the performer did, in the blocks of her speech."""
-        voice, blocks = self.voices[place], self.heard[place].blocks
-        assert voice.own is not None
-        read = encode_motion(self.context.bundle, voice.own, blocks, self.speaker(voice))
-        return Rendering(voice.own, blocks.edges, blocks.silent, read.labels, read.poses.numpy())
+    def own(self, ours: BundleSystem) -> Rendering:
+        """What the performer did, in the blocks of the speech."""
+        motion, blocks = self.voice.own, self.heard.blocks
+        assert motion is not None
+        read = encode_motion(ours.bundle, motion, blocks, self.heard.speaker)
+        return Rendering(motion, blocks.edges, blocks.silent, read.labels, read.poses.numpy())
 
 
 @dataclass
@@ -229,15 +179,17 @@ def rewards_of(model: RewardEnsemble, drawn: torch.Tensor, heard: SpeechBlocks, 
     return rewards.double().numpy()
 
 
-def figures(stage: PolicyStage, policy: PlayedPolicy | None, seeds: int) -> PlayedFigures:
+def figures(ours: BundleSystem, voices: Sequence[JudgedVoice], policy: PlayedPolicy | None, seeds: int
+            ) -> PlayedFigures:
     """Play a policy on every voice with every seed, and measure; None is the performer."""
-    bundle, out = stage.context.bundle, PlayedFigures({}, [], [])
+    bundle, out = ours.bundle, PlayedFigures({}, [], [])
     rows: list[dict[str, float]] = []
     seen: list[dict[str, float]] = []
-    for place, (voice, heard) in enumerate(zip(stage.voices, stage.heard, strict=True)):
+    for place, one in enumerate(voices):
+        voice, heard = one.voice, one.heard
         each, looks = [], []
         for seed in range(1 if policy is None else seeds):
-            made = stage.own(place) if policy is None else stage.play(policy, place, seed)
+            made = one.own(ours) if policy is None else one.played(ours, policy, seed)
             clip = measure(made.motion, voice.speech)
             values = {"speech_speed": clip.speech_speed, "silence_speed": clip.silence_speed,
                       "pmb": clip.rhythm(seed=place).above_chance}

@@ -29,11 +29,10 @@ from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
 from gesticulator.training.stages.labels import LABELS, model_sizes
 from gesticulator.training.stages.lexicon import TOKENS
 from gesticulator.training.stages.q_network import EPISODES, silent_of, takes_of
-from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE, TAUGHT_REWARD, reward_table, taught_reward
+from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
 from interpreters.advantage import Critics, advantages
 from interpreters.episodes import Episode, build
 from interpreters.lstm import LstmInterpreter
-from interpreters.reward import RewardEnsemble
 from interpreters.reward_table import Centred, EnsembleReward
 from interpreters.settings import CriticConfig
 
@@ -173,19 +172,10 @@ def _make(run: Run) -> CounterfactualRewards:
             return CounterfactualRewards.load(file)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             pass  # truncated by a crash: compute again
-    made = counterfactual(run.get(EPISODES).episodes, _table(run), run.get(INTERPRETER), run.get(CORPUS),
+    made = counterfactual(run.get(EPISODES).episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), run.get(CORPUS),
                           run.config.advantage, run.seed(COUNTERFACTUALS))
     made.save(file)
     return made
-
-
-def _table(run: Run, by: Stage[RewardEnsemble] | None = None) -> EnsembleReward | Centred:
-    """by: the stage of the reward; default: the training reward."""
-    if by is None or by is REWARD:
-        return run.get(TAUGHT_REWARD)
-    corpus = run.get(CORPUS)
-    table = reward_table(run.get(by), run.get(TOKENS), corpus)
-    return taught_reward(table, corpus, run.config.episodes.baseline)
 
 
 def _needs(config: Config) -> Sequence[Node[Any]]:
@@ -207,17 +197,16 @@ def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str,
             "heard": torch.as_tensor(heard)[windows["episode"]]}
 
 
-def _train(run: Run, model: Critics, folder: Path, stage: Stage[Critics], rewards: Node[CounterfactualRewards],
-           by: Stage[RewardEnsemble]) -> Figures:
-    config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(rewards)
+def _train(run: Run, model: Critics, folder: Path) -> Figures:
+    config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(COUNTERFACTUALS)
     labelled, unit = run.get(LABELS), data.unit
-    rng = np.random.default_rng(run.seed(stage))
+    rng = np.random.default_rng(run.seed(ADVANTAGE))
     heard = (rng.random((len(data.lengths), config.critics)) < config.heard).astype(np.float32)
     heard[heard.sum(1) == 0] = 1.0
     takes = takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train")
     literal = build(takes, LITERAL, lambda lexemes, blocks: torch.zeros(len(lexemes)),
                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
-    held = counterfactual(literal.episodes, _table(run, by), run.get(INTERPRETER), corpus,
+    held = counterfactual(literal.episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), corpus,
                           CriticConfig(states=min(_CHECKED, config.states), tried=config.tried, swaps=config.swaps,
                                        gamma=config.gamma), 1)
     everything = np.ones((len(held.lengths), config.critics), np.float32)
@@ -231,8 +220,8 @@ def _train(run: Run, model: Critics, folder: Path, stage: Stage[Critics], reward
         return {key: float(np.nanmean([row[key] for row in rows])) for key in rows[0]}
 
     task = fitting.Task(lambda rng: critic_batch(corpus, data, data.windows(
-        rng, run.schedule(stage).batch, config.decisions), unit, heard), validate=validate)
-    return run.fit(stage, model, task, folder)
+        rng, run.schedule(ADVANTAGE).batch, config.decisions), unit, heard), validate=validate)
+    return run.fit(ADVANTAGE, model, task, folder)
 
 
 def critic_figures(model: Critics, batch: dict[str, Tensor]) -> dict[str, float]:
@@ -263,21 +252,4 @@ ADVANTAGE: Stage[Critics] = Stage(
     wanted=lambda config: config.schedules.cql.steps > 0 and config.schedules.advantage.steps > 0,
     needs=lambda config: (*_needs(config), COUNTERFACTUALS),
     build=lambda run: models.build("advantage", model_sizes(run)),
-    train=lambda run, model, folder: _train(run, model, folder, ADVANTAGE, COUNTERFACTUALS, REWARD))
-
-
-def exchanged_stage() -> Stage[Critics]:
-    """The same critics trained with the judging reward, for evaluation only: not part of a bundle."""
-    def make(run: Run) -> CounterfactualRewards:
-        return counterfactual(run.get(EPISODES).episodes, _table(run, REWARD_JUDGE), run.get(INTERPRETER),
-                              run.get(CORPUS), run.config.advantage, run.seed(data))
-
-    def train(run: Run, model: Critics, folder: Path) -> Figures:
-        return _train(run, model, folder, stage, data, REWARD_JUDGE)
-
-    data: Node[CounterfactualRewards] = Node("counterfactuals_exchanged", settings=COUNTERFACTUALS.settings,
-                                             needs=lambda config: (*_needs(config), REWARD_JUDGE), make=make)
-    stage: Stage[Critics] = Stage(
-        "advantage_exchanged", settings=ADVANTAGE.settings, schedule="advantage", build=ADVANTAGE.build, train=train,
-        needs=lambda config: (*_needs(config), REWARD_JUDGE, data))
-    return stage
+    train=_train)
