@@ -194,6 +194,18 @@ def of_set(figure: Callable[..., float], *counts: int, seed: int = 0, draws: int
     return limits(got, drawn, min(counts), basic=basic, least=least)
 
 
+def mean(values: Array) -> float:
+    """The mean of those that are finite; NaN where none is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else math.nan
+
+
+def runs(mask: ArrayLike) -> NDArray[np.int64]:
+    """[n, 2] the first index of each run of True in a mask [T], and the one after its last."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], np.atleast_1d(mask), [False]]).astype(np.int8)))
+    return ends.reshape(-1, 2)
+
+
 def jackknife(of: Callable[[list[int]], float], count: int) -> Array:
     """[n] pseudo-values n f(all) - (n - 1) f(all but k): what clip k adds to a figure of a set (Tukey 1958).
 

@@ -87,8 +87,8 @@ def free(count: int = 3) -> list[Motion]:
 
 def verdicts(motions: list[Motion], space: ReferenceSpace, corpus: list[Motion] | None = None) -> list[Verdict]:
     beside = sampled(corpus or free(), space)
-    return seen.clauses("x", seen.measured(sampled(motions, space), space, beside),
-                        seen.measured(beside, space, None), seen.measured(beside, space, None))
+    return seen.clauses("x", sampled(motions, space).figures(space, beside),
+                        beside.figures(space), beside.figures(space))
 
 
 def test_mirrored_arms_break_the_clauses_of_two_hands_and_free_ones_keep_them(space: ReferenceSpace) -> None:
@@ -142,7 +142,7 @@ def test_slow_and_frozen_motion_is_refused(space: ReferenceSpace) -> None:
 
 
 def test_without_a_store_what_is_asked_against_it_is_not_measured(space: ReferenceSpace) -> None:
-    alone = seen.clauses("x", seen.measured(sampled(free(), space), space, None), None, None)
+    alone = seen.clauses("x", sampled(free(), space).figures(space, None), None, None)
     for begin in ("hand speed, 50 %", "window Frechet to the corpus", "seams beside", "PMB beside", "mean wrist"):
         assert named(alone, begin).holds is None
     assert named(alone, "L/R hand height").holds is not None

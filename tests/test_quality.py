@@ -34,10 +34,10 @@ def test_the_command_writes_every_table(tiny_store: Path, tiny_bundle: Path, tmp
     assert PROBE.main("gesticulator probe", [
         "quality", "--data", str(tiny_store), "--bundle", str(tiny_bundle), "--out", str(out), "--quiet", "--work",
         str(tiny_bundle.with_name(tiny_bundle.name + ".work"))]) == 0
-    lexicon, accuracy, rhythm, hands = load(out)
+    lexicon, accuracy, hands = load(out)
     systems = {"lstm", "lstm with text", "statistical", "majority"}
     assert set(accuracy.rows) == {"previous lexeme and speaker", *systems}
-    assert set(rhythm.rows) == set(hands.rows) == {"performer", *systems}
+    assert set(hands.rows) == {"performer", *systems}
     assert hands.rows["lstm"] != hands.rows["lstm with text"], "one hears, the other reads too"
     linear, quantised = (lexicon.rows[name]["error"] for name in ("PCA", "quantised"))
     assert isinstance(linear, Interval) and isinstance(quantised, Interval) and linear.mean < quantised.mean

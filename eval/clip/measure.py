@@ -21,6 +21,7 @@ from data_module.speech.audio import load_speech
 from data_module.speech.onsets import detect_onsets
 from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Array, Motion, Speech
+from eval import stats
 from eval.baselines.controls import to_common_length
 from eval.metrics import pmb
 from eval.metrics.joint_error import JointError, motion_error
@@ -79,12 +80,12 @@ class ClipMeasurement:
     @property
     def speech_speed(self) -> float:
         """Mean hand speed outside settled silence, m/s; NaN where there is no such frame."""
-        return _mean(self.hand_speed[~self.silent])
+        return stats.mean(self.hand_speed[~self.silent])
 
     @property
     def silence_speed(self) -> float:
         """Mean hand speed in settled silence, m/s; NaN where there is no such frame."""
-        return _mean(self.hand_speed[self.silent])
+        return stats.mean(self.hand_speed[self.silent])
 
     def piece(self, start: float, end: float, fps: float) -> ClipMeasurement:
         """What lies between two times, at the motion's frame rate. It keeps the thresholds of the whole, and no seams.
@@ -96,10 +97,6 @@ class ClipMeasurement:
         last = round(end * fps) if end < self.duration else len(self.hand_speed) + 1
         return ClipMeasurement(onsets, beats, end - start, self.hand_speed[first:last], self.silent[first:last],
                                self.heights[first:last])
-
-
-def _mean(values: Array) -> float:
-    return float(values.mean()) if values.size else float("nan")
 
 
 def measure(motion: Motion, speech: Speech, edges: Array | None = None, onsets: Array | None = None) -> ClipMeasurement:

@@ -1,4 +1,4 @@
-"""How good is a bundle on the test split: its lexicon, its interpreters, its rhythm, its hands, each beside baselines.
+"""How good is a bundle on the test split: its lexicon, its interpreters, its hands, each beside baselines.
 
 Each table has the rows that a reader asks for: the performer (the rule that made the corpus), the systems, always the
 speaker's most frequent lexeme, and, where GESTICULATOR_DATA is set, a real take of a person speaking.
@@ -38,8 +38,6 @@ from lexicon.movement import MovementLexicon
 
 FIT_BLOCKS = 20_000
 """Blocks that PCA and k-means are fitted on: more changes their errors in the third digit."""
-DELTAS = (0.05, 0.1, 0.2)
-"""Seconds: the tolerances that are shown; the papers print the last."""
 QUANTILES = (5, 25, 50, 75, 95, 99)
 """Percentiles of hand speed."""
 HEIGHTS = (5, 50, 95)
@@ -53,7 +51,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Sequence[Table]:
-    """Lexicon, accuracy, rhythm and hands."""
+    """Lexicon, accuracy and hands."""
     context = EvalContext.of(arguments)
     bundle, recordings, take = context.bundle, context.recordings(), real_take(FPS)
     interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.block_models.interpreter}
@@ -71,8 +69,7 @@ def run(arguments: argparse.Namespace) -> Sequence[Table]:
         made = context.system(take[1])
         clips |= {name: [measure(motion, take[1], made.blocks.edges)] for name, motion in (
             ("real take (BEAT)", take[0]), ("lstm on the real take's voice", made.motion))}
-    return [lexicon_table(context, recordings, take), accuracy_table(context, interpreters), rhythm_table(clips),
-            hands_table(clips)]
+    return [lexicon_table(context, recordings, take), accuracy_table(context, interpreters), hands_table(clips)]
 
 
 def play(system: Gesticulator, recordings: Sequence[Recording], interpreter: str | LexemeInterpreter, progress: bool,
@@ -192,24 +189,6 @@ def accuracy_table(context: EvalContext, rows: Mapping[str, LexemeInterpreter]) 
             [accuracy(interpreter, decisions, take, kind == "teacher_forced") for take in takes],
             [len(take.blocks) - 1 for take in takes]) for kind in columns}
     return Table("Lexeme accuracy", columns, body, "interpreter")
-
-
-def rhythm_table(rows: Mapping[str, Sequence[ClipMeasurement]]) -> Table:
-    """PMB with its chance level and the share above it at three deltas."""
-    columns = {"rate": Column("motion beats", "1/s")}
-    for delta in DELTAS:
-        columns |= {f"pmb {delta:g}": Column(f"PMB at {delta:g} s", "%", 1, "high"),
-                    f"chance {delta:g}": Column("chance", "%", 1),
-                    f"above {delta:g}": Column("above chance", "%", 1, "high")}
-    body: Rows = {}
-    for name, clips in rows.items():
-        body[name] = {"rate": stats.mean_interval([clip.beats_per_second for clip in clips])}
-        for delta in DELTAS:
-            found = [clip.rhythm(delta, seed=k) for k, clip in enumerate(clips)]
-            body[name] |= {f"pmb {delta:g}": stats.mean_interval([one.pmb for one in found]),
-                           f"chance {delta:g}": stats.mean_interval([one.chance for one in found]),
-                           f"above {delta:g}": stats.mean_interval([one.above_chance for one in found])}
-    return Table("In time with the voice", columns, body, "motion")
 
 
 def hands_table(rows: Mapping[str, Sequence[ClipMeasurement]]) -> Table:

@@ -24,6 +24,7 @@ from data_module.motion.skeletons import LEG_JOINTS, find_table
 from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Array, Motion, Speech
 from eval.clip.foreign import find_motions, named
+from eval.stats import runs
 from eval.table import Column, Table
 from gesticulator.pipeline import Gesticulator
 
@@ -87,11 +88,11 @@ class _Standing:
         """Metres over which an ankle or ball goes at most while its foot is planted, level with the floor."""
         return max((float(np.linalg.norm(np.ptp(part[a:b, [0, 2]], axis=0)))
                     for foot, planted in zip(self.feet, self.planted, strict=True) for part in foot
-                    for a, b in runs_of(planted)), default=0.0)
+                    for a, b in runs(planted)), default=0.0)
 
     def steps(self) -> int:
         """How often a foot leaves the floor and comes back."""
-        return sum(max(len(runs_of(planted)) - 1, 0) for planted in self.planted)
+        return sum(max(len(runs(planted)) - 1, 0) for planted in self.planted)
 
     def shifts(self) -> int:
         """How often the hips go from over one leg to over the other."""
@@ -109,13 +110,7 @@ class _Standing:
 
     def frozen(self) -> float:
         """Seconds of the longest stretch in which the hips are slower than `STILL`."""
-        return max(((b - a) / self.fps for a, b in runs_of(self.speed < STILL)), default=0.0)
-
-
-def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First frame and the one after the last of every run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+        return max(((b - a) / self.fps for a, b in runs(self.speed < STILL)), default=0.0)
 
 
 def _bent(hip: Array, knee: Array, ankle: Array) -> Array:

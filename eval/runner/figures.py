@@ -83,8 +83,8 @@ def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 6 and 8b."""
     judge, labelled, corpus = rg.judge.lexicon, rg.first.get(LABELS), rg.context.corpus
     few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
-    rows = torch.as_tensor(few)
-    latents = latents_of(judge, corpus.motion[rows], corpus.pasts[rows]).double().numpy()
+    at = torch.as_tensor(few)
+    latents = latents_of(judge, corpus.motion[at], corpus.pasts[at]).double().numpy()
     labels = np.asarray(labelled.labels)[few]
     flat = embed(latents)
     shown, true = neighbours_agree(flat, labels), neighbours_agree(latents, labels)

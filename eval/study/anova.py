@@ -28,7 +28,7 @@ from data_module.errors import InputError, shown
 from data_module.files import read_text
 from data_module.json_files import read_json
 from data_module.types import Array
-from eval.stats import LEVEL, Interval, crossed_means, limits
+from eval.stats import LEVEL, Interval, crossed_means, limits, mean
 from eval.table import Cell, Column, Table
 
 COLUMNS = ("study", "rater", "item", "aspect", "rating")
@@ -238,15 +238,11 @@ def rank_counts(values: Array) -> NDArray[np.int64]:
 
 def _t_interval(own: Array) -> Interval:
     """Student's interval of the mean, every rating taken as a draw of its own, as Figure 12's bars seem to be."""
-    mean = _mean(own)
+    middle = mean(own)
     if len(own) < 2:
-        return Interval.exact(mean, len(own))
+        return Interval.exact(middle, len(own))
     half = float(stats.t.ppf(0.5 + _SHARE / 2, len(own) - 1) * own.std(ddof=1) / math.sqrt(len(own)))
-    return Interval(mean, mean - half, mean + half, len(own))
-
-
-def _mean(own: Array) -> float:
-    return float(own.mean()) if len(own) else math.nan
+    return Interval(middle, middle - half, middle + half, len(own))
 
 
 # ---------------------------------------------------------------- tables
@@ -276,7 +272,7 @@ def _systems(title: str, key: Key, values: Array, groups: Sequence[Array], means
                **{f"place {place + 1}": Column(f"place {place + 1}") for place in range(len(groups))}}
     ranks = rank_counts(values)
     rows: dict[str, dict[str, Cell]] = {name: {
-        "ratings": len(own), "t": _t_interval(own), "bootstrap": limits(_mean(own), means[:, k], len(own)),
+        "ratings": len(own), "t": _t_interval(own), "bootstrap": limits(mean(own), means[:, k], len(own)),
         "total": int(own.sum()), **{f"rated {score}": int((own == score).sum()) for score in range(low, high + 1)},
         **{f"place {place + 1}": int(count) for place, count in enumerate(ranks[k])}}
         for k, (name, own) in enumerate(zip(key.systems, groups, strict=True))}
@@ -289,7 +285,7 @@ def _pairs(title: str, names: Sequence[str], groups: Sequence[Array], means: Arr
     told = None if one_way(groups).reason else stats.tukey_hsd(*groups)
     rows: dict[str, dict[str, Cell]] = {}
     for a, b in itertools.combinations(range(len(groups)), 2):
-        apart = _mean(groups[a]) - _mean(groups[b])
+        apart = mean(groups[a]) - mean(groups[b])
         tukey, p = Interval.exact(apart, raters), math.nan
         if told is not None:
             bounds, p = told.confidence_interval(_SHARE), float(told.pvalue[a, b])

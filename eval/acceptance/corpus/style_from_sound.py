@@ -94,18 +94,12 @@ def _window(bands: Array, middle: Array, active: NDArray[np.bool_], peaks: NDArr
     begins = np.flatnonzero(np.diff(active[span].astype(int)) == 1)
     rate = ((peaks >= span.start) & (peaks < span.stop)).sum() / max(spoken.sum() / 100.0, 0.5)
     flux = np.abs(np.diff(bands[:, span], axis=1))[:, spoken[1:]].mean(axis=1)
-    pauses = _runs(~active[span])
+    pauses = [float(b - a) / 100.0 for a, b in stats.runs(~active[span]) if b - a >= 15]  # of 0.15 s or more
     return np.concatenate([
         own.mean(axis=1) - level.mean(), own.std(axis=1), flux,
         [level.mean(), level.std(), np.percentile(level, 90) - np.percentile(level, 30), np.log(rate + 0.5),
          np.log(flux.mean()), 1.0 - active[span].mean(), len(begins), np.log(0.1 + max(pauses, default=0.0)),
          np.log(0.1 + (float(np.mean(pauses)) if pauses else 0.0))]])
-
-
-def _runs(mask: NDArray[np.bool_]) -> list[float]:
-    """Seconds of each run of True that lasts 0.15 s or more."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    return [float(b - a) / 100.0 for a, b in edges.reshape(-1, 2) if b - a >= 15]
 
 
 def told(recordings: Sequence[StyledWindows]) -> dict[str, dict[str, Interval]]:

@@ -81,8 +81,7 @@ def noise(seconds: float, level: float, rate: int, seed: int = 0) -> Array:
 def pauses_in(speech: Speech, shortest: float = REAL_PAUSE) -> Array:
     """[n, 2] seconds of pauses of `shortest` or longer, as the system finds them."""
     quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8))).reshape(-1, 2)
-    spans = (ends * FRAME).astype(np.float64)
+    spans = (stats.runs(quiet) * FRAME).astype(np.float64)
     return spans[spans[:, 1] - spans[:, 0] >= shortest]
 
 
@@ -148,11 +147,11 @@ class Rested:
         quiet = np.zeros(len(self.speed), bool)
         for start, stop in self.pauses:
             quiet[round(start * HZ):round(stop * HZ)] = True
-        return _mean(self.speed[~quiet])
+        return stats.mean(self.speed[~quiet])
 
     def settled(self) -> list[tuple[float, float]]:
         """For each real pause its length and the mean speed from half a second into it on."""
-        return [(stop - start, _mean(self.between(start + SETTLED_FROM, min(stop, start + RESTS_FROM))))
+        return [(stop - start, stats.mean(self.between(start + SETTLED_FROM, min(stop, start + RESTS_FROM))))
                 for start, stop in self.pauses]
 
     def at_rest(self) -> float:
@@ -160,16 +159,12 @@ class Rested:
         late = [self.between(start + RESTS_FROM, stop) for start, stop in self.pauses
                 if stop - start > RESTS_FROM + _LEAST]
         talking = self.in_speech()
-        return _mean(np.concatenate(late)) / talking if late and talking > 0 else float("nan")
+        return stats.mean(np.concatenate(late)) / talking if late and talking > 0 else float("nan")
 
     def wakes(self) -> Array:
         """[n, 2] the peak acceleration (m/s2) and speed (m/s) around the end of each long pause."""
         ends = [stop for start, stop in self.pauses if stop - start >= LONG and stop + WAKE[1] <= self.body.duration]
         return peaks(self.body, [(stop + WAKE[0], stop + WAKE[1]) for stop in ends])
-
-
-def _mean(values: Array) -> float:
-    return float(values.mean()) if values.size else float("nan")
 
 
 def peaks(body: CommonBody, spans: Sequence[tuple[float, float]]) -> Array:
@@ -212,7 +207,7 @@ def pause_clauses(rested: Sequence[Rested], groups: Sequence[str]) -> list[Verdi
     each = [(length, speed, group) for own, group in zip(rested, groups, strict=True)
             for length, speed in own.settled()]
     values, owners = [speed for _, speed, _ in each], [group for _, _, group in each]
-    told = "; ".join(f"{low:g} to {high:g} s: {_mean(np.array([s for n, s, _ in each if low <= n < high])):.2f}"
+    told = "; ".join(f"{low:g} to {high:g} s: {stats.mean(np.array([s for n, s, _ in each if low <= n < high])):.2f}"
                      for low, high in ((1.0, 1.8), (1.8, 3.0), (3.0, 9.0)))
     ratios = [own.at_rest() for own in rested]
     return [
@@ -254,7 +249,7 @@ def waking_clauses(wakes: Array, usual: Array | None) -> list[Verdict]:
 
 def quiet_clauses(name: str, rested: Sequence[Rested]) -> list[Verdict]:
     """Nothing is said: the hands rest, and do not move now and then."""
-    speed = [_mean(own.between(1.0, own.body.duration)) for own in rested]
+    speed = [stats.mean(own.between(1.0, own.body.duration)) for own in rested]
     moving = [100.0 * float((own.fastest[round(HZ):] > hands.MOVES).mean()) for own in rested]
     return [judged(f"hands in {name}, m/s", stats.mean_interval(speed), at_most(SETTLED)),
             judged(f"time in which a hand moves in {name}, %", stats.mean_interval(moving), at_most(1.0)),
@@ -264,7 +259,7 @@ def quiet_clauses(name: str, rested: Sequence[Rested]) -> list[Verdict]:
 def faint_clause(low: Sequence[Rested], clean: Sequence[Rested]) -> Verdict:
     """A faint voice in noise makes no more twitches than the same voice as it was."""
     there, here = ([twitches(own.body) for own in each] for each in (low, clean))
-    usual = _mean(np.array(here))
+    usual = stats.mean(np.array(here))
     return judged("twitches a minute, voice at -46 dB in noise", stats.mean_interval(there),
                   at_most(TWITCHES * max(usual, 1.0)), digits=1,
                   reason=f"bound: {TWITCHES:g} times the {usual:.1f} of the same voice at its own level")
@@ -299,7 +294,8 @@ def shares_of(rendering: Rendering, silent: NDArray[np.int64], spoken: Flags) ->
     fastest = common_body(rendering.motion).hand_speed.max(axis=1)
     at = np.clip(np.searchsorted(rendering.edges, np.arange(len(fastest)) / HZ, side="right") - 1, 0, len(spoken) - 1)
     talking = fastest[spoken[at]]
-    return float((lasting * gesturing).sum() / max(lasting.sum(), 1e-9)), _mean((talking > hands.MOVES).astype(float))
+    moving = stats.mean((talking > hands.MOVES).astype(float))
+    return float((lasting * gesturing).sum() / max(lasting.sum(), 1e-9)), moving
 
 
 # ------------------------------------------------------------------------------------------------------------- group
@@ -359,6 +355,6 @@ def _described(played: Sequence[tuple[AcceptanceVoice, Rested]]) -> Table:
     rows: dict[str, dict[str, Cell]] = {
         f"{voice.name}, rendering {k + 1}": {
             "pauses": len(own.pauses), "speech": own.in_speech(), "rest": own.at_rest(),
-            "settled": _mean(np.array([speed for _, speed in own.settled()])), "freeze": head_freeze(own.body)}
+            "settled": stats.mean(np.array([speed for _, speed in own.settled()])), "freeze": head_freeze(own.body)}
         for k, (voice, own) in enumerate(played)}
     return Table("Voices with pauses", columns, rows, "voice")

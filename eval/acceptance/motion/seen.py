@@ -13,7 +13,6 @@ import numpy as np
 
 from data_module.blocks import cut
 from data_module.types import Array, Motion
-from eval import stats
 from eval.baselines.unit_selection import NAME as UNITS
 from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged, skipped
 from eval.metrics import EYE_METRICS, eye, pmb
@@ -61,32 +60,6 @@ def own_motion(voices: Sequence[AcceptanceVoice], space: ReferenceSpace | None) 
             edges = cut(said.speech).edges if said.place == TEST else None
             sample.add(said.own, said.heard, edges, space, group=said.group or said.name)
     return sample
-
-
-def measured(sample: EyeSample, space: ReferenceSpace | None, corpus: EyeSample | None) -> dict[str, Interval]:
-    """Every row of a sample; distances of all windows together with the basic bootstrap's interval over clips."""
-    out = sample.figures(space, corpus)
-    if space is not None:
-        out[POOLED] = pooled_distance(sample, space, None)
-        if corpus is not None:
-            out[TO_CORPUS] = pooled_distance(sample, space, corpus)
-    return out
-
-
-def pooled_distance(sample: EyeSample, space: ReferenceSpace, other: EyeSample | None) -> Interval:
-    """Of all windows of a sample from the reference, or from all of another's."""
-    seen = [space.see(windows) for windows in sample.windows]
-    moments = space.real if other is None else eye.frechet.Moments.of(
-        np.concatenate([space.see(windows) for windows in other.windows]))
-    if moments is None:
-        return Interval.undefined(len(seen))
-    target = moments
-
-    def distance(chosen: Array) -> float:
-        own = eye.frechet.Moments.of(np.concatenate([seen[k] for k in chosen]))
-        return math.nan if own is None else eye.frechet.frechet(own, target)
-
-    return stats.of_set(distance, len(seen), least=0.0)
 
 
 # ----------------------------------------------------------------------------------------------------------- clauses
@@ -265,7 +238,7 @@ def run(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoice], re
     tested, taken = ([said for said in voices if (said.place == TEST) == test] for test in (True, False))
     corpus = own_motion(tested, space) if tested else None
     real = own_motion(taken, space) if taken else None
-    of_corpus = None if corpus is None else measured(corpus, space, None)
+    of_corpus = None if corpus is None else corpus.figures(space)
     found, tables, pieces = [], [], []
     for where, heard in (("BEAT voice", taken), ("test split", tested)):
         if not heard:
@@ -274,7 +247,7 @@ def run(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoice], re
         for system in systems:
             pairs = renderings_on(system, heard, renderings)
             if pairs:
-                figures[system.name] = measured(sample_of(pairs, space), space, corpus)
+                figures[system.name] = sample_of(pairs, space).figures(space, corpus)
             if system.name == OURS:
                 # The same voice twice would be its own wrong sound.
                 once = {said.name: (made.motion, said.heard) for said, (made, _) in reversed(pairs)}
@@ -283,7 +256,7 @@ def run(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoice], re
         if of_corpus is not None:
             figures[CORPUS] = of_corpus
         if real is not None and real.windows:
-            figures[REAL] = measured(real, space, corpus)
+            figures[REAL] = real.figures(space, corpus)
         tables.append(comparison(where, figures))
     beside = [] if corpus is None else [halves_clause(corpus, space)]
     return [*found, *beside, mismatch_clause(pieces)], tables

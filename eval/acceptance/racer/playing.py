@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from data_module.types import Array
+from eval import stats
 from eval.baselines.controls import Majority, Random
 from eval.clip.measure import measure
 from eval.metrics import eye
@@ -196,19 +197,14 @@ def figures(ours: BundleSystem, voices: Sequence[JudgedVoice], policy: PlayedPol
             drawn = torch.as_tensor(made.drawn)
             for name, model in (("reward", bundle.reward), ("judge", bundle.reward_judge)):
                 assert model is not None
-                values[name] = _mean(rewards_of(model, drawn, heard))
-                values[f"{name}_shifted"] = _mean(rewards_of(model, drawn, heard, SHIFT))
+                values[name] = stats.mean(rewards_of(model, drawn, heard))
+                values[f"{name}_shifted"] = stats.mean(rewards_of(model, drawn, heard, SHIFT))
             each.append(values)
             looks.append(eye.figures(made.motion, voice.heard, made.edges, None))
             out.lexemes.append(made.lexemes)
             out.motions.append(made.motion)
         rows.append({key: float(np.nanmean([own[key] for own in each])) for key in each[0]})
-        seen.append({key: _mean(np.array([own[key] for own in looks])) for key in looks[0]})
+        seen.append({key: stats.mean(np.array([own[key] for own in looks])) for key in looks[0]})
     out.values = {key: np.array([row[key] for row in rows]) for key in rows[0]}
     out.eyes = {key: np.array([row[key] for row in seen]) for key in seen[0]}
     return out
-
-
-def _mean(values: Array) -> float:
-    kept = values[np.isfinite(values)]
-    return float(kept.mean()) if kept.size else float("nan")

@@ -81,14 +81,24 @@ class EyeSample:
         out = {name: stats.mean_interval(values, groups=groups) if len(values) > 1 else Interval.exact(values[0], 1)
                for name, values in self.values.items()}
         if space is not None:
-            out[POOLED] = self._pooled(space, None)
+            out[POOLED] = self.pooled(space, None)
             if corpus is not None:
-                out[TO_CORPUS] = self._pooled(space, space.moments(np.concatenate(corpus.windows)))
+                out[TO_CORPUS] = self.pooled(space, corpus)
         return out
 
-    def _pooled(self, space: ReferenceSpace, other: frechet.Moments | None) -> Interval:
-        own = np.concatenate(self.windows)
-        return Interval.exact(space.distance(own, other), len(self.windows))
+    def pooled(self, space: ReferenceSpace, other: EyeSample | None) -> Interval:
+        """Frechet distance of all windows together from real people's, or from another sample's, with the basic
+        bootstrap's interval over clips."""
+        seen = [space.see(windows) for windows in self.windows]
+        target = space.real if other is None else space.moments(np.concatenate(other.windows))
+        if target is None:
+            return Interval.undefined(len(seen))
+
+        def distance(chosen: Array) -> float:
+            own = frechet.Moments.of(np.concatenate([seen[k] for k in chosen]))
+            return math.nan if own is None else frechet.frechet(own, target)
+
+        return stats.of_set(distance, len(seen), least=0.0)
 
 
 def controls(motion: Motion, heard: VoiceActivity | None, space: ReferenceSpace | None) -> dict[str, EyeSample]:

@@ -33,6 +33,7 @@ from scipy.ndimage import gaussian_filter1d
 from data_module.motion import rotation
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, SIDES, CommonBody
+from eval.stats import runs
 
 STILL, HANDS_STILL = 0.02, 0.05
 """m/s: what is slower stands still; of both hands without the head."""
@@ -60,8 +61,7 @@ def smoothed_speed(places: Array) -> Array:
 
 def longest(mask: NDArray[np.bool_] | np.bool_) -> float:
     """Seconds of the longest run of True, [T] at 60 Hz."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], np.atleast_1d(mask), [False]]).astype(np.int8)))
-    return float((ends[1::2] - ends[::2]).max(initial=0)) / HZ
+    return float(np.diff(runs(mask)).max(initial=0)) / HZ
 
 
 def inside(points: Array, low: Array, high: Array, radius: float) -> float:
