@@ -107,13 +107,13 @@ NO_CASE = {
     "an evaluation's own work folder": """
         eval/acceptance/motion/command.py:run eval/baselines/unit_selection.py:_read
         eval/rows/cells.py:CellStore._append eval/rows/cells.py:CellStore.gather eval/rows/cells.py:CellStore.lines
-        eval/runner/figures.py:_key_of eval/runner/judges.py:_opened eval/runner/racer.py:_trained
+        eval/runner/figures.py:_key_of eval/runner/context.py:_reward_model eval/runner/racer.py:_trained
         eval/runner/renderings.py:KeptRenderings.get eval/runner/renderings.py:Rendering.unpacked
-        eval/runner/row_context.py:PlayedStore.read""",
+        eval/runner/judge.py:PlayedStore.read""",
     "calls a reader that has a case": """
         data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._heard
         data_module/corpora/ted.py:Ted.read eval/runner/ablate.py:ablate eval/runner/ablate.py:redraw
-        eval/runner/figures.py:FigureSource.clips
+        eval/runner/rg.py:RgRows.clips
         gesticulator/bundle/parts.py:StoredParts.__getitem__ gesticulator/serve/connection.py:Connection._hello
         gesticulator/serve/connection.py:Connection._read gesticulator/serve/edits.py:LivePlans.answer
         gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened""",
